@@ -1,0 +1,58 @@
+"""
+The command line: one program, one verb per file.
+
+A verb is a module of this package with ``HELP`` (one line), ``EXAMPLE``, ``add_arguments(parser)``
+and ``run(arguments) -> int``. It is imported only when it is called, so that a verb which needs
+ROS costs nothing to the others.
+"""
+
+import argparse
+import importlib
+import sys
+
+from xpbd_ros import __version__
+from xpbd_ros.errors import InputError
+
+VERBS = {
+    'demo': 'start the node, drive it as a robot would, record the run and draw it',
+    'node': 'the node: the same as ros2 run xpbd_ros cloth_node',
+    'run': 'run a scene as fast as it can, without DDS, and write the same log as the node',
+    'replay': 'publish a log again',
+    'info': 'what a log holds, and whether it is whole',
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one verb and return the exit code: 0 good, 1 the check failed, 2 bad input."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    if argv and argv[0] in VERBS:
+        return run_verb(argv[0], argv[1:])
+    parser = argparse.ArgumentParser(
+        prog='xpbd_ros', description='Cloth for robots: an XPBD simulation behind a ROS 2 node.',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog='verbs:\n' + '\n'.join(f'  {name:<9} {text}' for name, text in VERBS.items())
+        + "\n\n'xpbd_ros VERB --help' explains a verb.")
+    parser.add_argument('--version', action='version', version=f'xpbd_ros {__version__}')
+    parser.add_argument('verb', choices=VERBS, metavar='VERB')
+    parser.parse_args(argv)
+    return 2
+
+
+def run_verb(name: str, argv: list[str]) -> int:
+    """Parse a verb's arguments and run it; turn bad input into one line and exit code 2."""
+    verb = importlib.import_module(f'xpbd_ros.cli.{name}')
+    parser = argparse.ArgumentParser(
+        prog=f'xpbd_ros {name}', description=verb.__doc__.strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'example:\n  {verb.EXAMPLE}')
+    verb.add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    try:
+        return verb.run(arguments)
+    except InputError as error:
+        print(f'xpbd_ros {name}: {error}', file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        return 0
+    except KeyboardInterrupt:
+        print(f'xpbd_ros {name}: interrupted', file=sys.stderr)
+        return 130
