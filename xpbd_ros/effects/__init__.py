@@ -1,0 +1,29 @@
+"""
+The effects, in projection order: this order is physics, so it is readable in one place.
+
+Soft before stiff, contact and friction last: what is projected last holds best. An effect's module
+is imported only when a scene names it.
+"""
+
+import importlib
+
+from xpbd_ros.sim.effect import Effect
+
+EFFECTS = {
+    'pin': 'scene',
+    'damping': 'scene',
+    'bend': 'cloth',
+    'shear': 'cloth',
+    'stretch': 'cloth',
+    'contact': 'scene',
+    'friction': 'scene',
+}
+"""name: what it belongs to"""
+
+SECTIONS = {'pins': 'pin', 'colliders': 'contact'}
+"""sections of a scene, and the effect that each belongs to"""
+
+
+def load(name: str) -> Effect:
+    """Import one effect's module and return what it registers."""
+    return importlib.import_module(f'xpbd_ros.effects.{name}').EFFECT

@@ -1,0 +1,318 @@
+"""
+Contact of particles with colliders: C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
+
+Once per substep, after the prediction, pairs that might touch become candidates. Then, in each
+iteration, a candidate that is too deep is pushed out along the normal n (Müller et al. 2006, 3.4):
+
+    Δd = max(-C, -d),   d += Δd,   x += n Δd        (d ≥ 0: the push so far, never a pull)
+
+r is the thickness. A particle that begins the substep already too deep (a collider teleported into
+the cloth) comes out at no more than DEPENETRATION, and that part of the push moves x_prev as well,
+so it never becomes velocity (pre-stabilisation, Macklin et al. 2014). Colliders move through the
+frame from pose to pose and carry the cloth along.
+
+Limits: particles are tested, not triangles, and at the substep's end, so what is thinner than the
+spacing of particles, or faster than its own size per substep, can slip through.
+"""
+
+from dataclasses import dataclass, field
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim import colliders as shapes
+from xpbd_ros.sim.colliders import Colliders, pose_at, signed_distance, to_local
+from xpbd_ros.sim.commands import MoveCollider, Pose
+from xpbd_ros.sim.contacts import Contacts, new_contacts
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
+from xpbd_ros.sim.rotation import from_z_axis, multiply, rotate
+from xpbd_ros.sim.stages import prepare, project, stage
+
+DEPENETRATION = 1.0
+"""speed at which an overlap that was there before is undone [m/s]"""
+CANDIDATES = 4
+"""room for candidates, per particle"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The gap kept, and the room for colliders."""
+
+    thickness: float = quantity(unit='m', above=0.0, live=True,
+                                doc='distance kept between particles and surfaces')
+    max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half space below a plane."""
+
+    normal: tuple[float, float, float] = quantity((0.0, 0.0, 1.0), doc='pointing out of it')
+
+    def __post_init__(self):
+        """Refuse a direction that is none."""
+        if not any(self.normal):
+            raise InputError('normal: must not be zero')
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball."""
+
+    radius: float = quantity(unit='m', above=0.0)
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A ball swept along z."""
+
+    radius: float = quantity(unit='m', above=0.0)
+    length: float = quantity(unit='m', minimum=0.0, doc='between the centres')
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z."""
+
+    radius: float = quantity(unit='m', above=0.0)
+    length: float = quantity(unit='m', above=0.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box."""
+
+    size: tuple[float, float, float] = quantity(unit='m', above=0.0, doc='full extents')
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the scene's ``colliders``: exactly one shape, and where it is."""
+
+    plane: Plane | None = quantity(None)
+    sphere: Sphere | None = quantity(None)
+    capsule: Capsule | None = quantity(None)
+    cylinder: Cylinder | None = quantity(None)
+    box: Box | None = quantity(None)
+    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
+    orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
+                                                              doc='quaternion x y z w')
+    friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ')
+    motion: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+
+    def __post_init__(self):
+        """Refuse no shape and two shapes."""
+        given = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(f'needs exactly one shape of {", ".join(SHAPES)} '
+                             f'(got {", ".join(given) or "none"})')
+        check_motion(self.motion)
+
+    @property
+    def shape(self) -> str:
+        """The name of its shape."""
+        return next(name for name in SHAPES if getattr(self, name) is not None)
+
+    @property
+    def pose(self) -> Pose:
+        """Where it is at the start; a plane's normal is its z axis."""
+        n = sqrt(sum(c * c for c in self.orientation))
+        orientation = tuple(c / n for c in self.orientation)
+        if self.plane is not None:
+            orientation = multiply(orientation, from_z_axis(self.plane.normal))
+        return Pose(self.position, orientation)
+
+
+SHAPES = {'plane': shapes.PLANE, 'sphere': shapes.SPHERE, 'capsule': shapes.CAPSULE,
+          'cylinder': shapes.CYLINDER, 'box': shapes.BOX}
+
+
+def shape_size(entry: Entry) -> tuple[float, float, float]:
+    """Return the numbers that the kernels want of a shape."""
+    if entry.sphere is not None:
+        return entry.sphere.radius, 0.0, 0.0
+    if entry.box is not None:
+        return tuple(0.5 * c for c in entry.box.size)
+    if entry.plane is not None:
+        return 0.0, 0.0, 0.0
+    tube = entry.capsule or entry.cylinder
+    return tube.radius, 0.5 * tube.length, 0.0
+
+
+class Contact(NamedTuple):
+    """Data of the kernels."""
+
+    contacts: Contacts
+    thickness: np.ndarray
+    """[m], shape (1,)"""
+
+
+@stage(prepare, Contact)
+@jit
+def find_candidates(contact, state, substep):
+    """List the pairs that may touch in this substep, and the gap that each has to keep."""
+    contacts, thickness = contact.contacts, contact.thickness[0]
+    colliders = contacts.colliders
+    if substep.begin == 0.0:
+        contacts.count[1] = 0
+    found = 0
+    for c in range(colliders.count[0]):
+        before, after = pose_at(colliders, c, substep.begin), pose_at(colliders, c, substep.end)
+        shape, size = colliders.shape[c], colliders.size[c]
+        bound = shapes.reach(shape, size)
+        p, p0 = after[0], before[0]
+        moved = sqrt((p[0] - p0[0])**2 + (p[1] - p0[1])**2 + (p[2] - p0[2])**2)
+        turned = sqrt((after[1][0] - before[1][0])**2 + (after[1][1] - before[1][1])**2
+                      + (after[1][2] - before[1][2])**2 + (after[1][3] - before[1][3])**2)
+        for i in range(len(state.x)):
+            if state.inv_mass[i] == 0.0:
+                continue
+            x, y, z = state.x[i, 0], state.x[i, 1], state.x[i, 2]
+            x0, y0, z0 = state.x_prev[i, 0], state.x_prev[i, 1], state.x_prev[i, 2]
+            step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
+            arm = sqrt((x - p[0])**2 + (y - p[1])**2 + (z - p[2])**2)
+            near = thickness + 2.0 * (step + moved + 2.0 * turned * arm)
+            if bound >= 0.0 and arm > bound + near:
+                continue
+            lx, ly, lz = to_local(after, x, y, z)
+            if signed_distance(shape, size, lx, ly, lz)[0] > near:
+                continue
+            if found == len(contacts.particle):
+                contacts.count[1] += 1
+                continue
+            lx, ly, lz = to_local(before, x0, y0, z0)
+            gap = signed_distance(shape, size, lx, ly, lz)[0]
+            contacts.particle[found] = i
+            contacts.collider[found] = c
+            contacts.gap[found] = min(thickness, gap + DEPENETRATION * substep.h)
+            contacts.overlap[found] = max(0.0, contacts.gap[found] - gap)
+            contacts.push[found] = 0.0
+            found += 1
+    contacts.count[0] = found
+
+
+@stage(project, Contact)
+@jit
+def push_out(contact, state, substep):
+    """Push every candidate that is too deep out along the normal."""
+    contacts = contact.contacts
+    colliders = contacts.colliders
+    last, pose = -1, pose_at(colliders, 0, substep.end)
+    for k in range(contacts.count[0]):
+        i, c = contacts.particle[k], contacts.collider[k]
+        if c != last:
+            last, pose = c, pose_at(colliders, c, substep.end)
+        lx, ly, lz = to_local(pose, state.x[i, 0], state.x[i, 1], state.x[i, 2])
+        phi, nx, ny, nz = signed_distance(colliders.shape[c], colliders.size[c], lx, ly, lz)
+        before = contacts.push[k]
+        push = max(contacts.gap[k] - phi, -before)
+        if push == 0.0:
+            continue
+        q = pose[1]
+        n = rotate(q[0], q[1], q[2], q[3], nx, ny, nz)
+        contacts.push[k] = before + push
+        still = min(contacts.overlap[k], contacts.push[k]) - min(contacts.overlap[k], before)
+        for a in range(3):
+            state.x[i, a] += n[a] * push
+            state.x_prev[i, a] += n[a] * still
+            contacts.normal[k, a] = n[a]
+
+
+@dataclass(frozen=True)
+class ColliderState:
+    """One collider after a frame."""
+
+    entry: Entry
+    pose: Pose
+    linear: np.ndarray = field(compare=False)
+    """velocity [m/s], shape (3,)"""
+
+
+class BuiltContact(Built):
+    """All colliders of a scene."""
+
+    def __init__(self, parameters: Parameters, world):
+        super().__init__()
+        self.entries: dict[str, Entry] = world.sections.get('colliders', {})
+        room, capacity = CANDIDATES * len(world.state.x), parameters.max_colliders
+        if len(self.entries) > capacity:
+            raise InputError(f'colliders: {len(self.entries)} colliders, but '
+                             f'effects.contact.max_colliders is {capacity}; raise it')
+        poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
+        colliders = Colliders(
+            np.array([len(self.entries)]), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
+            poses.copy(), poses.copy(), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_),
+            np.zeros(capacity))
+        for c, entry in enumerate(self.entries.values()):
+            colliders.shape[c] = SHAPES[entry.shape]
+            colliders.size[c] = shape_size(entry)
+            colliders.friction[c] = entry.friction
+        self.colliders = colliders
+        self.contacts = new_contacts(colliders, room)
+        self.data = Contact(self.contacts, np.array([parameters.thickness]))
+        self.commands = {MoveCollider: self.move}
+        self.motions: dict[str, Motion] = {}
+
+    def reset(self, state):
+        self.motions = {name: self._motion(entry) for name, entry in self.entries.items()}
+        self.colliders.has_twist[:] = False
+        for c, motion in enumerate(self.motions.values()):
+            pose = (*motion.pose.position, *motion.pose.orientation)
+            self.colliders.start[c] = self.colliders.goal[c] = pose
+
+    def adopt(self, old):
+        self.motions = old.motions
+        for ours, theirs in zip(self.colliders[3:7], old.colliders[3:7]):
+            ours[:] = theirs
+
+    @staticmethod
+    def _motion(entry: Entry) -> Motion:
+        keyframes = None if entry.motion is None else monotone_cubic(entry.motion)
+        pose = entry.pose
+        if keyframes is not None:
+            pose = Pose(keyframes(0.0), pose.orientation)
+        lever = shapes.reach(SHAPES[entry.shape], shape_size(entry))
+        return Motion(pose, entry.max_speed, keyframes=keyframes,
+                      lever=lever if lever > 0.0 else 1.0)
+
+    def move(self, command, clock, state) -> str | None:
+        """Set where a collider goes, and the velocity of its surface where that is given."""
+        if command.collider not in self.motions:
+            return (f"unknown collider '{command.collider}' "
+                    f'(known: {", ".join(self.motions) or "none"})')
+        self.motions[command.collider].aim(command.pose, None, command.stamp_ns, clock.begin_ns)
+        c = list(self.motions).index(command.collider)
+        twist = command.twist
+        moving = twist is not None and any((*twist.linear, *twist.angular))
+        self.colliders.has_twist[c] = moving
+        if moving:
+            self.colliders.twist[c] = (*twist.linear, *twist.angular)
+        return None
+
+    def begin(self, clock, state):
+        for c, motion in enumerate(self.motions.values()):
+            motion.advance(clock.end_ns, clock.dt)
+            start, pose = motion.start, motion.pose
+            self.colliders.start[c] = (*start.position, *start.orientation)
+            self.colliders.goal[c] = (*pose.position, *pose.orientation)
+
+    def states(self, dt: float) -> dict[str, ColliderState]:
+        """Return where the colliders are now."""
+        return {name: ColliderState(
+            self.entries[name], motion.pose,
+            np.subtract(motion.pose.position, motion.start.position) / dt)
+            for name, motion in self.motions.items()}
+
+    def stats(self):
+        return {'contacts': int((self.contacts.push[:self.contacts.count[0]] > 0.0).sum()),
+                'contacts_without_room': int(self.contacts.count[1]),
+                'colliders_at_max_speed': sum(m.limited for m in self.motions.values())}
+
+
+EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

@@ -1,0 +1,106 @@
+"""
+Friction: Coulomb's law in position form, for every contact of this substep.
+
+With Δp = (x - x_prev) - (motion of the collider's surface), its tangential part Δp_t and the
+contact's push d along the normal (Macklin et al. 2014, eq 24; without what only undoes an old
+overlap),
+
+    s <- s - Δp_t, shortened to |s| ≤ μ d,   x += change of s
+
+stick where |Δp_t| ≤ μ d, else slide with the friction μ d. In rest on a slope d = g cos(θ) h², so
+sticking is exact and a sliding particle slows by exactly μ g cos(θ). μ of a pair is the geometric
+mean of the two coefficients unless one is given for the pair.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.contacts import Contacts, surface_motion
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.stages import prepare, project, stage
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Coefficients of pairs; all other pairs take the geometric mean of the two surfaces."""
+
+    pairs: dict[str, dict[str, float]] = quantity(
+        {}, minimum=0.0, doc='cloth: {collider: coefficient μ}')
+
+
+class Friction(NamedTuple):
+    """Data of the kernels."""
+
+    contacts: Contacts
+    cloth: np.ndarray
+    """index of each particle's cloth, shape (particles,)"""
+    coefficient: np.ndarray
+    """μ by cloth and collider, shape (cloths, capacity)"""
+
+
+@stage(prepare, Friction)
+@jit
+def prepare_friction(friction, state, substep):
+    """Forget the last substep's friction."""
+    contacts = friction.contacts
+    for k in range(contacts.count[0]):
+        for a in range(3):
+            contacts.slip[k, a] = 0.0
+
+
+@stage(project, Friction)
+@jit
+def resist(friction, state, substep):
+    """Take back tangential motion, within the cone |s| ≤ μ d."""
+    contacts = friction.contacts
+    for k in range(contacts.count[0]):
+        if contacts.push[k] == 0.0:
+            continue
+        i = contacts.particle[k]
+        x, before, n, s = state.x[i], state.x_prev[i], contacts.normal[k], contacts.slip[k]
+        ux, uy, uz = surface_motion(contacts, k, state, substep)
+        px, py, pz = x[0] - before[0] - ux, x[1] - before[1] - uy, x[2] - before[2] - uz
+        pn = px * n[0] + py * n[1] + pz * n[2]
+        sx, sy, sz = s[0] - (px - pn * n[0]), s[1] - (py - pn * n[1]), s[2] - (pz - pn * n[2])
+        l = sqrt(sx * sx + sy * sy + sz * sz)
+        load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
+        limit = friction.coefficient[friction.cloth[i], contacts.collider[k]] * load
+        if l > limit:
+            f = limit / l
+            sx, sy, sz = f * sx, f * sy, f * sz
+        x[0] += sx - s[0]
+        x[1] += sy - s[1]
+        x[2] += sz - s[2]
+        s[0], s[1], s[2] = sx, sy, sz
+
+
+class BuiltFriction(Built):
+    """Friction has no state of its own: it reads the contacts."""
+
+    def __init__(self, parameters: Parameters, world):
+        super().__init__()
+        contact = world.built['contact']
+        coefficient = np.zeros((len(world.cloths), len(contact.colliders.friction)))
+        cloth_of = np.zeros(len(world.state.x), np.int64)
+        unknown = set(parameters.pairs) - {cloth.name for cloth in world.cloths}
+        if unknown:
+            raise InputError(f'effects.friction.pairs: unknown cloth {sorted(unknown)}')
+        for k, cloth in enumerate(world.cloths):
+            cloth_of[cloth.particles] = k
+            pairs = parameters.pairs.get(cloth.name, {})
+            unknown = set(pairs) - set(contact.entries)
+            if unknown:
+                raise InputError(f'effects.friction.pairs.{cloth.name}: unknown collider '
+                                 f'{sorted(unknown)} (known: {", ".join(contact.entries)})')
+            for c, name in enumerate(contact.entries):
+                coefficient[k, c] = pairs.get(
+                    name, sqrt(cloth.friction * contact.colliders.friction[c]))
+        self.data = Friction(contact.contacts, cloth_of, coefficient)
+
+
+EFFECT = Effect('friction', Parameters, BuiltFriction, needs=('contact', 'self_collision'))

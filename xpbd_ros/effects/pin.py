@@ -1,0 +1,298 @@
+"""
+Pin: a named set of particles held at a moving target, as a gripper holds cloth.
+
+A pinned particle has inv_mass 0, so no constraint moves it. Each substep it is put at
+x = p + R q, where p, R is the pin's pose, interpolated between the frame's start and end, and q its
+offset in the pin's axes, kept from the grasp. So it has a velocity, and turning the pin turns what
+it holds. A release gives the mass back.
+
+The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, f being the
+constraint forces (mean over the frame) and a the acceleration that the pin forces on them; the
+torque is about the pin's pose, world axes.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
+from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
+from xpbd_ros.sim.stages import prepare, stage
+
+PLACES = ('corner_00', 'corner_01', 'corner_10', 'corner_11',
+          'edge_0x', 'edge_1x', 'edge_x0', 'edge_x1')
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """How many pins there may be at a time."""
+
+    max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='capacity')
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the scene's ``pins``: a pin that holds from the start."""
+
+    cloth: str = quantity(doc='the cloth that it holds')
+    at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
+    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='a point')
+    radius: float = quantity(0.01, unit='m', above=0.0, doc='what is this near to it is held')
+    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it goes')
+    motion: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+
+    def __post_init__(self):
+        """Refuse what has no meaning."""
+        if (self.at is None) == (self.near is None):
+            raise InputError("needs either 'at' or 'near', and only one of them")
+        if isinstance(self.at, str) and self.at not in PLACES:
+            raise InputError(f"at: unknown place '{self.at}' (known: {', '.join(PLACES)}, or a "
+                             'list of particle indices)')
+        if self.target is not None and self.motion is not None:
+            raise InputError("needs either 'target' or 'motion', not both")
+        check_motion(self.motion)
+
+
+class Pin(NamedTuple):
+    """Data of the kernel: the pinned particles, and the pins' poses by slot."""
+
+    count: np.ndarray
+    """pinned particles, shape (1,)"""
+    particle: np.ndarray
+    """shape (particles,)"""
+    slot: np.ndarray
+    """which pin holds it, shape (particles,)"""
+    offset: np.ndarray
+    """in the pin's axes [m], shape (particles, 3)"""
+    start: np.ndarray
+    """pose at the frame's start: x y z, qx qy qz qw; shape (max_pins, 7)"""
+    goal: np.ndarray
+    """pose at the frame's end, shape (max_pins, 7)"""
+
+
+@stage(prepare, Pin)
+@jit
+def move_pinned(pin, state, substep):
+    """Put every pinned particle where its pin is at the substep's end."""
+    for k in range(pin.count[0]):
+        a, b = pin.start[pin.slot[k]], pin.goal[pin.slot[k]]
+        s = substep.end
+        qx, qy, qz, qw = interpolate((a[3], a[4], a[5], a[6]), (b[3], b[4], b[5], b[6]), s)
+        q = pin.offset[k]
+        rx, ry, rz = rotate(qx, qy, qz, qw, q[0], q[1], q[2])
+        i = pin.particle[k]
+        state.x[i, 0] = a[0] + s * (b[0] - a[0]) + rx
+        state.x[i, 1] = a[1] + s * (b[1] - a[1]) + ry
+        state.x[i, 2] = a[2] + s * (b[2] - a[2]) + rz
+
+
+@dataclass
+class Held:
+    """One pin that holds."""
+
+    slot: int
+    motion: Motion
+    particles: np.ndarray
+    """shape (k,)"""
+    offsets: np.ndarray
+    """[m], in the pin's axes, shape (k, 3)"""
+    expires_ns: int | None = None
+    """when it lets go by itself"""
+
+
+@dataclass(frozen=True)
+class PinState:
+    """One pin after a frame."""
+
+    pose: Pose
+    linear: np.ndarray = field(compare=False)
+    """velocity [m/s], shape (3,)"""
+    force: np.ndarray = field(compare=False)
+    """of the cloth on the gripper [N], shape (3,)"""
+    torque: np.ndarray = field(compare=False)
+    """about the pose [N m], shape (3,)"""
+    particles: np.ndarray = field(compare=False)
+    limited: bool = False
+    """whether it lags behind its target at max_speed"""
+
+
+class BuiltPin(Built):
+    """All pins of a scene: those that hold, and room for those to come."""
+
+    def __init__(self, parameters: Parameters, world):
+        super().__init__()
+        count = len(world.state.x)
+        slots = parameters.max_pins
+        self.entries: dict[str, Entry] = world.sections.get('pins', {})
+        if len(self.entries) > slots:
+            raise InputError(f'pins: {len(self.entries)} pins, but effects.pin.max_pins is '
+                             f'{slots}; raise it')
+        self.cloths = {cloth.name: cloth for cloth in world.cloths}
+        self.data = Pin(np.zeros(1, np.int64), np.zeros(count, np.int64),
+                        np.zeros(count, np.int64), np.zeros((count, 3)),
+                        np.zeros((slots, 7)), np.zeros((slots, 7)))
+        self.data.start[:, 6] = self.data.goal[:, 6] = 1.0
+        self.free_slots = list(range(slots))
+        self.held: dict[str, Held] = {}
+        self.states: dict[str, PinState] = {}
+        self.changed = True
+        """whether the pinned set is new since somebody last looked"""
+        self._v_before = np.zeros((0, 3))
+        self.commands = {Grasp: self.grasp, Release: self.release, MovePin: self.move}
+
+    def reset(self, state):
+        for name in list(self.held):
+            self._let_go(name, state)
+        self.states = {}
+        self.free_slots.sort()
+        for name, entry in self.entries.items():
+            particles = self._chosen(name, entry, state.x)
+            point = entry.near or tuple(state.x[particles].mean(0).tolist())
+            keyframes = None if entry.motion is None else monotone_cubic(entry.motion)
+            if keyframes is not None:
+                point = keyframes(0.0)
+            held = self._hold(name, particles, Pose(point), entry.max_speed, state, keyframes)
+            if entry.target is not None:
+                held.motion.target = Pose(entry.target)
+
+    def _chosen(self, name: str, entry: Entry, x: np.ndarray) -> np.ndarray:
+        """Return the particles that an entry of the scene names."""
+        if entry.cloth not in self.cloths:
+            raise InputError(f"pins.{name}.cloth: unknown cloth '{entry.cloth}' "
+                             f'(known: {", ".join(self.cloths)})')
+        cloth = self.cloths[entry.cloth]
+        if entry.near is not None:
+            there = np.arange(cloth.particles.start, cloth.particles.stop)
+            near = there[length(x[there] - entry.near) <= entry.radius]
+            if not len(near):
+                gap = length(x[there] - entry.near).min()
+                raise InputError(f'pins.{name}: no particle within {entry.radius:g} m of '
+                                 f'{list(entry.near)}; the nearest is {gap:.3g} m away')
+            return near
+        if isinstance(entry.at, str):
+            rows, columns = (-1 if c == '1' else 0 if c == '0' else slice(None)
+                             for c in entry.at.split('_')[1])
+            return np.unique(cloth.grid[rows, columns])
+        count = cloth.grid.size
+        if not all(0 <= i < count for i in entry.at):
+            raise InputError(f'pins.{name}.at: indices must be from 0 to {count - 1} '
+                             f'(got {list(entry.at)})')
+        return np.unique(np.array(entry.at, np.int64)) + cloth.first
+
+    def _hold(self, name, particles, pose, max_speed, state, keyframes=None) -> Held:
+        offset = state.x[particles] - pose.position
+        inverse = conjugate(pose.orientation)
+        offset = np.array([rotate.py_func(*inverse, *q) for q in offset.tolist()])
+        lever = max(float(length(offset).max()), 1e-6)
+        held = Held(self.free_slots.pop(0),
+                    Motion(pose, max_speed, keyframes=keyframes, lever=lever), particles, offset)
+        state.inv_mass[particles] = 0.0
+        self.held[name] = held
+        self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
+                                                                  *pose.orientation)
+        self._changed()
+        return held
+
+    def _changed(self) -> None:
+        """Write the pinned particles where the kernel finds them."""
+        k = 0
+        for held in self.held.values():
+            end = k + len(held.particles)
+            self.data.particle[k:end] = held.particles
+            self.data.slot[k:end] = held.slot
+            self.data.offset[k:end] = held.offsets
+            k = end
+        self.data.count[0] = k
+        self.changed = True
+
+    def grasp(self, command, clock, state) -> str | None:
+        """Hold the free particles near a point, or, if the pin holds already, go there."""
+        expires = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
+        if command.pin in self.held:
+            self.held[command.pin].expires_ns = expires
+            self.held[command.pin].motion.aim(command.pose, None, 0, clock.begin_ns)
+            return None
+        if not self.free_slots:
+            return f'all {len(self.data.start)} pins are in use (effects.pin.max_pins)'
+        distance = length(state.x - command.pose.position)
+        distance[state.inv_mass == 0.0] = np.inf
+        near = np.flatnonzero(distance <= command.radius)
+        if not len(near):
+            return (f"pin '{command.pin}': no free particle within {command.radius:g} m of "
+                    f'{[round(c, 4) for c in command.pose.position]}; the nearest is '
+                    f'{distance.min():.3g} m away')
+        entry = self.entries.get(command.pin)
+        held = self._hold(command.pin, near, command.pose,
+                          entry.max_speed if entry else Entry.__dataclass_fields__[
+                              'max_speed'].default, state)
+        held.expires_ns = expires
+        return None
+
+    def release(self, command, clock, state) -> str | None:
+        """Let go."""
+        if command.pin not in self.held:
+            return (f"pin '{command.pin}' holds nothing (holding: "
+                    f'{", ".join(self.held) or "none"})')
+        self._let_go(command.pin, state)
+        return None
+
+    def _let_go(self, name: str, state) -> None:
+        held = self.held.pop(name)
+        self.free_slots.insert(0, held.slot)
+        state.inv_mass[held.particles] = 1.0 / state.mass[held.particles]
+        self._changed()
+
+    def move(self, command, clock, state) -> str | None:
+        """Set where a pin goes."""
+        if command.pin not in self.held:
+            return (f"pin '{command.pin}' holds nothing (holding: "
+                    f'{", ".join(self.held) or "none"})')
+        self.held[command.pin].motion.aim(command.pose, command.twist, command.stamp_ns,
+                                          clock.begin_ns)
+        return None
+
+    def begin(self, clock, state):
+        for name in [n for n, held in self.held.items()
+                     if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]:
+            self._let_go(name, state)
+        for held in self.held.values():
+            held.motion.advance(clock.end_ns, clock.dt)
+            start, pose = held.motion.start, held.motion.pose
+            self.data.start[held.slot] = (*start.position, *start.orientation)
+            self.data.goal[held.slot] = (*pose.position, *pose.orientation)
+        pinned = self.data.particle[:self.data.count[0]]
+        state.reaction[pinned] = 0.0
+        self._v_before = state.v[pinned].copy()
+
+    def end(self, clock, state):
+        self.states = {}
+        k = 0
+        for name, held in self.held.items():
+            i = held.particles
+            acceleration = (state.v[i] - self._v_before[k:k + len(i)]) / clock.dt
+            k += len(i)
+            force = state.reaction[i] + state.mass[i, None] * (state.gravity - acceleration)
+            arm = state.x[i] - held.motion.pose.position
+            linear = (np.subtract(held.motion.pose.position, held.motion.start.position)
+                      / clock.dt)
+            self.states[name] = PinState(held.motion.pose, linear, force.sum(0),
+                                         cross(arm, force).sum(0), i, held.motion.limited)
+
+    def adopt(self, old):
+        self.__dict__.update(old.__dict__)
+        self.commands = {Grasp: self.grasp, Release: self.release, MovePin: self.move}
+
+    def stats(self):
+        return {'pins': len(self.held),
+                'pins_at_max_speed': sum(h.motion.limited for h in self.held.values())}
+
+
+EFFECT = Effect('pin', Parameters, BuiltPin, entry=Entry)

@@ -1,0 +1,97 @@
+"""``Scene`` -> ``Simulation``: meshes, masses, one built effect per effect that is called for."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from xpbd_ros.effects import load as load_effect
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.auto import resolve
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.scene.model import live_keys, Scene, with_key
+from xpbd_ros.sim.effect import Built, Cloth, World
+from xpbd_ros.sim.mesh import grid_mesh
+from xpbd_ros.sim.rotation import rotate
+from xpbd_ros.sim.simulation import Change, Simulation
+from xpbd_ros.sim.state import new_state, State
+
+
+def compile_scene(scene: Scene) -> Simulation:
+    """Return a simulation at the scene's start; nothing is compiled to machine code yet."""
+    cloths, x, mass = [], [], []
+    first = 0
+    for name, keys in scene.cloths.items():
+        mesh = grid_mesh(keys.grid.size, keys.grid.resolution)
+        cloths.append(Cloth(name, mesh, first, keys.friction))
+        q, p = keys.pose.orientation, keys.pose.position
+        x.append(np.stack(rotate.py_func(*q, *mesh.positions.T), 1) + p)
+        mass.append(mesh.area * keys.density)
+        first += len(mesh.positions)
+    mass = np.concatenate(mass)
+    with np.errstate(over='ignore', divide='ignore'):
+        if not (np.isfinite(1.0 / mass).all() and np.isfinite(mass).all()):
+            raise InputError(f'{scene.where}: cloths: a particle would weigh {mass.min():.3g} kg; '
+                             'size, density and resolution do not fit together')
+    state = new_state(np.concatenate(x), mass, scene.top.gravity, pins='pin' in scene.effects)
+    try:
+        effects = _build(scene, tuple(cloths), state)
+    except InputError as error:
+        raise InputError(f'{scene.where}: {error}') from None
+    simulation = Simulation(
+        cloths, state, effects, frame_rate=frame_rate(scene),
+        solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
+        retune=Retune(scene, tuple(cloths), state, effects))
+    return simulation
+
+
+def frame_rate(scene: Scene) -> Fraction:
+    """Return the frames per second as the decimal number that the scene says."""
+    return Fraction(repr(scene.top.frame_rate))
+
+
+def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State) -> dict[str, Built]:
+    built: dict[str, Built] = {}
+    world = World(cloths, state, scene.sections, built, 'pin' in scene.effects,
+                  scene.top.solver.compliance_scale)
+    for name in scene.effect_names:
+        if EFFECTS[name] == 'scene':
+            parameters = scene.effects[name]
+        else:
+            parameters = {cloth: scene.cloth_effects[cloth.name][name] for cloth in cloths
+                          if name in scene.cloth_effects[cloth.name]}
+        built[name] = load_effect(name).build(parameters, world)
+    return built
+
+
+class Retune:
+    """Turns a live key into what it changes in a running simulation."""
+
+    def __init__(self, scene: Scene, cloths, state, effects):
+        self.scene = scene
+        self.cloths = cloths
+        self.state = state
+        self.effects = effects
+
+    def __call__(self, key: str, value) -> Change:
+        """Return the change, or raise InputError; nothing has happened yet."""
+        scene = self.check({key: value})
+        cloths = tuple(Cloth(c.name, c.mesh, c.first, scene.cloths[c.name].friction)
+                       for c in self.cloths)
+        effects = _build(scene, cloths, self.state)
+        for name, built in effects.items():
+            built.adopt(self.effects[name])
+        solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)))
+        self.scene, self.cloths, self.effects = scene, cloths, effects
+        return Change(effects, solver, scene.top.gravity)
+
+    def check(self, changes: dict) -> Scene:
+        """Return the scene with some live keys changed, or raise InputError."""
+        known = live_keys(self.scene)
+        raw = self.scene.raw
+        for key, value in changes.items():
+            if key not in known and key != 'solver.substeps':
+                raise InputError(f'{key}: cannot change while running (these can: '
+                                 f'{", ".join(known)})')
+            raw = with_key(raw, key, value)
+        return scene_from_mapping(raw, where=self.scene.where, name=self.scene.name)

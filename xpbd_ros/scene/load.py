@@ -1,0 +1,153 @@
+"""A scene file, found, read and checked: YAML -> ``Scene``."""
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from xpbd_ros.effects import EFFECTS, load as load_effect, SECTIONS
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.model import ClothKeys, Scene, TopKeys, with_key
+from xpbd_ros.scene.read import mapping, names, read, unknown
+from xpbd_ros.share import share_folder
+
+LARGEST_FILE = 16 * 2**20
+"""[bytes]"""
+
+
+class _Loader(yaml.SafeLoader):
+    """Plain YAML, where a key that stands twice is a mistake and not the last one's victory."""
+
+
+def _mapping_once(loader, node, deep=False):
+    seen = set()
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if isinstance(key, list | dict) or key in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"key '{key}' stands twice", key_node.start_mark)
+        seen.add(key)
+    return loader.construct_mapping(node, deep)
+
+
+_Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_once)
+
+
+def find_scene(name: str) -> Path:
+    """Return the file that a path or the name of a shipped scene means."""
+    path = Path(name)
+    if path.suffix in ('.yaml', '.yml') or path.exists():
+        if not path.is_file():
+            raise InputError(f'{name}: no such file')
+        return path
+    folder = share_folder() / 'scenes'
+    shipped = {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+    if name not in shipped:
+        raise InputError(f"{name}: {unknown(name, shipped, 'scene')}; or give a .yaml file")
+    return shipped[name]
+
+
+def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
+    """
+    Read and check a scene.
+
+    Parameters
+    ----------
+    name : a path, or the name of a shipped scene
+    overrides : dotted keys and the values that they take instead
+
+    Raises
+    ------
+    InputError : with file, key, value, unit and the way out
+
+    """
+    path = find_scene(name)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f'{path}: larger than {LARGEST_FILE >> 20} MiB')
+        text = path.read_text(encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror}') from error
+    except UnicodeDecodeError as error:
+        raise InputError(f'{path}: not UTF-8 text ({error.reason} at byte '
+                         f'{error.start})') from error
+    return scene_from_text(text, where=str(path), name=path.stem, overrides=overrides)
+
+
+def parse_yaml(text: str, where: str) -> Any:
+    """Return what a YAML text says; a mistake in it becomes one line."""
+    try:
+        return yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        mark = getattr(error, 'problem_mark', None)
+        at = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
+        problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        raise InputError(f'{where}: {at}{problem}') from error
+    except (RecursionError, ValueError, OverflowError) as error:
+        raise InputError(f'{where}: cannot be read as YAML ({error})') from error
+
+
+def scene_from_text(text: str, *, where: str, name: str,
+                    overrides: dict[str, Any] | None = None) -> Scene:
+    """Check a scene given as YAML text; ``where`` names it in errors."""
+    return scene_from_mapping(parse_yaml(text, where), where=where, name=name,
+                              overrides=overrides)
+
+
+def scene_from_mapping(raw: Any, *, where: str, name: str,
+                       overrides: dict[str, Any] | None = None) -> Scene:
+    """Check a scene given as plain values."""
+    try:
+        raw = mapping(raw, 'the scene')
+        for key, value in (overrides or {}).items():
+            raw = with_key(raw, key, value)
+        return _scene(raw, where, name)
+    except InputError as error:
+        raise InputError(f'{where}: {error}') from None
+
+
+def _scene(raw: dict, where: str, name: str) -> Scene:
+    top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', *SECTIONS))
+    cloths, cloth_effects = {}, {}
+    for cloth, value in names(raw.get('cloths'), 'cloths').items():
+        path = f'cloths.{cloth}'
+        cloths[cloth] = read(ClothKeys, value, path, left_to_others=('effects',))
+        cloth_effects[cloth] = _effects(mapping(value, path).get('effects'),
+                                        f'{path}.effects', 'cloth')
+    if not cloths:
+        raise InputError('cloths: missing; a scene needs at least one cloth')
+    effects = _effects(raw.get('effects'), 'effects', 'scene')
+    sections = {}
+    for section, effect in SECTIONS.items():
+        if raw.get(section) is None:
+            continue
+        entry = load_effect(effect).entry
+        sections[section] = {key: read(entry, value, f'{section}.{key}')
+                             for key, value in names(raw[section], section).items()}
+        if effect not in effects:
+            try:
+                effects[effect] = load_effect(effect).parameters()
+            except TypeError:
+                raise InputError(f'{section}: needs effects.{effect}, and the scene does not '
+                                 'name it') from None
+    used = set(effects).union(*cloth_effects.values())
+    for effect in used:
+        needs = load_effect(effect).needs
+        if needs and not used.intersection(needs):
+            raise InputError(f'effects.{effect}: needs {" or ".join(needs)}, and the scene has '
+                             f'{"neither" if len(needs) == 2 else "none"}')
+    return Scene(name, top, cloths, cloth_effects, effects, sections, raw, where)
+
+
+def _effects(value: Any, path: str, scope: str) -> dict[str, Any]:
+    """Return the parameters of each effect named in one ``effects`` mapping."""
+    found = {}
+    for name, parameters in mapping(value, path).items():
+        known = [effect for effect, its_scope in EFFECTS.items() if its_scope == scope]
+        if name in EFFECTS and EFFECTS[name] != scope:
+            home = 'effects' if scope == 'cloth' else 'cloths.<name>.effects'
+            raise InputError(f'{path}.{name}: belongs under {home}')
+        if name not in known:
+            raise InputError(f'{path}.{name}: {unknown(name, known, "effect")}')
+        found[name] = read(load_effect(name).parameters, parameters, f'{path}.{name}')
+    return found

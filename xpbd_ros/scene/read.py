@@ -1,0 +1,143 @@
+"""Plain values from YAML to frozen dataclasses; every refusal names the key and the way out."""
+
+from dataclasses import fields, is_dataclass, MISSING
+from difflib import get_close_matches
+from math import isfinite, sqrt
+import re
+import types
+from typing import Any, get_args, get_origin, get_type_hints, Union
+
+from xpbd_ros.errors import InputError
+
+NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
+NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
+
+
+def unknown(key: Any, known, what: str) -> str:
+    """Say that a name is unknown, with the nearest right one."""
+    known = list(known)
+    near = get_close_matches(str(key), known, n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ''
+    return f'unknown {what}; {hint}(known: {", ".join(known)})'
+
+
+def mapping(value: Any, path: str) -> dict:
+    """Return a mapping with names as keys, or refuse; nothing at all is an empty one."""
+    if value is None:
+        return {}
+    if not isinstance(value, dict):
+        raise InputError(f'{path}: must be a mapping (got {_short(value)})')
+    return value
+
+
+def names(value: Any, path: str) -> dict:
+    """Return a mapping whose keys are names that ROS can carry."""
+    for name in mapping(value, path):
+        if not isinstance(name, str) or not NAME.fullmatch(name):
+            raise InputError(f'{path}.{name}: a name must match [A-Za-z_][A-Za-z0-9_]*')
+    return mapping(value, path)
+
+
+def read(kind: type, value: Any, path: str, *, left_to_others: tuple[str, ...] = ()) -> Any:
+    """Return the dataclass ``kind`` from a mapping; refuse unknown, missing and bad keys."""
+    value = mapping(value, path)
+    known = {field.name: field for field in fields(kind)}
+    hints = get_type_hints(kind)
+    for key in value:
+        if key not in known and key not in left_to_others:
+            raise InputError(f'{_join(path, key)}: '
+                             f'{unknown(key, (*known, *left_to_others), "key")}')
+    arguments = {}
+    for name, field in known.items():
+        where = _join(path, name)
+        if name in value:
+            arguments[name] = _value(hints[name], value[name], where, field.metadata)
+        elif field.default is MISSING and field.default_factory is MISSING:
+            unit = field.metadata.get('unit')
+            raise InputError(f'{where}: missing' + (f' ({unit})' if unit else ''))
+    try:
+        return kind(**arguments)
+    except InputError as error:
+        raise InputError(f'{path}: {error}') from None
+
+
+def _value(kind: Any, value: Any, path: str, metadata) -> Any:
+    """Return one value of a given type."""
+    if get_origin(kind) in (Union, types.UnionType):
+        kinds = [k for k in get_args(kind) if k is not type(None)]
+        if value is None:
+            raise InputError(f'{path}: has no value')
+        listed = [k for k in kinds if get_origin(k) is tuple]
+        kind = listed[0] if listed and isinstance(value, list) else kinds[0]
+    if is_dataclass(kind):
+        return read(kind, value, path)
+    if get_origin(kind) is tuple:
+        return _tuple(get_args(kind), value, path, metadata)
+    if get_origin(kind) is dict:
+        inner = get_args(kind)[1]
+        return {k: _value(inner, v, f'{path}.{k}', metadata)
+                for k, v in names(value, path).items()}
+    if kind is str:
+        return _text(value, path, metadata)
+    if kind is bool:
+        if not isinstance(value, bool):
+            raise InputError(f'{path}: must be true or false (got {_short(value)})')
+        return value
+    return _number(kind, value, path, metadata)
+
+
+def _tuple(kinds: tuple, value: Any, path: str, metadata) -> tuple:
+    if not isinstance(value, list | tuple):
+        raise InputError(f'{path}: must be a list (got {_short(value)})')
+    if kinds[-1] is Ellipsis:
+        return tuple(_value(kinds[0], v, f'{path}[{k}]', metadata) for k, v in enumerate(value))
+    if len(value) != len(kinds):
+        raise InputError(f'{path}: must be {len(kinds)} numbers (got {len(value)})')
+    result = tuple(_value(k, v, f'{path}[{n}]', metadata)
+                   for n, (k, v) in enumerate(zip(kinds, value)))
+    if len(kinds) == 4:
+        norm = sqrt(sum(c * c for c in result))
+        if not 0.9 < norm < 1.1:
+            raise InputError(f'{path}: must be a unit quaternion x y z w '
+                             f'(got length {norm:.3g})')
+        result = tuple(c / norm for c in result)
+    return result
+
+
+def _text(value: Any, path: str, metadata) -> str:
+    if not isinstance(value, str) or not value:
+        raise InputError(f'{path}: must be text (got {_short(value)})')
+    choices = metadata.get('choices')
+    if choices and value not in choices:
+        raise InputError(f"{path}: {unknown(value, choices, 'value')[:-1]}; got '{value}')")
+    return value
+
+
+def _number(kind: type, value: Any, path: str, metadata) -> float | int:
+    """Return a number in its range; YAML 1.1 reads 1e-5 as text, people mean the number."""
+    unit = f' {metadata["unit"]}' if metadata.get('unit') else ''
+    if isinstance(value, str) and NUMBER.fullmatch(value):
+        value = float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f'{path}: must be a number{unit} (got {_short(value)})')
+    if isinstance(value, int) and abs(value) > 2**63 or not isfinite(value):
+        raise InputError(f'{path}: must be finite{unit} (got {value})')
+    if kind is int and value != int(value):
+        raise InputError(f'{path}: must be a whole number (got {value})')
+    above, least, most = (metadata.get(k) for k in ('above', 'minimum', 'maximum'))
+    if above is not None and not value > above:
+        raise InputError(f'{path}: must be > {above:g}{unit} (got {value})')
+    if least is not None and not value >= least:
+        raise InputError(f'{path}: must be at least {least:g}{unit} (got {value})')
+    if most is not None and not value <= most:
+        raise InputError(f'{path}: must be at most {most:g}{unit} (got {value})')
+    return kind(value)
+
+
+def _join(path: str, key: Any) -> str:
+    return f'{path}.{key}' if path else str(key)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + '...'

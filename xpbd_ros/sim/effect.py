@@ -1,0 +1,150 @@
+"""What an effect is: the value that its file registers, and what it becomes in a simulation."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, MISSING
+from typing import Any
+
+import numpy as np
+
+from xpbd_ros.sim.batch import hold
+from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.mesh import Mesh
+from xpbd_ros.sim.state import State
+
+
+def quantity(default: Any = MISSING, *, unit: str = '', above: float | None = None,
+             minimum: float | None = None, maximum: float | None = None, live: bool = False,
+             choices: tuple[str, ...] = (), doc: str = ''):
+    """
+    Declare a parameter: its unit, its range and whether it may change while running.
+
+    ``above`` is an exclusive lower bound. The loader, the README's table and the node's parameter
+    descriptors all read this.
+    """
+    metadata = {'unit': unit, 'above': above, 'minimum': minimum, 'maximum': maximum,
+                'live': live, 'choices': choices, 'doc': doc}
+    if default is MISSING:
+        return field(metadata=metadata)
+    if isinstance(default, dict | list):
+        return field(default_factory=lambda: type(default)(default), metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloth:
+    """One cloth of a scene and where its particles are among all of them."""
+
+    name: str
+    mesh: Mesh
+    first: int
+    """index of its first particle"""
+    friction: float
+    """coefficient μ of its surface"""
+
+    @property
+    def grid(self) -> np.ndarray:
+        """Scene-wide particle indices, shape (rows, columns)."""
+        return self.mesh.grid + self.first
+
+    @property
+    def particles(self) -> slice:
+        """Its particles."""
+        return slice(self.first, self.first + len(self.mesh.positions))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The frame that is about to be computed."""
+
+    frame: int
+    """its index, from 1; the frame 0 is the start"""
+    begin_ns: int
+    """simulation time at its start [ns]"""
+    end_ns: int
+    """simulation time at its end [ns]"""
+    dt: float
+    """its length [s]"""
+    substeps: int
+
+
+@dataclass(frozen=True)
+class World:
+    """What an effect may look at while it is built."""
+
+    cloths: tuple[Cloth, ...]
+    state: State
+    sections: dict[str, dict[str, Any]]
+    """the scene's ``pins`` and ``colliders`` by name, as the owning effect declares them"""
+    built: dict[str, 'Built']
+    """the effects built so far, in projection order"""
+    pins: bool
+    """whether the scene has pins, so that somebody will ask for forces"""
+    compliance_scale: float = 1.0
+
+
+class Built:
+    """
+    An effect compiled for one scene.
+
+    ``data`` is the NamedTuple that the kernels get. ``commands`` maps a command's type to a method
+    ``(command, clock, state) -> reason``: None when applied, else why it is refused.
+    """
+
+    data: tuple
+    particles: np.ndarray | None = None
+    """particles of each constraint, where the effect has constraints"""
+
+    def __init__(self):
+        self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
+
+    def begin(self, clock: Clock, state: State) -> None:
+        """Get ready for a frame: move targets on."""
+
+    def end(self, clock: Clock, state: State) -> None:
+        """Look at a frame that is done."""
+
+    def reset(self, state: State) -> None:
+        """Go to the scene's start."""
+
+    def adopt(self, old: 'Built') -> None:
+        """Go on from where the same effect was before a live key changed."""
+
+    def hold(self, inv_mass: np.ndarray) -> None:
+        """Learn which particles are pinned now."""
+
+    def stats(self) -> dict[str, float]:
+        """Return what a user may want to know about the last frame."""
+        return {}
+
+
+class Constraints(Built):
+    """An effect that is a batch of constraints and nothing else."""
+
+    def __init__(self, data, batch):
+        """Take the effect's data and, inside it, what has ``particles`` and ``held``."""
+        super().__init__()
+        self.data = data
+        self.batch = batch
+        self.particles = batch.particles
+
+    def hold(self, inv_mass):
+        hold(self.particles, inv_mass, self.batch.held)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What one effect's file registers."""
+
+    name: str
+    parameters: type
+    """frozen dataclass of ``quantity`` fields"""
+    build: Callable[[Any, World], Built]
+    """gets the parameters (for an effect of cloths: a dict by cloth) and the world"""
+    residual: Callable | None = None
+    """(data, x) -> C, in NumPy, straight from the definition"""
+    energy: Callable | None = None
+    """(data, x) -> stored energy [J], in NumPy"""
+    entry: type | None = None
+    """the dataclass of one entry of the scene section that belongs to it, such as ``pins``"""
+    needs: tuple[str, ...] = ()
+    """it works only beside one of these"""

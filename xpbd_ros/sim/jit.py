@@ -1,0 +1,61 @@
+"""
+The one decorator: compile flags and the disk cache in a single place.
+
+IEEE arithmetic throughout (no fast-math), so that a scene gives the same bits on every CPU. Numba
+sees neither edits in other files nor that a type came from another scene, so the cache lives in a
+folder named by a hash of the package's own kernels.
+"""
+
+import hashlib
+import os
+from pathlib import Path
+import tempfile
+
+from numba import config, njit
+
+FLAGS = {'nogil': True, 'error_model': 'numpy'}
+
+
+def _sources_hash() -> str:
+    """Hash every source file that may hold a kernel."""
+    digest = hashlib.blake2b(digest_size=8)
+    package = Path(__file__).parents[1]
+    for folder in ('effects', 'sim'):
+        for file in sorted((package / folder).glob('*.py')):
+            digest.update(file.name.encode())
+            digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def _cache_folder() -> Path:
+    """Return a folder of ours that can be written to."""
+    base = os.environ.get('NUMBA_CACHE_DIR') or os.environ.get('XDG_CACHE_HOME')
+    for root in (Path(base) if base else Path.home() / '.cache', Path(tempfile.gettempdir())):
+        folder = root / 'xpbd_ros' / _sources_hash()
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(folder, os.W_OK):
+            return folder
+    return Path(tempfile.mkdtemp(prefix='xpbd_ros_'))
+
+
+CACHE_FOLDER = _cache_folder()
+
+
+def jit(function=None, *, cache_name: str = 'kernels'):
+    """
+    Compile a module-level kernel, GIL released, cached on disk.
+
+    ``cache_name`` separates the caches of functions whose signatures hold other scenes' types:
+    reading such a cache would import effects that this scene does not name.
+    """
+    def compile_(function):
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(CACHE_FOLDER / cache_name)
+        try:
+            return njit(cache=True, **FLAGS)(function)
+        finally:
+            config.CACHE_DIR = before
+    return compile_ if function is None else compile_(function)

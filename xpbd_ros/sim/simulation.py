@@ -1,0 +1,199 @@
+"""A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+import hashlib
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from xpbd_ros.sim import step
+from xpbd_ros.sim.commands import Command, Reset, SetKey
+from xpbd_ros.sim.effect import Built, Clock, Cloth
+from xpbd_ros.sim.state import State
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How the constraints are solved; what ``auto`` came to, where it was asked."""
+
+    method: str
+    integrator: str
+    substeps: int
+    iterations: int
+    precision: str = 'float64'
+    threads: int = 1
+    reason: str = ''
+    """why, where ``auto`` chose"""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the world sees after one frame. The arrays are read-only views, valid until the next."""
+
+    index: int
+    """0 is the start"""
+    time_ns: int
+    """simulation time since the start [ns]; exact"""
+    x: np.ndarray
+    """positions [m], shape (particles, 3)"""
+    v: np.ndarray
+    """velocities [m/s], shape (particles, 3)"""
+    inv_mass: np.ndarray
+    """[1/kg], shape (particles,); 0 while pinned"""
+    pins: MappingProxyType
+    """name: PinState"""
+    colliders: MappingProxyType
+    """name: ColliderState"""
+    applied: tuple[Command, ...] = ()
+    """what was asked and done before this frame"""
+    refused: tuple[tuple[Command, str], ...] = ()
+    """what was asked and not done, and why"""
+
+
+class Simulation:
+    """
+    All cloths of one scene, with the effects that it calls for.
+
+    ``retune`` turns a live key of the scene and its value into what changes: new effects by name, a
+    solver, or gravity.
+    """
+
+    def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
+                 frame_rate: Fraction, solver: Solver,
+                 retune: Callable[[str, Any], 'Change'] | None = None):
+        self.cloths = tuple(cloths)
+        self.state = state
+        self.effects = effects
+        self.frame_rate = frame_rate
+        """frames per second of simulation time, exact"""
+        self.solver = solver
+        self.index = 0
+        self._retune = retune
+        self._start = state.x.copy()
+        self._step = step.compiled(tuple(effects))
+        self._tuple = ()
+        for built in effects.values():
+            built.reset(state)
+        self._collect()
+
+    @property
+    def frame_dt(self) -> float:
+        """Length of a frame [s]."""
+        return float(1 / self.frame_rate)
+
+    def time_ns(self, index: int) -> int:
+        """Return the simulation time of a frame [ns]."""
+        return round(index * 10**9 / self.frame_rate)
+
+    def _collect(self) -> None:
+        """Hand the kernels the effects as they stand now."""
+        self._tuple = tuple(built.data for built in self.effects.values())
+        self._hold()
+
+    def _hold(self) -> None:
+        """Tell every effect which particles are pinned."""
+        pin = self.effects.get('pin')
+        if pin is None:
+            return
+        for built in self.effects.values():
+            built.hold(self.state.inv_mass)
+        pin.changed = False
+
+    def compile(self) -> None:
+        """Compile the step for this scene, or read it from the cache; nothing moves."""
+        self._step(self._tuple, self.state, self.frame_dt, 0, self.solver.iterations)
+
+    def step(self, commands: Sequence[Command] = ()) -> Frame:
+        """Apply commands, in order, and advance by one frame."""
+        clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
+                      self.frame_dt, self.solver.substeps)
+        applied, refused = [], []
+        for command in commands:
+            reason = self._apply(command, clock)
+            if reason is None:
+                applied.append(command)
+            else:
+                refused.append((command, reason))
+        clock = replace(clock, substeps=self.solver.substeps)
+        for built in self.effects.values():
+            built.begin(clock, self.state)
+        pin = self.effects.get('pin')
+        if pin is not None and pin.changed:
+            self._hold()
+        self._step(self._tuple, self.state, self.frame_dt, self.solver.substeps,
+                   self.solver.iterations)
+        for built in self.effects.values():
+            built.end(clock, self.state)
+        self.index += 1
+        return replace(self.frame(), applied=tuple(applied), refused=tuple(refused))
+
+    def frame(self) -> Frame:
+        """Return the present frame."""
+        pin, contact = self.effects.get('pin'), self.effects.get('contact')
+        return Frame(self.index, self.time_ns(self.index), _view(self.state.x),
+                     _view(self.state.v), _view(self.state.inv_mass),
+                     MappingProxyType(dict(pin.states) if pin else {}),
+                     MappingProxyType(contact.states(self.frame_dt) if contact else {}))
+
+    def _apply(self, command: Command, clock: Clock) -> str | None:
+        if isinstance(command, Reset):
+            self._reset()
+            return None
+        if isinstance(command, SetKey):
+            return self._set(command)
+        for built in self.effects.values():
+            if type(command) in built.commands:
+                return built.commands[type(command)](command, clock, self.state)
+        return f'{type(command).__name__}: the scene has no effect that does this'
+
+    def _reset(self) -> None:
+        self.state.x[:] = self._start
+        self.state.x_prev[:] = self._start
+        self.state.v[:] = 0.0
+        self.state.inv_mass[:] = 1.0 / self.state.mass
+        for built in self.effects.values():
+            built.reset(self.state)
+
+    def _set(self, command: SetKey) -> str | None:
+        if self._retune is None:
+            return f'{command.key}: this simulation was not made from a scene'
+        try:
+            change = self._retune(command.key, command.value)
+        except ValueError as error:
+            return str(error)
+        self.effects.update(change.effects)
+        self.solver = change.solver or self.solver
+        if change.gravity is not None:
+            self.state.gravity[:] = change.gravity
+        self._collect()
+        return None
+
+    def hash(self) -> int:
+        """Return 64 bits that change with any bit of the state."""
+        digest = hashlib.blake2b(digest_size=8)
+        for array in (self.state.x, self.state.v, self.state.inv_mass):
+            digest.update(array)
+        return int.from_bytes(digest.digest(), 'little')
+
+    def stats(self) -> dict[str, float]:
+        """Return what the effects have to say about the last frame."""
+        return {key: value for built in self.effects.values()
+                for key, value in built.stats().items()}
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a live key changes."""
+
+    effects: dict[str, Built]
+    solver: Solver | None = None
+    gravity: tuple[float, float, float] | None = None
+
+
+def _view(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view

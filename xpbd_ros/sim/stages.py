@@ -1,0 +1,71 @@
+"""
+The stages of a substep: stubs that each effect fills in for its own type.
+
+An effect's data is a NamedTuple; its file registers a kernel with ``@stage(project, Stretch)``.
+A stage called with a scene's tuple of effects walks the tuple while Numba compiles, and picks each
+kernel by type. An effect that takes no part in a stage, or is not in the scene at all, leaves no
+trace in the machine code.
+"""
+
+from collections.abc import Callable
+
+from numba import types
+from numba.extending import overload
+
+
+def force(effects, state, substep):
+    """Change velocities before the prediction."""
+
+
+def prepare(effects, state, substep):
+    """Once per substep, after the prediction: targets, candidates, forces back to zero."""
+
+
+def project(effects, state, substep):
+    """Move the particles towards the constraints' surface, once per iteration."""
+
+
+def finish(effects, state, substep):
+    """Once per substep, after the velocities are known."""
+
+
+def react(effects, state, substep):
+    """Add up the forces on pinned particles; compiled only where ``state.reaction`` exists."""
+
+
+_KERNELS: dict[tuple[Callable, type], Callable] = {}
+
+
+def stage(stub: Callable, kind: type) -> Callable:
+    """Register a compiled kernel as the given stage of one effect's type."""
+    def register(kernel):
+        _KERNELS[stub, kind] = kernel
+        return kernel
+    return register
+
+
+def _asks_for_forces(state) -> bool:
+    """Tell whether a state, as Numba types it, has a place for forces."""
+    return not isinstance(state[state.fields.index('reaction')], types.NoneType)
+
+
+def _walk(stub: Callable) -> None:
+    """Let Numba compile a stage for a tuple of effects, first to last, or for a single one."""
+    @overload(stub)
+    def compile_stage(effects, state, substep):
+        kind = getattr(effects, 'instance_class', None)
+        if kind is not None:
+            kernel = _KERNELS.get((stub, kind))
+            if kernel is None or (stub is react and not _asks_for_forces(state)):
+                return lambda effects, state, substep: None
+            return lambda effects, state, substep: kernel(effects, state, substep)
+        if isinstance(effects, types.BaseTuple) and len(effects) > 0:
+            def walk(effects, state, substep):
+                stub(effects[0], state, substep)
+                stub(effects[1:], state, substep)
+            return walk
+        return lambda effects, state, substep: None
+
+
+for _stub in (force, prepare, project, finish, react):
+    _walk(_stub)
