@@ -39,15 +39,12 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_verb(name: str, argv: list[str]) -> int:
-    """Parse a verb's arguments and run it; turn bad input into one line and exit code 2."""
+    """Run one verb; turn bad input into one line and exit code 2."""
     verb = importlib.import_module(f'xpbd_ros.cli.{name}')
-    parser = argparse.ArgumentParser(
-        prog=f'xpbd_ros {name}', description=verb.__doc__.strip(),
-        formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'example:\n  {verb.EXAMPLE}')
-    verb.add_arguments(parser)
-    arguments = parser.parse_args(argv)
     try:
-        return verb.run(arguments)
+        if hasattr(verb, 'main'):    # a verb that hands its arguments on
+            return verb.main(argv)
+        return verb.run(parse(name, verb, argv))
     except InputError as error:
         print(f'xpbd_ros {name}: {error}', file=sys.stderr)
         return 2
@@ -56,3 +53,12 @@ def run_verb(name: str, argv: list[str]) -> int:
     except KeyboardInterrupt:
         print(f'xpbd_ros {name}: interrupted', file=sys.stderr)
         return 130
+
+
+def parse(name: str, verb, argv: list[str]) -> argparse.Namespace:
+    """Parse one verb's arguments."""
+    parser = argparse.ArgumentParser(
+        prog=f'xpbd_ros {name}', description=verb.__doc__.strip(),
+        formatter_class=argparse.RawDescriptionHelpFormatter, epilog=f'example:\n  {verb.EXAMPLE}')
+    verb.add_arguments(parser)
+    return parser.parse_args(argv)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import cross, length
@@ -146,7 +146,11 @@ class BuiltPin(Built):
         self.changed = True
         """whether the pinned set is new since somebody last looked"""
         self._v_before = np.zeros((0, 3))
-        self.commands = {Grasp: self.grasp, Release: self.release, MovePin: self.move}
+        self.commands = self._commands()
+
+    def _commands(self):
+        return {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
+                MovePin: self.move}
 
     def reset(self, state):
         for name in list(self.held):
@@ -244,6 +248,11 @@ class BuiltPin(Built):
         self._let_go(command.pin, state)
         return None
 
+    def release_all(self, command, clock, state) -> None:
+        """Let go of everything."""
+        for name in list(self.held):
+            self._let_go(name, state)
+
     def _let_go(self, name: str, state) -> None:
         held = self.held.pop(name)
         self.free_slots.insert(0, held.slot)
@@ -288,7 +297,7 @@ class BuiltPin(Built):
 
     def adopt(self, old):
         self.__dict__.update(old.__dict__)
-        self.commands = {Grasp: self.grasp, Release: self.release, MovePin: self.move}
+        self.commands = self._commands()
 
     def stats(self):
         return {'pins': len(self.held),

@@ -4,8 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from xpbd_ros.effects import load as load_effect
-from xpbd_ros.effects import EFFECTS
+from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import resolve
 from xpbd_ros.scene.load import scene_from_mapping

@@ -106,6 +106,21 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
         raise InputError(f'{where}: {error}') from None
 
 
+def settings_overrides(file: str) -> dict[str, Any]:
+    """Return a settings file (a ``solver:`` block) as overrides of a scene."""
+    path = Path(file)
+    if not path.is_file():
+        raise InputError(f'{file}: no such file')
+    try:
+        text = path.read_text(encoding='utf-8')
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f'{file}: cannot be read ({error})') from error
+    raw = parse_yaml(text, file)
+    if not isinstance(raw, dict) or set(raw) != {'solver'}:
+        raise InputError(f"{file}: must hold one section, 'solver:'")
+    return {f'solver.{key}': value for key, value in mapping(raw['solver'], file).items()}
+
+
 def _scene(raw: dict, where: str, name: str) -> Scene:
     top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', *SECTIONS))
     cloths, cloth_effects = {}, {}

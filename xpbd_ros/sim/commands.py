@@ -52,6 +52,11 @@ class Release:
 
 
 @dataclass(frozen=True)
+class ReleaseAll:
+    """Let go of everything."""
+
+
+@dataclass(frozen=True)
 class MovePin:
     """Where a pin goes."""
 
@@ -86,4 +91,4 @@ class Reset:
     """Back to the scene's start; time goes on rising."""
 
 
-Command = Grasp | Release | MovePin | MoveCollider | SetKey | Reset
+Command = Grasp | Release | ReleaseAll | MovePin | MoveCollider | SetKey | Reset

@@ -1,4 +1,4 @@
-"""How a pin or a collider follows its target: along a line, at a bounded speed, without ringing."""
+"""How a pin or a collider follows its target: in a line, at a bounded speed, without ringing."""
 
 from math import sqrt
 

@@ -1,4 +1,4 @@
-"""Unit quaternions (x, y, z, w) as plain floats, with IEEE operations alone (same bits anywhere)."""
+"""Unit quaternions (x, y, z, w) as plain floats; IEEE operations alone, so same bits anywhere."""
 
 from math import sqrt
 

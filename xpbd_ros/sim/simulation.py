@@ -31,7 +31,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Frame:
-    """What the world sees after one frame. The arrays are read-only views, valid until the next."""
+    """What the world sees after one frame; the arrays are read-only views, valid until the next."""
 
     index: int
     """0 is the start"""
@@ -57,8 +57,8 @@ class Simulation:
     """
     All cloths of one scene, with the effects that it calls for.
 
-    ``retune`` turns a live key of the scene and its value into what changes: new effects by name, a
-    solver, or gravity.
+    ``retune`` turns a live key of the scene and its value into what changes: new effects by name,
+    a solver, or gravity.
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
@@ -170,6 +170,11 @@ class Simulation:
             self.state.gravity[:] = change.gravity
         self._collect()
         return None
+
+    def check(self, changes: dict[str, Any]) -> None:
+        """Raise InputError if live keys could not be changed like this; change nothing."""
+        if self._retune is not None and changes:
+            self._retune.check(changes)
 
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""

@@ -1,0 +1,82 @@
+"""
+Start the cloth node; it configures and activates itself.
+
+::
+
+    ros2 launch xpbd_ros cloth.launch.py scene:=swing
+    ros2 launch xpbd_ros cloth.launch.py scene:=flag.yaml record:=/data/flag rviz:=true
+
+An argument left empty means what the parameter file says.
+"""
+
+from pathlib import Path
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode, Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+SHARE = Path(__file__).resolve().parents[1]    # holds launch/, views/, scenes/, cloth_node.yaml
+
+ARGUMENTS = [
+    DeclareLaunchArgument(
+        'scene', default_value='',
+        description='Scene to simulate: a path, or the name of a shipped scene such as swing'),
+    DeclareLaunchArgument(
+        'params_file', default_value=str(SHARE / 'cloth_node.yaml'),
+        description='Parameter file of the node'),
+    DeclareLaunchArgument(
+        'namespace', default_value='',
+        description='Namespace of the node, so that several run side by side'),
+    DeclareLaunchArgument(
+        'use_sim_time', default_value='false', choices=['true', 'false'],
+        description='Stamp messages with the time on /clock'),
+    DeclareLaunchArgument(
+        'record', default_value='',
+        description='Folder to record the run to, from activation on; it must not exist yet'),
+    DeclareLaunchArgument(
+        'mode', default_value='', choices=['', 'realtime', 'lockstep', 'fast'],
+        description='realtime: steps on a steady clock; lockstep: when ~/step is called; '
+                    'fast: as fast as it can'),
+    DeclareLaunchArgument(
+        'log_level', default_value='info', choices=['debug', 'info', 'warn', 'error', 'fatal'],
+        description='Least severe level that the node logs'),
+    DeclareLaunchArgument(
+        'rviz', default_value='false', choices=['true', 'false'],
+        description='Show the cloth in RViz as well'),
+]
+
+
+def generate_launch_description():
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=nodes)])
+
+
+def nodes(context):
+    """Return the cloth node, and RViz on its topics where that is asked for."""
+    given = {name: LaunchConfiguration(argument).perform(context)
+             for name, argument in {'scene': 'scene', 'mode': 'mode',
+                                    'record.path': 'record'}.items()}
+    parameters = {name: ParameterValue(value, value_type=str)
+                  for name, value in given.items() if value}
+    parameters['use_sim_time'] = ParameterValue(
+        LaunchConfiguration('use_sim_time'), value_type=bool)
+    file = LaunchConfiguration('params_file').perform(context)
+    if not Path(file).is_file():    # launch would warn, and start the node without it
+        raise ValueError(f'params_file: no such file: {file}')
+    namespace = LaunchConfiguration('namespace').perform(context).strip('/')
+    cloth = LifecycleNode(
+        package='xpbd_ros', executable='cloth_node', name='cloth', namespace=namespace,
+        parameters=[file, parameters],
+        ros_arguments=['--log-level', LaunchConfiguration('log_level')],
+        output='screen',
+        sigterm_timeout='30')    # s after Ctrl-C: what the node needs to close its log, and more
+    rviz = Node(
+        package='rviz2', executable='rviz2', namespace=namespace,
+        arguments=['-d', str(SHARE / 'views' / 'cloth.rviz')],
+        parameters=[{'use_sim_time': parameters['use_sim_time']}],
+        remappings=[(f'/cloth/{topic}', f'/{namespace}/cloth/{topic}')
+                    for topic in ('particles', 'markers', 'clicked_point') if namespace],
+        condition=IfCondition(LaunchConfiguration('rviz')))
+    return [rviz, cloth]    # rviz first: where it is missing, launch gives up with nothing started

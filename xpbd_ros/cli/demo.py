@@ -1,0 +1,110 @@
+"""
+Start the node, drive it over DDS as a robot would, and show what happened.
+
+Three processes on a ROS domain of their own, on loopback: the node with a towel on a table; a robot
+that grasps two corners, lifts, holds, sweeps a ball through the towel, carries it over a stool and
+lets go; an onlooker that reads the clouds. The run is recorded, checked and drawn.
+"""
+
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import time
+
+from xpbd_ros.cli.output import add_json_argument, fresh_folder, refuse_existing, write_json
+from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.errors import InputError
+
+EXAMPLE = 'xpbd_ros demo --output my_demo'
+SCENE = 'demo'
+COMPILE_SECONDS = 150.0
+PATIENCE = 20.0
+"""how much slower than real time a machine may be"""
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('--output', metavar='DIR', help='folder for everything; must not exist')
+    parser.add_argument('--duration', type=float, default=12.0, metavar='S',
+                        help='simulated seconds of the story (default 12, at least 4)')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Play the story, check it, draw it."""
+    need_ros('demo')
+    if not 4.0 <= arguments.duration <= 600.0:
+        raise InputError(f'--duration: must be from 4 to 600 s (got {arguments.duration:g})')
+    refuse_existing(arguments.json)
+    folder = Path(arguments.output) if arguments.output else fresh_folder('demo')
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(f'{folder}: exists already; name another folder') from None
+    except OSError as error:
+        raise InputError(f'{folder}: cannot be made ({error.strerror})') from error
+
+    def say(text: str) -> None:
+        print(text, file=sys.stderr if arguments.json == '-' else sys.stdout, flush=True)
+
+    play(folder, arguments.duration, say)
+    say('drawing …')
+    from xpbd_ros.demo import report
+    numbers = report.make(folder, SCENE)
+    say(report.table(numbers))
+    write_json(arguments.json, numbers)
+    return 0 if all(check['pass'] for check in numbers['checks']) else 1
+
+
+def play(folder: Path, duration: float, say) -> None:
+    """Run the three processes to the end of the story."""
+    from xpbd_ros.demo.domain import private_environment
+    environment = private_environment()
+    node_log = (folder / 'node.log').open('w')
+
+    def start(*command: str, **streams) -> subprocess.Popen:
+        return subprocess.Popen([sys.executable, '-m', *command], env=environment, **streams)
+
+    say(f"ROS domain {environment['ROS_DOMAIN_ID']}, loopback only; starting the node "
+        '(compiling takes up to a minute the first time) …')
+    processes = []
+    try:
+        node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
+                     '-p', f'record.path:={folder / "run"}',
+                     stdout=node_log, stderr=subprocess.STDOUT)
+        observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'))
+        robot = start('xpbd_ros.demo.robot', str(duration), str(folder / 'robot.json'),
+                      stdout=subprocess.PIPE, text=True)
+        processes = [node, observer, robot]
+        follow(robot, node, folder, duration, say)
+        for process in (observer, node):
+            process.send_signal(signal.SIGINT)
+            if process.wait(30.0) != 0:
+                raise InputError(f'{process.args[2]} ended with {process.returncode}; see '
+                                 f'{folder / "node.log"}')
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.kill()
+        node_log.close()
+
+
+def follow(robot, node, folder: Path, duration: float, say) -> None:
+    """Tell the robot's phases as they come, until it is done."""
+    import threading
+    told = threading.Thread(target=lambda: [say(f'  robot: {line.strip()}')
+                                            for line in robot.stdout], daemon=True)
+    told.start()
+    end = time.monotonic() + COMPILE_SECONDS + PATIENCE * duration
+    while robot.poll() is None:
+        if node.poll() is not None:
+            log = (folder / 'node.log').read_text().strip().splitlines()
+            raise InputError(f'the node ended early: {log[-1] if log else "it said nothing"}')
+        if time.monotonic() > end:
+            raise InputError(f'not done after {COMPILE_SECONDS + PATIENCE * duration:.0f} s; '
+                             f'see {folder / "node.log"}')
+        time.sleep(0.1)
+    told.join()
+    if robot.returncode != 0:
+        raise InputError(f'the robot ended with {robot.returncode}')

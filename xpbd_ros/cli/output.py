@@ -1,0 +1,82 @@
+"""What every verb writes: its numbers as JSON, and a folder of its own where none was named."""
+
+import argparse
+from datetime import datetime
+import itertools
+import json
+import os
+from pathlib import Path
+import sys
+
+from xpbd_ros.errors import InputError
+
+STDOUT = '-'
+
+
+def add_json_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json FILE`` to a verb."""
+    parser.add_argument(
+        '--json', metavar='FILE',
+        help='write the same numbers as JSON to this new file; - is stdout, and then nothing else '
+             'goes there')
+
+
+def refuse_existing(destination: str | Path | None) -> None:
+    """
+    Raise InputError if a named output exists already; None and ``-`` name none.
+
+    For the start of a long verb, so that it does not end at a file that it may not write.
+    """
+    if destination is not None and str(destination) != STDOUT and os.path.lexists(destination):
+        raise InputError(f'{destination}: exists already; name another file, or move it away')
+
+
+def write_json(destination: str | None, data: dict) -> None:
+    """
+    Write a verb's numbers to a new file, or to stdout for ``-``; None asks for nothing.
+
+    Numbers that are not finite become null, which is all that JSON has for them.
+    """
+    if destination is None:
+        return
+    text = json.dumps(finite(data), indent=2, allow_nan=False, default=plain) + '\n'
+    if destination == STDOUT:
+        sys.stdout.write(text)
+        return
+    refuse_existing(destination)
+    try:
+        with open(destination, 'x', encoding='utf-8') as file:
+            file.write(text)
+    except OSError as error:
+        raise InputError(f'{destination}: cannot be written: {error.strerror}') from error
+
+
+def finite(value: object) -> object:
+    """Return the same data with None where a float is infinite or not a number."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if hasattr(value, 'tolist'):    # of NumPy: a scalar or an array
+        return finite(value.tolist())
+    if isinstance(value, float) and not -float('inf') < value < float('inf'):
+        return None
+    return value
+
+
+def plain(value: object) -> str:
+    """Return what JSON has no word for as text; a path becomes an absolute one."""
+    if isinstance(value, Path):
+        return str(value.absolute())
+    raise TypeError(f'{type(value).__name__} has no form in JSON')
+
+
+def fresh_folder(verb: str) -> Path:
+    """
+    Return the path of a folder that does not exist yet, such as ``xpbd_ros_run_20261121_093000``.
+
+    It lies in the working directory and is not made here.
+    """
+    stem = f'xpbd_ros_{verb}_{datetime.now():%Y%m%d_%H%M%S}'
+    names = itertools.chain([stem], (f'{stem}_{number}' for number in itertools.count(2)))
+    return next(path for path in map(Path.cwd().joinpath, names) if not os.path.lexists(path))

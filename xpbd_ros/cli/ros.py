@@ -1,0 +1,14 @@
+"""For verbs that need ROS: say so in one line where it is missing."""
+
+import importlib.util
+
+from xpbd_ros.errors import InputError
+
+
+def need_ros(verb: str) -> None:
+    """Raise InputError with the way out if rclpy or the messages cannot be imported."""
+    for package in ('rclpy', 'sensor_msgs', 'visualization_msgs'):
+        if importlib.util.find_spec(package) is None:
+            raise InputError(
+                f"'{verb}' needs ROS 2, and {package} is not there; source "
+                "/opt/ros/jazzy/setup.bash, or pip install 'xpbd_ros[ros]'")

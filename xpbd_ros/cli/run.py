@@ -1,0 +1,106 @@
+"""
+Run a scene as fast as it can, without DDS, and write the same log as the node.
+
+The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log, at
+the frames that they acted on.
+"""
+
+from pathlib import Path
+import time
+
+from xpbd_ros import __version__
+from xpbd_ros.cli.output import add_json_argument, fresh_folder, refuse_existing, write_json
+from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.errors import InputError
+
+EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
+    parser.add_argument('-o', '--output', metavar='RUN', help='folder of the log; must not exist')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help="simulated seconds, instead of the scene's")
+    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+    parser.add_argument('--settings', metavar='FILE',
+                        help="a file with a 'solver:' block that takes the place of the scene's")
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
+                        help='override one key of the scene, such as solver.substeps=32')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Step through the scene and record it."""
+    need_ros('run')
+    from xpbd_ros.ros.diagnostics import percentile
+    from xpbd_ros.ros.outputs import Outputs
+    from xpbd_ros.ros.playback import commands_by_frame
+    from xpbd_ros.ros.recorder import Recorder
+    from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.scene.load import load_scene, settings_overrides
+    from xpbd_ros.scene.save import scene_text
+
+    overrides = settings_overrides(arguments.settings) if arguments.settings else {}
+    overrides.update(parse_keys(arguments.keys))
+    if arguments.duration is not None:
+        overrides['duration'] = arguments.duration
+    refuse_existing(arguments.json)
+    scene = load_scene(arguments.scene, overrides)
+    commands = commands_by_frame(arguments.commands) if arguments.commands else {}
+    simulation = compile_scene(scene)
+    quiet = arguments.json == '-'
+    outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
+    folder = Path(arguments.output) if arguments.output else fresh_folder('run')
+    recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
+                        settings={'program': 'run', 'version': __version__})
+    simulation.compile()
+    frames = round(scene.top.duration * simulation.frame_rate)
+    step_ms, refused = [], 0
+    begin = time.perf_counter()
+    try:
+        for index in progress(range(1, frames + 1), 'frames'):
+            start = time.perf_counter()
+            frame = simulation.step(commands.get(index, ()))
+            step_ms.append(1e3 * (time.perf_counter() - start))
+            refused += len(frame.refused)
+            recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
+    finally:
+        recorder.close()
+    wall = time.perf_counter() - begin
+    numbers = {
+        'frames': frames,
+        'real_time_factor': frames * simulation.frame_dt / wall if frames else None,
+        'step_ms': {'p50': percentile(step_ms, 0.5), 'p95': percentile(step_ms, 0.95),
+                    'max': max(step_ms, default=0.0)},
+        'solver': vars(simulation.solver),
+        'refused': refused,
+        'state_hash': f'{simulation.hash():016x}',
+        'run': folder.absolute(),
+    }
+    write_json(arguments.json, numbers)
+    if not quiet:
+        print(f"{scene.name}: {frames} frames, {numbers['real_time_factor']:.2f} × real time\n"
+              f"step     {numbers['step_ms']['p50']:.2f} ms p50, "
+              f"{numbers['step_ms']['p95']:.2f} ms p95\n"
+              f'solver   {simulation.solver.method}, {simulation.solver.integrator}, '
+              f'{simulation.solver.substeps} × {simulation.solver.iterations} '
+              f'({simulation.solver.reason})\n'
+              f"state    {numbers['state_hash']}\n"
+              f'log      {folder.absolute()}')
+        if refused:
+            print(f'refused  {refused} commands')
+    return 0
+
+
+def parse_keys(pairs: list[str]) -> dict:
+    """Return ``key=value`` overrides, the values read as YAML."""
+    from xpbd_ros.scene.load import parse_yaml
+    found = {}
+    for pair in pairs:
+        key, equals, value = pair.partition('=')
+        if not equals or not key:
+            raise InputError(f'--set {pair}: must be KEY=VALUE, such as solver.substeps=32')
+        found[key] = parse_yaml(value, f'--set {key}')
+    return found

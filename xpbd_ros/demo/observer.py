@@ -1,0 +1,66 @@
+"""
+The onlooker of the demo: a program of its own that reads what the node publishes.
+
+It keeps clouds, pin states and diagnostics until it is told to stop, then writes them to a file.
+"""
+
+import json
+import sys
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.time import Time
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+
+
+class Observer(Node):
+    """Keeps what it hears."""
+
+    def __init__(self):
+        super().__init__('observer')
+        self.stamps, self.heard, self.clouds = [], [], []
+        self.pins, self.diagnostics = [], {}
+        self.create_subscription(PointCloud2, '/cloth/particles', self.on_cloud, 50)
+        self.create_subscription(MultiDOFJointState, '/cloth/pin_states', self.on_pins, 50)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self.on_diagnostics, 10)
+
+    def on_cloud(self, cloud):
+        """Keep the points."""
+        self.heard.append(time.monotonic())
+        self.stamps.append(Time.from_msg(cloud.header.stamp).nanoseconds * 1e-9)
+        self.clouds.append(np.frombuffer(cloud.data, np.float32).reshape(
+            cloud.height, cloud.width, 3))
+
+    def on_pins(self, states):
+        """Keep where the pins are and how hard the cloth pulls."""
+        stamp = Time.from_msg(states.header.stamp).nanoseconds * 1e-9
+        for name, place, wrench in zip(states.joint_names, states.transforms, states.wrench):
+            p, f = place.translation, wrench.force
+            self.pins.append([stamp, name, [p.x, p.y, p.z], [f.x, f.y, f.z]])
+
+    def on_diagnostics(self, array):
+        """Keep the last word."""
+        for status in array.status:
+            self.diagnostics = {pair.key: pair.value for pair in status.values}
+
+
+def main() -> int:
+    """Watch until SIGINT or SIGTERM: ``observer.py FILE.npz``."""
+    rclpy.init()
+    observer = Observer()
+    try:
+        rclpy.spin(observer)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    np.savez(sys.argv[1], stamps=observer.stamps, heard=observer.heard, clouds=observer.clouds,
+             pins=json.dumps(observer.pins), diagnostics=json.dumps(observer.diagnostics))
+    rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

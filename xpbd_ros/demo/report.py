@@ -1,0 +1,153 @@
+"""What the onlooker of the demo saw: checks, a table, a picture."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+
+STANDARD_GRAVITY = 9.80665
+
+
+def make(folder: Path, scene_name: str) -> dict:
+    """Check and draw what a demo left in its folder; return its numbers."""
+    seen = np.load(folder / 'observed.npz')
+    diary = json.loads((folder / 'robot.json').read_text())
+    stamps, clouds = seen['stamps'], seen['clouds'].astype(float)
+    pins = json.loads(str(seen['pins']))
+    said = json.loads(str(seen['diagnostics']))
+    begins = {note['phase']: note['time'] for note in diary['phases']}
+    simulation = compile_scene(load_scene(scene_name))
+    weight = float(simulation.state.mass.sum()) * STANDARD_GRAVITY
+    forces = resting_forces(pins, begins['hold'], begins['sweep'])
+    numbers = {
+        'frames': len(stamps),
+        'real_time_factor': float((stamps[-1] - stamps[0])
+                                  / (seen['heard'][-1] - seen['heard'][0])),
+        'step_ms': {key: float(said[f'step_ms_{key}']) for key in ('p50', 'p95', 'max')},
+        'pins': {name: {'force_n': force, 'expected_n': weight / len(forces)}
+                 for name, force in forces.items()},
+        'checks': checks(simulation, stamps, clouds, pins, begins, diary, forces, weight, said),
+        'run': (folder / 'run').absolute(),
+    }
+    numbers['pictures'] = [draw(folder / 'demo.png', simulation, stamps, clouds, begins, diary)]
+    return numbers
+
+
+def resting_forces(pins, begin: float, end: float) -> dict[str, float]:
+    """Return the mean downward force on each gripper in the later half of the hold [N]."""
+    begin = 0.5 * (begin + end)
+    found: dict[str, list[float]] = {}
+    for stamp, name, _, force in pins:
+        if begin <= stamp < end:
+            found.setdefault(name, []).append(-force[2])
+    return {name: float(np.mean(values)) for name, values in found.items()}
+
+
+def checks(simulation, stamps, clouds, pins, begins, diary, forces, weight, said) -> list[dict]:
+    """Return what must hold of the story."""
+    corners = {'left': clouds[:, -1, 0], 'right': clouds[:, -1, -1]}
+    held = (stamps > begins['lift']) & (stamps < begins['rest'])
+    gaps = []
+    for name, track in corners.items():
+        where = {stamp: place for stamp, pin, place, _ in pins if pin == name}
+        gaps += [np.linalg.norm(track[k] - where[stamp]) for k, stamp in enumerate(stamps)
+                 if held[k] and stamp in where]
+    hold = (stamps > 0.5 * (begins['hold'] + begins['sweep'])) & (stamps < begins['sweep'])
+    asked = {name: diary['path'][-1][1 + k] for k, name in enumerate(corners)}
+    reached = max(np.linalg.norm(corners[name][held][-1] - asked[name]) for name in asked)
+    rise = clouds[hold][..., 2].mean() - clouds[stamps < begins['grasp']][..., 2].mean()
+    swept = (stamps >= begins['sweep']) & (stamps < begins['carry'])
+    pushed = np.abs(clouds[swept][..., 1].mean((1, 2)) - clouds[hold][..., 1].mean()).max()
+    total = sum(forces.values())
+    end = clouds[-1]
+    table = [
+        ('corners stay in the grippers, within', max(gaps) <= 1e-4, max(gaps), '≤ 0.0001 m'),
+        ('grippers reach what was asked, within', reached <= 5e-3, reached, '≤ 0.005 m'),
+        ('towel rises with the grippers by', 0.3 < rise < 1.0, rise, '0.3 … 1 m'),
+        ('force on the grippers at rest, against the weight', abs(total / weight - 1) <= 0.02,
+         total, f'{weight:.4f} N ± 2 %'),
+        ('ball moves the towel by', pushed > 0.02, pushed, '> 0.02 m'),
+        ('nothing goes below the table, lowest', clouds[..., 2].min() >= -1e-6,
+         clouds[..., 2].min(), '≥ 0 m'),
+        ('towel ends draped over the stool, highest', end[..., 2].max() > 0.2,
+         end[..., 2].max(), '> 0.2 m'),
+        ('inputs refused', said['rejected_inputs'] == '0', float(said['rejected_inputs']), '0'),
+        ('clouds lost on the way', len(stamps) >= 0.98 * _sent(stamps, simulation),
+         _sent(stamps, simulation) - len(stamps), 'at most 2 %'),
+    ]
+    return [{'name': name, 'pass': bool(good), 'value': float(value), 'expected': expected}
+            for name, good, value, expected in table]
+
+
+def _sent(stamps, simulation) -> int:
+    """Return how many frames there were between the first and the last cloud."""
+    return round(float((stamps[-1] - stamps[0]) * simulation.frame_rate)) + 1
+
+
+def table(numbers: dict) -> str:
+    """Return the numbers for people."""
+    step = numbers['step_ms']
+    lines = [f"\n{numbers['frames']} frames, {numbers['real_time_factor']:.2f} × real time; one "
+             f"frame takes {step['p50']:.2f} ms (p95 {step['p95']:.2f} ms)"]
+    for check in numbers['checks']:
+        lines.append(f"  {'ok  ' if check['pass'] else 'FAIL'}  {check['name']:<50} "
+                     f"{check['value']:>10.4g}   ({check['expected']})")
+    for name, pin in numbers['pins'].items():
+        lines.append(f"  force on gripper {name:<6} {pin['force_n']:.4f} N, half the towel weighs "
+                     f"{pin['expected_n']:.4f} N")
+    lines += [f"log      {numbers['run']}", *(f'picture  {p}' for p in numbers['pictures'])]
+    return '\n'.join(lines)
+
+
+def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
+    """Draw the towel, the colliders and the grippers' paths at six instants."""
+    from xpbd_ros.study.picture import Body, draw as draw_picture, Instant, Path as Track, Surface
+    cloth = simulation.cloths[0]
+    path_t = np.array([row[0] for row in diary['path']])
+    tracks = np.array([row[1:] for row in diary['path']])
+    moments = [
+        ('on the table', begins['grasp']),
+        ('lifted by two corners', 0.4 * begins['lift'] + 0.6 * begins['hold']),
+        ('held still', begins['sweep'] - 0.05),
+        ('a ball sweeps through', 0.5 * (begins['sweep'] + begins['carry'])),
+        ('laid over the stool', 0.3 * begins['lower'] + 0.7 * begins['rest']),
+        ('let go', stamps[-1]),
+    ]
+    instants = []
+    for title, moment in moments:
+        k = int(np.abs(stamps - moment).argmin())
+        surface = Surface(clouds[k].reshape(-1, 3), cloth.mesh.triangles)
+        bodies = [Body(entry.shape, size_of(entry), where, entry.pose.orientation)
+                  for entry, where in colliders_at(simulation, diary, begins, stamps[k])]
+        so_far = path_t <= stamps[k]
+        paths = []
+        if so_far.any() and moment < begins['rest']:
+            paths = [Track(tracks[so_far, g], colour, label=f'gripper {name}')
+                     for g, (name, colour) in enumerate((('left', '#d1495b'),
+                                                         ('right', '#e0a030')))]
+        instants.append(Instant(f't = {stamps[k] - stamps[0]:.1f} s   {title}', [surface], bodies,
+                                paths))
+    draw_picture(instants, file, title='A towel on /cloth/particles, moved by a robot over DDS',
+                 columns=3)
+    return file.absolute()
+
+
+def size_of(entry):
+    """Return a collider's size as the picture wants it."""
+    shape = getattr(entry, entry.shape)
+    return {'plane': (), 'sphere': (getattr(shape, 'radius', 0),)}.get(
+        entry.shape, getattr(shape, 'size', None)
+        or (getattr(shape, 'radius', 0), getattr(shape, 'length', 0)))
+
+
+def colliders_at(simulation, diary, begins, stamp: float):
+    """Return each collider and where it was: the ball moves as the robot said."""
+    for name, entry in simulation.effects['contact'].entries.items():
+        place = np.array(entry.pose.position)
+        if name == 'sphere' and begins['sweep'] <= stamp < begins['carry']:
+            s = (stamp - begins['sweep']) / (begins['carry'] - begins['sweep'])
+            place[1] += 1.2 * (0.5 - 0.5 * np.cos(2.0 * np.pi * s))
+        yield entry, tuple(place)

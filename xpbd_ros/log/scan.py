@@ -1,0 +1,206 @@
+"""
+One pass over an MCAP file that checks every checksum and finds where the good messages lie.
+
+Damage is no error here: what can be read is noted, and what cannot is said in words.
+"""
+
+from collections import Counter
+from collections.abc import Iterable
+import struct
+from typing import BinaryIO, NamedTuple
+import zlib
+
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.records import MAGIC, parse, pieces, read_summary, Record, Summary, walk
+
+MESSAGE = struct.Struct('<HIQQ')    # channel, sequence, log time, publish time; then the data
+MOST_PLACES = 20    # of damage that are named one by one
+
+
+class Span(NamedTuple):
+    """A stretch of the file with good messages: a chunk, or a message outside of any."""
+
+    opcode: int
+    start: int
+    """Offset of the body (bytes)."""
+    length: int
+    channels: frozenset[int]
+
+
+class Scan:
+    """
+    What the pass found.
+
+    Attributes
+    ----------
+    spans : list of Span
+        Where the messages are, in the order of the file.
+    counts : Counter
+        Messages by channel.
+    frames : set of int
+        Sequence numbers of the messages.
+    start_ns, end_ns : int or None
+        First and last log time (ns).
+    schemas, channels : dict
+        Descriptions, by number.
+    metadata : dict of dict
+        Metadata records, by name.
+    attachments : dict of bytes
+        By name.
+
+    """
+
+    def __init__(self, file: BinaryIO, path: object):
+        self.spans: list[Span] = []
+        self.counts: Counter[int] = Counter()
+        self.frames: set[int] = set()
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.attachments: dict[str, bytes] = {}
+        self._places: list[str] = []    # of the file that are damaged
+        self._lacks: list[str] = []     # of the log as a whole
+        self._crc = zlib.crc32(MAGIC)
+        self._data_ended = False
+        size = file.seek(0, 2)
+        file.seek(0)
+        magic = file.read(len(MAGIC))
+        if size < len(MAGIC) and MAGIC.startswith(magic):
+            raise InputError(f'{path}: is empty')
+        if magic != MAGIC:
+            raise InputError(f'{path}: is not an MCAP file')
+        summary = read_summary(file, size)
+        end = self._read(file, size, summary)
+        if end is None:
+            self._lacks.append('it has no end: the writer was killed, or is still recording')
+        else:
+            summary = self._check_end(file, size, end) or summary
+        self._compare(summary or Summary())
+
+    @property
+    def damage(self) -> list[str]:
+        """What is missing or wrong, in words; empty if the log is whole."""
+        more = len(self._places) - MOST_PLACES
+        return [*self._places[:MOST_PLACES], *[f'{more} more places are damaged'] * (more > 0),
+                *self._lacks]
+
+    def _read(self, file: BinaryIO, size: int, summary: Summary | None) -> int | None:
+        """Read all records; return where the footer ends, or None if there is none."""
+        def lost(start: int, end: int) -> None:
+            self._places.append(f'bytes {start} to {end} are of no use: ' + (
+                'no whole record' if end == size else 'a record is damaged'))
+
+        starts = [start for start in (summary.starts if summary else ()) if start < size]
+        for record in walk(file, [*starts, size], lost):
+            try:
+                self._take(record)
+            except Exception as error:    # whatever untrusted bytes do to a parser
+                self._places.append(f'bytes {record.start} to {record.end} are of no use: '
+                                    f'{title(record.opcode)} is damaged ({reason(error)})')
+            self._crc = zlib.crc32(record.body, zlib.crc32(record.head, self._crc))
+            if record.opcode == Opcode.FOOTER:
+                return record.end
+        return None
+
+    def _take(self, record: Record) -> None:
+        """Note what a record in the file's data section says."""
+        if self._data_ended:
+            return    # the summary, which was read as a whole
+        if record.opcode == Opcode.CHUNK:
+            self._take_messages(record, pieces(decompressed(record.body)))
+        elif record.opcode == Opcode.MESSAGE:
+            self._take_messages(record, [(record.opcode, memoryview(record.body))])
+        elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._take_description(record.opcode, record.body)
+        elif record.opcode == Opcode.METADATA:
+            metadata = parse(Metadata, record.body)
+            self.metadata[metadata.name] = metadata.metadata
+        elif record.opcode == Opcode.ATTACHMENT:
+            attachment = parse(Attachment, record.body)
+            crc = int.from_bytes(record.body[-4:], 'little')
+            if crc and crc != zlib.crc32(record.body[:-4]):
+                raise ValueError('its checksum is wrong')
+            self.attachments[attachment.name] = attachment.data
+        elif record.opcode == Opcode.DATA_END:
+            self._data_ended = True
+            crc = parse(DataEnd, record.body).data_section_crc
+            if crc and crc != self._crc and not self._places:
+                self._lacks.append('the checksum over the whole file is wrong')
+
+    def _take_messages(self, record: Record, found: Iterable[tuple[int, memoryview]]) -> None:
+        """Note the messages in a record, and the channels described among them."""
+        found = list(found)
+        messages = [MESSAGE.unpack_from(body) for opcode, body in found
+                    if opcode == Opcode.MESSAGE]
+        for opcode, body in found:
+            self._take_description(opcode, body)
+        counts = Counter(channel for channel, _, _, _ in messages)
+        self.counts.update(counts)
+        self.spans.append(Span(record.opcode, record.start + len(record.head), len(record.body),
+                               frozenset(counts)))
+        self.frames.update(frame for _, frame, _, _ in messages)
+        times = [time for _, _, time, _ in messages]
+        if times:
+            self.start_ns = min(times + [self.start_ns] * (self.start_ns is not None))
+            self.end_ns = max(times + [self.end_ns] * (self.end_ns is not None))
+
+    def _take_description(self, opcode: int, body: bytes | memoryview) -> None:
+        """Note a schema or a channel, the first one of its number."""
+        if opcode == Opcode.SCHEMA:
+            schema = parse(Schema, body)
+            self.schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = parse(Channel, body)
+            self.channels.setdefault(channel.id, channel)
+
+    def _check_end(self, file: BinaryIO, size: int, end: int) -> Summary | None:
+        """Check what lies around the end of the footer; return the summary before it."""
+        file.seek(end)
+        if file.read(len(MAGIC)) != MAGIC:
+            self._lacks.append('the mark at its end is missing or damaged')
+            return None
+        end += len(MAGIC)
+        if size > end:
+            self._lacks.append(f'{size - end} bytes after its end are of no use')
+        summary = read_summary(file, end)
+        if summary is None:
+            self._lacks.append('the summary before its end is damaged')
+        return summary
+
+    def _compare(self, summary: Summary) -> None:
+        """Compare with what the summary says, and take descriptions that were lost from it."""
+        self.schemas = {**summary.schemas, **self.schemas}
+        self.channels = {**summary.channels, **self.channels}
+        nameless = sum(count for channel, count in self.counts.items()
+                       if channel not in self.channels)
+        if nameless:
+            self._lacks.append(f'{nameless} messages are of topics whose description is lost')
+        if summary.statistics:
+            count = summary.statistics.message_count
+            lost = count - self.counts.total()
+            if lost:
+                self._lacks.append(f'{lost} of {count} messages are lost')
+
+
+def decompressed(chunk: bytes) -> bytes:
+    """Return the records in a chunk; raise if its checksum is wrong."""
+    stream, length = get_chunk_data_stream(parse(Chunk, chunk), validate_crc=True)
+    return stream.read(length)
+
+
+def title(opcode: int) -> str:
+    """Return what to call a kind of record."""
+    return f'the {Opcode(opcode).name.lower().replace("_", " ")}'
+
+
+def reason(error: Exception) -> str:
+    """Return what an error says, in our words where its own are long."""
+    if isinstance(error, CRCValidationError):
+        return 'its checksum is wrong'
+    return str(error) or type(error).__name__

@@ -1,0 +1,233 @@
+"""
+Messages to commands, checked, and commands back to messages as the log keeps them.
+
+Each reader is a pure function of one message: it returns commands or raises ``InputError`` with
+the reason. What goes through unharmed comes out of the log's message bit for bit.
+"""
+
+from itertools import groupby
+from math import isfinite, sqrt
+import struct
+
+from geometry_msgs.msg import Point, Transform, Twist as TwistMessage, Vector3
+from rcl_interfaces.msg import Parameter, ParameterEvent
+from rclpy.parameter import Parameter as RclpyParameter, parameter_value_to_python
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import UInt64
+from visualization_msgs.msg import Marker, MarkerArray
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros.messages import quaternion, set_stamp, vector
+from xpbd_ros.scene.read import NAME
+from xpbd_ros.sim.commands import (
+    Command,
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+    Twist,
+)
+
+FAR = 1e6
+"""nothing sensible is further away than this [m]"""
+
+
+def pose(position, orientation, what: str) -> Pose:
+    """Return a pose, or refuse numbers that are none and quaternions that are no rotation."""
+    p = (position.x, position.y, position.z)
+    q = (orientation.x, orientation.y, orientation.z, orientation.w)
+    if not all(map(isfinite, p + q)):
+        raise InputError(f'{what}: position or orientation is not finite')
+    if max(map(abs, p)) > FAR:
+        raise InputError(f'{what}: position {list(p)} is further than {FAR:g} m away')
+    square = sum(c * c for c in q)
+    if not 0.8 < square < 1.2:
+        raise InputError(f'{what}: orientation {list(q)} is not a unit quaternion')
+    if abs(square - 1.0) > 1e-12:
+        q = tuple(c / sqrt(square) for c in q)
+    return Pose(p, q)
+
+
+def twist(message, what: str) -> Twist:
+    """Return a twist, or refuse numbers that are none."""
+    linear = (message.linear.x, message.linear.y, message.linear.z)
+    angular = (message.angular.x, message.angular.y, message.angular.z)
+    if not all(map(isfinite, linear + angular)):
+        raise InputError(f'{what}: twist is not finite')
+    return Twist(linear, angular)
+
+
+def check_frame(header, frame_id: str, what: str) -> int:
+    """Refuse another TF frame than the scene's; return the stamp [ns]."""
+    if header.frame_id not in ('', frame_id):
+        raise InputError(f"{what}: TF frame '{header.frame_id}' is not the scene's "
+                         f"'{frame_id}'; transform it first")
+    return header.stamp.sec * 10**9 + header.stamp.nanosec
+
+
+def check_name(name: str, what: str) -> str:
+    """Refuse a name that the scene could not have."""
+    if not NAME.fullmatch(name):
+        raise InputError(f'{what}: bad name {name[:40]!r}')
+    return name
+
+
+def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
+    """``~/pins``: ADD grasps (or moves what is held), DELETE releases, DELETEALL releases all."""
+    commands: list[Command] = []
+    for marker in message.markers:
+        what = f'marker {marker.ns}/{marker.id}'
+        check_frame(marker.header, frame_id, what)
+        if marker.action == Marker.DELETEALL:
+            commands.append(ReleaseAll())
+            continue
+        name = f'{marker.ns or "pin"}_{marker.id}' if marker.id or not marker.ns else marker.ns
+        check_name(name, what)
+        if marker.action == Marker.DELETE:
+            commands.append(Release(name))
+        elif marker.action == Marker.ADD:
+            if not (isfinite(marker.scale.x) and marker.scale.x > 0.0):
+                raise InputError(f'{what}: scale.x is twice the grasp radius and must be > 0 m '
+                                 f'(got {marker.scale.x})')
+            commands.append(Grasp(
+                name, pose(marker.pose.position, marker.pose.orientation, what),
+                0.5 * marker.scale.x,
+                marker.lifetime.sec * 10**9 + marker.lifetime.nanosec))
+        else:
+            raise InputError(f'{what}: unknown action {marker.action}')
+    return commands
+
+
+def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list[Command]:
+    """``~/pin_targets`` and ``~/collider_states``: where several named ones go, in one stamp."""
+    count = len(message.joint_names)
+    stamp_ns = check_frame(message.header, frame_id, 'header')
+    if len(message.transforms) != count or len(message.twist) not in (0, count):
+        raise InputError(f'{count} names but {len(message.transforms)} transforms and '
+                         f'{len(message.twist)} twists')
+    commands = []
+    for k, name in enumerate(message.joint_names):
+        check_name(name, 'joint_names')
+        transform = message.transforms[k]
+        commands.append(kind(
+            name, pose(transform.translation, transform.rotation, name),
+            twist(message.twist[k], name) if message.twist else None, stamp_ns))
+    return commands
+
+
+def read_pose(message, frame_id: str, collider: str) -> list[Command]:
+    """``~/collider/<name>/pose``: where one collider goes."""
+    stamp_ns = check_frame(message.header, frame_id, 'header')
+    return [MoveCollider(collider, pose(message.pose.position, message.pose.orientation,
+                                        collider), None, stamp_ns)]
+
+
+def read_events(message: ParameterEvent) -> list[Command]:
+    """Read the log's ``/parameter_events``: live keys that changed."""
+    return [SetKey(p.name, parameter_value_to_python(p.value))
+            for p in message.changed_parameters]
+
+
+def count_in(raw: bytes, kind: type) -> int:
+    """
+    Return how many markers or names a serialized message claims to hold, without unpacking it.
+
+    MarkerArray starts with the count; MultiDOFJointState with a stamp, the TF frame and the count.
+    """
+    order = '<' if raw[1:2] == b'\x01' else '>'
+    try:
+        if kind is MarkerArray:
+            return struct.unpack_from(f'{order}I', raw, 4)[0]
+        length = struct.unpack_from(f'{order}I', raw, 12)[0]
+        return struct.unpack_from(f'{order}I', raw, 4 + (12 + length + 3) // 4 * 4)[0]
+    except struct.error:
+        return 0
+
+
+def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object]]:
+    """
+    Return applied commands as (topic below the node, message), in order.
+
+    Neighbours that fit into one message share it.
+    """
+    found = []
+    for key, group in groupby(commands, _batch):
+        group = list(group)
+        kind = key[0]
+        if kind in (Grasp, Release, ReleaseAll):
+            found.append(('pins', MarkerArray(
+                markers=[_marker(c, frame_id, time_ns) for c in group])))
+        elif kind in (MovePin, MoveCollider):
+            topic = 'pin_targets' if kind is MovePin else 'collider_states'
+            found.append((topic, _targets(group, frame_id)))
+        elif kind is SetKey:
+            event = ParameterEvent(node='cloth')
+            set_stamp(event.stamp, time_ns)
+            event.changed_parameters = [_parameter(c) for c in group]
+            found.append(('/parameter_events', event))
+        elif kind is Reset:
+            found.append(('resets', UInt64(data=len(group))))
+    return found
+
+
+READERS = {
+    'pins': (MarkerArray, read_pins),
+    'pin_targets': (MultiDOFJointState, lambda m, f: read_targets(m, f, MovePin)),
+    'collider_states': (MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider)),
+    'parameter_events': (ParameterEvent, lambda m, f: read_events(m)),
+    'resets': (UInt64, lambda m, f: [Reset()] * m.data),
+}
+"""the log's input topics, by their last part: type, and reader (message, frame_id) -> commands"""
+
+
+def _batch(command) -> tuple:
+    kind = type(command)
+    if kind in (MovePin, MoveCollider):
+        return kind, command.stamp_ns, command.twist is None
+    return (Grasp if kind in (Release, ReleaseAll) else kind,)
+
+
+def _marker(command, frame_id: str, time_ns: int) -> Marker:
+    marker = Marker(type=Marker.SPHERE)
+    marker.header.frame_id = frame_id
+    set_stamp(marker.header.stamp, time_ns)
+    if isinstance(command, ReleaseAll):
+        marker.action = Marker.DELETEALL
+        return marker
+    marker.ns = command.pin
+    marker.action = Marker.DELETE
+    if isinstance(command, Grasp):
+        marker.action = Marker.ADD
+        marker.pose.position = vector(Point, command.pose.position)
+        marker.pose.orientation = quaternion(command.pose.orientation)
+        size = 2.0 * command.radius
+        marker.scale = Vector3(x=size, y=size, z=size)
+        marker.color.a = 1.0
+        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, 10**9)
+    return marker
+
+
+def _targets(group, frame_id: str) -> MultiDOFJointState:
+    message = MultiDOFJointState()
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, group[0].stamp_ns)
+    for command in group:
+        message.joint_names.append(getattr(command, 'pin', None) or command.collider)
+        message.transforms.append(Transform(
+            translation=vector(Vector3, command.pose.position),
+            rotation=quaternion(command.pose.orientation)))
+        if command.twist is not None:
+            message.twist.append(TwistMessage(linear=vector(Vector3, command.twist.linear),
+                                              angular=vector(Vector3, command.twist.angular)))
+    return message
+
+
+def _parameter(command: SetKey) -> Parameter:
+    value = command.value
+    if isinstance(value, tuple):
+        value = list(value)
+    return RclpyParameter(command.key, value=value).to_parameter_msg()

@@ -1,0 +1,151 @@
+"""
+Frames to messages: one buffer per topic, laid out once and filled anew each frame.
+
+The same bytes go to the wire and to the log. A message's layout (CDR) does not change while the
+counts in it stay the same, so it is serialized once, with marks in the places that will change.
+"""
+
+import struct
+
+from geometry_msgs.msg import Point, Quaternion, Transform, Twist, Vector3, Wrench
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
+from shape_msgs.msg import Mesh, MeshTriangle
+from std_msgs.msg import ColorRGBA, String, UInt64
+from visualization_msgs.msg import Marker, MarkerArray
+
+from xpbd_ros.sim.effect import Cloth
+from xpbd_ros.sim.simulation import Frame
+
+COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))
+MARK = b'\xa5\x5a\xc3\x3c'
+
+
+def set_stamp(stamp, time_ns: int) -> None:
+    """Write a time into a builtin_interfaces/Time."""
+    stamp.sec, stamp.nanosec = divmod(time_ns, 10**9)
+
+
+def vector(kind, values):
+    """Return a Point or Vector3."""
+    x, y, z = (float(c) for c in values)
+    return kind(x=x, y=y, z=z)
+
+
+def quaternion(values) -> Quaternion:
+    """Return a Quaternion from x, y, z, w."""
+    x, y, z, w = (float(c) for c in values)
+    return Quaternion(x=x, y=y, z=z, w=w)
+
+
+class Cloud:
+    """``~/particles``: an organized cloud, rows along weft, columns along warp."""
+
+    def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32):
+        names = names.split()
+        message = PointCloud2()
+        message.header.frame_id = frame_id
+        message.height, message.width = cloth.grid.shape
+        size = np.dtype(dtype).itemsize
+        kind = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
+        message.fields = [PointField(name=name, offset=size * k, datatype=kind, count=1)
+                          for k, name in enumerate(names)]
+        message.point_step = size * len(names)
+        message.row_step = message.point_step * message.width
+        message.is_dense = True
+        length = message.row_step * message.height
+        message.data.frombytes(MARK * (length // len(MARK)))
+        self.cloth = cloth
+        self._buffer = bytearray(serialize_message(message))
+        at = self._buffer.find(MARK * (length // len(MARK)))
+        self._points = np.frombuffer(self._buffer, dtype, length // size, at).reshape(
+            -1, len(names))
+
+    def bytes(self, values: np.ndarray, time_ns: int) -> bytes:
+        """Return the message; ``values`` has one row per particle of the cloth."""
+        struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))
+        self._points[:] = values
+        return bytes(self._buffer)
+
+
+class Surface:
+    """The cloth's surface as a triangle list, for ``~/markers``."""
+
+    def __init__(self, cloth: Cloth, index: int, frame_id: str):
+        triangles = cloth.mesh.triangles + cloth.first
+        marker = Marker(ns=cloth.name, id=index, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
+        marker.header.frame_id = frame_id
+        marker.scale = Vector3(x=1.0, y=1.0, z=1.0)
+        r, g, b = COLOURS[index % len(COLOURS)]
+        marker.color = ColorRGBA(r=r, g=g, b=b, a=1.0)
+        mark = Point(x=1.25e300, y=-1.25e300, z=1.5e300)
+        marker.points = [mark] * (3 * len(triangles))
+        self._corners = triangles.ravel()
+        self._buffer = bytearray(serialize_message(MarkerArray(markers=[marker])))
+        at = self._buffer.find(struct.pack('<ddd', mark.x, mark.y, mark.z))
+        count = 3 * len(self._corners) if at >= 0 else 0
+        self._points = np.frombuffer(self._buffer, '<f8', count, max(at, 0)).reshape(-1, 3)
+
+    def bytes(self, x: np.ndarray, time_ns: int) -> bytes:
+        """Return a MarkerArray with one marker; ``x`` are all particles of the scene."""
+        struct.pack_into('<iI', self._buffer, 8, *divmod(time_ns, 10**9))
+        if len(self._points):
+            self._points[:] = x[self._corners]
+        return bytes(self._buffer)
+
+
+def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
+    """Return a ball at each pin and an arrow for the force of the cloth on it (1 N is 10 cm)."""
+    wipe = Marker(ns='pins', action=Marker.DELETEALL)
+    wipe.header.frame_id = frame_id
+    markers = [wipe]
+    for number, pin in enumerate(frame.pins.values()):
+        ball = Marker(ns='pins', id=number, type=Marker.SPHERE, action=Marker.ADD)
+        ball.pose.position = vector(Point, pin.pose.position)
+        ball.scale = Vector3(x=0.025, y=0.025, z=0.025)
+        ball.color = ColorRGBA(r=0.95, g=0.75, b=0.1, a=1.0)
+        arrow = Marker(ns='forces', id=number, type=Marker.ARROW, action=Marker.ADD)
+        tip = np.add(pin.pose.position, 0.1 * pin.force)
+        arrow.points = [vector(Point, pin.pose.position), vector(Point, tip)]
+        arrow.scale = Vector3(x=0.006, y=0.015, z=0.02)
+        arrow.color = ColorRGBA(r=0.1, g=0.1, b=0.1, a=0.9)
+        markers += [ball, arrow]
+    for marker in markers:
+        marker.header.frame_id = frame_id
+        set_stamp(marker.header.stamp, time_ns)
+    return MarkerArray(markers=markers)
+
+
+def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
+    """Return the start's vertices and the triangles of one cloth, to rebuild its surface."""
+    return Mesh(
+        vertices=[vector(Point, row) for row in x[cloth.particles].tolist()],
+        triangles=[MeshTriangle(vertex_indices=np.array(row, np.uint32))
+                   for row in cloth.mesh.triangles])
+
+
+def pin_states(frame: Frame, frame_id: str, time_ns: int) -> MultiDOFJointState:
+    """Return pose, velocity and wrench (of the cloth on the pin) of each pin."""
+    message = MultiDOFJointState()
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, time_ns)
+    for name, pin in frame.pins.items():
+        message.joint_names.append(name)
+        message.transforms.append(Transform(
+            translation=vector(Vector3, pin.pose.position),
+            rotation=quaternion(pin.pose.orientation)))
+        message.twist.append(Twist(linear=vector(Vector3, pin.linear)))
+        message.wrench.append(Wrench(force=vector(Vector3, pin.force),
+                                     torque=vector(Vector3, pin.torque)))
+    return message
+
+
+def text(value: str) -> String:
+    """Return a String."""
+    return String(data=value)
+
+
+def number(value: int) -> UInt64:
+    """Return a UInt64."""
+    return UInt64(data=value)

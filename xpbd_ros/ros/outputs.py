@@ -1,0 +1,99 @@
+"""
+What a scene publishes, and the bytes of one frame: encoded once, for the wire and for the log.
+
+Topics follow the scene: one cloth has ``particles`` and ``mesh``, several have
+``cloth/<name>/particles`` and so on; pins are reported only where there can be some.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from shape_msgs.msg import Mesh
+from std_msgs.msg import String, UInt64
+from visualization_msgs.msg import MarkerArray
+
+from xpbd_ros.log.qos import Qos
+from xpbd_ros.ros import messages
+from xpbd_ros.sim.simulation import Frame, Simulation
+
+LATCHED = Qos(durability='transient_local', depth=1)
+STREAM = Qos(depth=5)
+STATE_FIELDS = 'x y z vx vy vz'
+
+
+@dataclass(frozen=True)
+class Output:
+    """One topic below the node's name."""
+
+    topic: str
+    kind: type
+    qos: Qos
+    log_only: bool = False
+    view_only: bool = False
+    """for people's eyes: not in the log, which can rebuild it"""
+
+
+class Outputs:
+    """All topics of one simulation."""
+
+    def __init__(self, simulation: Simulation, frame_id: str, scene_text: str):
+        self.simulation = simulation
+        self.frame_id = frame_id
+        self.scene_text = scene_text
+        self.topics: dict[str, Output] = {}
+        self._clouds, self._states, self._surfaces = {}, {}, []
+        several = len(simulation.cloths) > 1
+        for index, cloth in enumerate(simulation.cloths):
+            base = f'cloth/{cloth.name}/' if several else ''
+            self._add(Output(f'{base}particles', PointCloud2, STREAM))
+            self._add(Output(f'{base}mesh', Mesh, LATCHED))
+            self._add(Output(f'{base}state', PointCloud2, STREAM, log_only=True))
+            self._clouds[f'{base}particles'] = messages.Cloud(cloth, frame_id)
+            self._states[f'{base}state'] = messages.Cloud(cloth, frame_id, STATE_FIELDS,
+                                                          np.float64)
+            self._surfaces.append(messages.Surface(cloth, index, frame_id))
+        self._add(Output('markers', MarkerArray, STREAM, view_only=True))
+        if 'pin' in simulation.effects:
+            self._add(Output('pin_states', MultiDOFJointState, STREAM))
+        self._add(Output('scene', String, LATCHED))
+        self._add(Output('state_hash', UInt64, STREAM, log_only=True))
+
+    def _add(self, output: Output) -> None:
+        self.topics[output.topic] = output
+
+    def start(self) -> dict[str, bytes]:
+        """Return the latched messages: the scene, and each cloth's mesh at the start."""
+        x = self.simulation.state.x
+        found = {'scene': serialize_message(messages.text(self.scene_text))}
+        for topic, cloud in self._clouds.items():
+            mesh = messages.mesh_message(cloud.cloth, x)
+            found[topic.replace('particles', 'mesh')] = serialize_message(mesh)
+        return found
+
+    def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
+        """Return the state whole, in float64, from which a run can go on."""
+        return {topic: cloud.bytes(np.hstack([frame.x[cloud.cloth.particles],
+                                              frame.v[cloud.cloth.particles]]), time_ns)
+                for topic, cloud in self._states.items()}
+
+    def frame(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
+        """Return the messages of one frame."""
+        found = {topic: cloud.bytes(frame.x[cloud.cloth.particles], time_ns)
+                 for topic, cloud in self._clouds.items()}
+        if 'pin_states' in self.topics:
+            found['pin_states'] = serialize_message(
+                messages.pin_states(frame, self.frame_id, time_ns))
+        return found
+
+    def markers(self, frame: Frame, time_ns: int) -> list[bytes]:
+        """Return what RViz draws: the surfaces, then the pins."""
+        found = [surface.bytes(frame.x, time_ns) for surface in self._surfaces]
+        if 'pin_states' in self.topics:
+            found.append(serialize_message(messages.pin_markers(frame, self.frame_id, time_ns)))
+        return found
+
+    def hash(self) -> bytes:
+        """Return the hash of the float64 state."""
+        return serialize_message(messages.number(self.simulation.hash()))

@@ -1,0 +1,91 @@
+"""The node's parameters: a table of its own, and the live keys of its scene."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from xpbd_ros.scene.model import live_keys, Scene
+
+LARGEST = 1e300
+
+
+@dataclass(frozen=True)
+class Row:
+    """One parameter of the node."""
+
+    name: str
+    default: Any
+    description: str
+    minimum: float | None = None
+    maximum: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+    """may change while the node is active; else only before it is configured"""
+
+
+TABLE = (
+    Row('scene', 'towel', 'scene file, or the name of a shipped scene'),
+    Row('settings', '', "a file with a 'solver:' block that takes the place of the scene's"),
+    Row('frame_id', '', "TF frame of all messages; '' takes the scene's"),
+    Row('autostart', True, 'configure and activate without being asked'),
+    Row('mode', 'realtime', "'realtime': on a clock; 'lockstep': only on ~/step; 'fast': as fast "
+        'as it can', choices=('realtime', 'lockstep', 'fast'), live=True),
+    Row('publish_rate', 0.0, 'of ~/particles and ~/pin_states in Hz of simulation time; a divisor '
+        'of the frame rate; 0: every frame', minimum=0.0, maximum=10000.0, live=True),
+    Row('marker_rate', 15.0, 'of ~/markers in Hz of wall time, while someone listens; 0: never',
+        minimum=0.0, maximum=1000.0, live=True),
+    Row('record.path', '', "folder to record to from activation on; '' records only on ~/record, "
+        'into a fresh folder'),
+    Row('record.flush_period', 1.0, 'at most this much of a log is lost in a crash, in s',
+        minimum=0.01, maximum=3600.0),
+    Row('record.checkpoint_period', 10.0, 'the whole state is logged this often, in s of '
+        'simulation time', minimum=0.01, maximum=1e6),
+    Row('publish_clock', False, 'publish simulation time on /clock'),
+    Row('max_message_bytes', 4 * 2**20, 'larger array messages are refused unread',
+        minimum=1024, maximum=2**30),
+)
+
+
+def descriptor(row: Row) -> ParameterDescriptor:
+    """Return what ``ros2 param describe`` shows of a parameter of the node."""
+    found = ParameterDescriptor(description=row.description, read_only=False)
+    if row.choices:
+        found.additional_constraints = f'one of {", ".join(row.choices)}'
+    elif not row.live:
+        found.additional_constraints = 'read when the node is configured'
+    _set_range(found, isinstance(row.default, int), row.minimum, row.maximum)
+    return found
+
+
+def scene_parameters(scene: Scene, substeps: int) -> dict[str, tuple[Any, ParameterDescriptor]]:
+    """Return the live keys of a scene: name, present value, descriptor."""
+    found = {}
+    for key, (field, value) in {
+            'solver.substeps': (scene.top.solver.__dataclass_fields__['substeps'], substeps),
+            **live_keys(scene)}.items():
+        metadata = field.metadata
+        unit = f' [{metadata["unit"]}]' if metadata['unit'] else ''
+        about = ParameterDescriptor(
+            description=f'{metadata["doc"] or field.name}{unit}'.strip())
+        if metadata['above'] is not None:
+            about.additional_constraints = f'must be > {metadata["above"]:g}'
+        if isinstance(value, tuple):
+            value = [float(c) for c in value]
+        else:
+            least = metadata['minimum'] if metadata['above'] is None else metadata['above']
+            _set_range(about, isinstance(value, int), least, metadata['maximum'])
+        found[key] = (value, about)
+    return found
+
+
+def _set_range(about: ParameterDescriptor, whole: bool, least, most) -> None:
+    if least is None and most is None:
+        return
+    if whole:
+        about.integer_range = [IntegerRange(
+            from_value=int(least or 0), to_value=int(most if most is not None else 2**62), step=0)]
+    else:
+        about.floating_point_range = [FloatingPointRange(
+            from_value=float(least if least is not None else -LARGEST),
+            to_value=float(most if most is not None else LARGEST), step=0.0)]

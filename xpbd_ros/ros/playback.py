@@ -1,0 +1,39 @@
+"""The inputs of a log as commands again, by the frame that they acted on."""
+
+from rclpy.serialization import deserialize_message
+import yaml
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.inputs import READERS
+from xpbd_ros.ros.recorder import type_name
+from xpbd_ros.sim.commands import Command
+
+
+def commands_by_frame(run: str) -> dict[int, list[Command]]:
+    """
+    Return what a log's inputs asked for, in order.
+
+    Raises
+    ------
+    InputError : not a log, or a log whose inputs do not start with its scene
+
+    """
+    reader = LogReader(run)
+    scene = yaml.safe_load(reader.scene or '') or {}
+    frame_id = scene.get('frame_id', 'world')
+    inputs = {}
+    for topic, about in reader.topics.items():
+        kind, read = READERS.get(topic.rsplit('/', 1)[-1], (None, None))
+        if kind is not None and type_name(kind) == about.type:
+            inputs[topic] = kind, read
+    found: dict[int, list[Command]] = {}
+    for message in reader.messages(inputs):
+        kind, read = inputs[message.topic]
+        try:
+            commands = read(deserialize_message(message.data, kind), frame_id)
+        except InputError as error:
+            raise InputError(f'{run}: {message.topic}, frame {message.frame}: '
+                             f'{error}') from error
+        found.setdefault(message.frame, []).extend(commands)
+    return found

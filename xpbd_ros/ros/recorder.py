@@ -1,0 +1,94 @@
+"""One run into one log: states, inputs as applied, hashes; the node and ``run`` share it."""
+
+from pathlib import Path
+
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import UInt64
+from visualization_msgs.msg import MarkerArray
+
+from xpbd_ros.log.qos import Qos
+from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.ros.inputs import as_messages
+from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.sim.simulation import Frame
+
+INPUT = Qos(depth=10)
+INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
+          'collider_states': MultiDOFJointState, 'resets': UInt64,
+          '/parameter_events': ParameterEvent}
+
+
+class Recorder:
+    """
+    An open log.
+
+    Parameters
+    ----------
+    folder : where to; must not exist
+    outputs : the topics of the simulation
+    name : full name of the node, such as ``/cloth``
+    epoch_ns : what simulation time 0 is in the log [ns]
+    flush_period : at most this much is lost in a crash [s]
+    checkpoint_period : the whole state is written this often [s of simulation time]
+
+    """
+
+    def __init__(self, folder: Path, outputs: Outputs, *, name: str = '/cloth',
+                 epoch_ns: int, flush_period: float = 1.0, checkpoint_period: float = 10.0,
+                 settings: dict[str, str] | None = None):
+        self.folder = folder
+        self.outputs = outputs
+        self.epoch_ns = epoch_ns
+        self._name = name
+        self._checkpoint_frames = max(
+            1, round(checkpoint_period * outputs.simulation.frame_rate))
+        self.log = LogWriter(folder, scene=outputs.scene_text, settings=settings or {},
+                             flush_period=flush_period)
+        for output in outputs.topics.values():
+            if not output.view_only:
+                self.log.add_channel(self._full(output.topic), type_name(output.kind),
+                                     output.qos)
+        self._inputs: set[str] = set()
+        frame = outputs.simulation.frame()
+        self._write_all(outputs.start(), frame)
+        self._write_state(frame)
+
+    def _full(self, topic: str) -> str:
+        return topic if topic.startswith('/') else f'{self._name}/{topic}'
+
+    def _write_all(self, found: dict[str, bytes], frame: Frame) -> None:
+        for topic, data in found.items():
+            self.log.write(self._full(topic), data, time_ns=self.epoch_ns + frame.time_ns,
+                           frame=frame.index)
+
+    def _write_state(self, frame: Frame) -> None:
+        time_ns = self.epoch_ns + frame.time_ns
+        self._write_all(self.outputs.frame(frame, time_ns), frame)
+        self._write_all(self.outputs.state(frame, time_ns), frame)
+        self._write_all({'state_hash': self.outputs.hash()}, frame)
+
+    def frame(self, frame: Frame, encoded: dict[str, bytes]) -> None:
+        """Write the inputs that acted on a frame, and the frame; ``encoded`` is its messages."""
+        outputs = self.outputs
+        before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
+        for topic, message in as_messages(frame.applied, outputs.frame_id, before_ns):
+            if topic not in self._inputs:
+                self.log.add_channel(self._full(topic), type_name(INPUTS[topic]), INPUT)
+                self._inputs.add(topic)
+            self.log.write(self._full(topic), serialize_message(message), time_ns=before_ns,
+                           frame=frame.index)
+        self._write_all(encoded, frame)
+        self._write_all({'state_hash': outputs.hash()}, frame)
+        if frame.index % self._checkpoint_frames == 0:
+            self._write_all(outputs.state(frame, self.epoch_ns + frame.time_ns), frame)
+
+    def close(self) -> None:
+        """Finish the log."""
+        self.log.close()
+
+
+def type_name(kind: type) -> str:
+    """Return a message type's name: 'sensor_msgs/msg/PointCloud2'."""
+    return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'

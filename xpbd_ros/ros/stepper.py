@@ -1,0 +1,123 @@
+"""
+The thread that steps: on a clock, on request, or as fast as it can.
+
+Everything that touches the simulation or the log happens here, between frames, so nothing needs a
+lock; a service posts what it wants done and waits for the answer.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+import threading
+
+IDLE = 0.2
+"""the longest nap, so that something waiting for wall time is looked after [s]"""
+LATE_FRAMES = 3
+"""frames behind the clock before frames are dropped"""
+
+
+class Stepper(threading.Thread):
+    """
+    Call ``step()`` at the right times.
+
+    Parameters
+    ----------
+    step : computes one frame
+    idle : called at least every IDLE seconds, between frames
+    failed : called once with the exception that ended the thread
+    now_ns : the clock to step on [ns]
+    frame_ns : time of frame n since the start [ns], a function of n
+    mode : 'realtime', 'lockstep' (only on request) or 'fast'
+
+    """
+
+    def __init__(self, step: Callable[[], None], idle: Callable[[], None],
+                 failed: Callable[[Exception], None], *, now_ns: Callable[[], int],
+                 frame_ns: Callable[[int], int], mode: str, poll: float = IDLE):
+        super().__init__(name='stepper', daemon=True)
+        self.mode = mode
+        self.playing = True
+        self.dropped = 0
+        """frames that were not computed in time and never will be"""
+        self._step, self._idle, self._failed = step, idle, failed
+        self._now_ns, self._frame_ns = now_ns, frame_ns
+        self._poll = poll
+        self._wake = threading.Condition()
+        self._asked: deque[tuple[Callable, Future]] = deque()
+        self._stopping = False
+        self._start_ns, self._count = 0, 0
+
+    @property
+    def by_itself(self) -> bool:
+        """Whether it steps without being asked."""
+        return self.playing and self.mode != 'lockstep'
+
+    def ask(self, action: Callable) -> Future:
+        """Have something done between frames; the future holds what it returned or raised."""
+        future: Future = Future()
+        with self._wake:
+            if self._stopping:
+                future.set_exception(RuntimeError('the simulation has stopped'))
+            else:
+                self._asked.append((action, future))
+                self._wake.notify()
+        return future
+
+    def stop(self) -> None:
+        """End after the frame in hand, and wait for that."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        if self.is_alive() and threading.current_thread() is not self:
+            self.join()
+        for _, future in self._asked:
+            future.cancel()
+
+    def resume(self) -> None:
+        """Count time from now on, so that a pause is not made up for."""
+        self._start_ns, self._count = self._now_ns(), 0
+
+    def run(self) -> None:
+        """Step until told to stop."""
+        try:
+            self.resume()
+            while not self._stopping:
+                self._answer()
+                wait = self._due_in()
+                if wait <= 0.0:
+                    self._step()
+                    self._count += 1
+                else:
+                    self._idle()
+                    with self._wake:
+                        if not self._asked and not self._stopping:
+                            self._wake.wait(min(wait, self._poll))
+        except Exception as error:
+            self._stopping = True
+            self._failed(error)
+
+    def _answer(self) -> None:
+        while self._asked:
+            action, future = self._asked.popleft()
+            try:
+                future.set_result(action())
+            except Exception as error:
+                future.set_exception(error)
+
+    def _due_in(self) -> float:
+        """Return the time until the next frame is due [s]."""
+        if not self.by_itself:
+            return float('inf')
+        if self.mode == 'fast':
+            return 0.0
+        now = self._now_ns() - self._start_ns
+        if now < self._frame_ns(self._count) - self._frame_ns(1):
+            self.resume()    # the clock was set back
+            return self._poll
+        due = self._frame_ns(self._count + 1)
+        period = self._frame_ns(1)
+        late = (now - due) // period
+        if late >= LATE_FRAMES:
+            self.dropped += late
+            self._start_ns += late * period
+        return (due - now) * 1e-9
