@@ -11,8 +11,10 @@ One panel per instant, all through the same camera. Each panel is rendered in th
 3. colour, in linear light: Lambert for the sun, the sky's share for the rest, a weak highlight.
    Normals are interpolated, so that cloth looks smooth; its two sides may differ in colour.
 
-Limits: nothing is transparent and nothing mirrors; planes receive shadows and cast none; a
-triangle that reaches behind the camera is left out; z is up.
+Limits: nothing is transparent and nothing mirrors; planes receive shadows and cast none; boxes
+have slightly rounded edges, and bodies step back from the camera by less than an edge of the
+cloth, so that cloth which bridges their edges covers them; a triangle that reaches behind the
+camera is left out; z is up.
 """
 
 from collections.abc import Iterator, Sequence
@@ -341,18 +343,34 @@ def _cylinder(radius: float, length: float, *, top: float = 1.0, around: int = 5
     return _join([under, wall, above])
 
 
-def _box(size: ArrayLike, cells: int = 12) -> tuple:
-    """Six faces, in cells, so that the light of the sky can change across them."""
-    s, t = np.meshgrid(*[np.linspace(-0.5, 0.5, cells + 1)] * 2, indexing='ij')
-    i, j = np.meshgrid(np.arange(cells), np.arange(cells), indexing='ij')
-    a = i * (cells + 1) + j
-    b, c, d = a + cells + 1, a + cells + 2, a + 1
+def _box(size: ArrayLike, cells: int = 10, bend: int = 4) -> tuple:
+    """
+    Six faces, in cells so that the light of the sky can change across them, and rounded edges.
+
+    Rounding pushes each point of the sharp box out from a smaller box by the radius. Without it,
+    the edges would cut through cloth whose triangles bridge them.
+    """
+    half = np.asarray(size, dtype=float) / 2
+    radius = 0.12 * half.min()
+    inner = half - radius
+    curve = radius * np.tan(np.linspace(0, np.pi / 4, bend + 1)[1:])
+    lines = [np.concatenate([-c - curve[::-1], np.linspace(-c, c, cells + 1), c + curve])
+             for c in inner]
+    last = cells + 2 * bend
+    i, j = np.meshgrid(np.arange(last), np.arange(last), indexing='ij')
+    a = i * (last + 1) + j
+    b, c, d = a + last + 1, a + last + 2, a + 1
     triangles = np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], -2).reshape(-1, 3)
-    flat = np.stack([s, t, np.full_like(s, 0.5)], -1).reshape(-1, 3)
     faces = []
-    for axis in (*np.eye(3), *-np.eye(3)):
-        turn = _frame(axis)
-        faces.append((flat @ turn * np.asarray(size), triangles, np.tile(axis, (len(flat), 1))))
+    for axis in range(3):
+        side, rise = (axis + 1) % 3, (axis + 2) % 3
+        sharp = np.empty((last + 1, last + 1, 3))
+        sharp[..., side], sharp[..., rise] = np.meshgrid(lines[side], lines[rise], indexing='ij')
+        for sign in (1, -1):
+            sharp[..., axis] = sign * half[axis]
+            core = np.clip(sharp, -inner, inner).reshape(-1, 3)
+            normals = _unit(sharp.reshape(-1, 3) - core)
+            faces.append((core + radius * normals, triangles[:, ::sign], normals))
     return _join(faces)
 
 
@@ -404,9 +422,9 @@ def _marker_meshes(path: Path, size: float) -> list[_Mesh]:
     def part(geometry: tuple, offset: tuple, colour: Colour) -> _Mesh:
         return _placed(geometry, here + turn @ (size * np.array(offset)), turn, colour, gloss=0.2)
 
-    finger = _box(size * np.array([0.09, 0.2, 0.52]), 2)
+    finger = _box(size * np.array([0.09, 0.2, 0.52]), 2, 2)
     return [part(finger, (-0.1, 0.0, 0.2), '#3d434b'), part(finger, (0.1, 0.0, 0.2), '#3d434b'),
-            part(_box(size * np.array([0.5, 0.3, 0.2]), 2), (0.0, 0.0, 0.54), path.colour),
+            part(_box(size * np.array([0.5, 0.3, 0.2]), 2, 2), (0.0, 0.0, 0.54), path.colour),
             part(_cylinder(0.11 * size, 0.36 * size), (0.0, 0.0, 0.82), '#c6cbd1')]
 
 
@@ -595,7 +613,7 @@ def _lit(sun: _DepthMap, points: Array, normals: Array, taps: Array) -> Array:
     share[inside[found == len(search)]] = 0
     mixed = np.flatnonzero((found > 0) & (found < len(search)))
     if len(mixed):
-        reach = np.clip(SUN_RADIUS * total[mixed] / found[mixed] / texel, 1.3, widest)
+        reach = np.clip(SUN_RADIUS * total[mixed] / found[mixed] / texel, 2.0, widest)
         u, v, s, slope_u, slope_v = (a[mixed] for a in (u, v, s, slope_u, slope_v))
         taps = taps if len(taps) == 1 else taps[inside[mixed]]
         seen = np.zeros(len(mixed), dtype=np.float32)
@@ -686,7 +704,8 @@ def _shade_meshes(meshes: Sequence[_Mesh], view: View, lamps: _Lamps, over: int,
     steps_back = np.array([1 - m.yields / max(float(view.project(m.points.mean(axis=0))[1][0]),
                                               2 * m.yields, 1e-6) for m in meshes])
     nearness = np.where(depth > 1e-6, 1 / np.where(depth > 1e-6, depth, 1), 0)
-    best, which = _rasterise(pixels, nearness * np.repeat(steps_back, counts), triangles, width, height)
+    best, which = _rasterise(pixels, nearness * np.repeat(steps_back, counts), triangles,
+                             width, height)
 
     sample = np.flatnonzero(which >= 0)
     down, right = np.divmod(sample, width)
