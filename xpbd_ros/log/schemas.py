@@ -20,8 +20,8 @@ from xpbd_ros.errors import InputError
 
 PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'int8', 'uint8', 'int16', 'uint16',
               'int32', 'uint32', 'int64', 'uint64', 'string', 'wstring'}
-FIELD = re.compile(r'^[ \t]*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]\n]*\])?[ \t]+[A-Za-z]\w*',
-                   re.MULTILINE)    # type, bound of a string, array; then the field's name
+FIELD = re.compile(r'^[ \t]*([A-Za-z][\w/]*)(?:\[[^\]\n]*\])?[ \t]+[A-Za-z]\w*',
+                   re.MULTILINE)    # type, array; then the field's name (not a bounded string)
 SEPARATOR = '=' * 80
 
 

@@ -1,0 +1,38 @@
+"""Where a verb writes its numbers."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from xpbd_ros.cli.output import fresh_folder, write_json
+from xpbd_ros.errors import InputError
+
+
+def test_numpy_paths_and_numbers_that_are_not_finite_are_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_json('out.json', {'path': tmp_path / 'a', 'none': math.nan, 'big': [math.inf, 1.5],
+                            'array': np.arange(3), 'count': np.int64(4), 'pair': (1, True)})
+    assert json.loads((tmp_path / 'out.json').read_text()) == {
+        'path': str(tmp_path / 'a'), 'none': None, 'big': [None, 1.5], 'array': [0, 1, 2],
+        'count': 4, 'pair': [1, True]}
+
+
+def test_nothing_is_written_where_nothing_was_asked_for(capsys):
+    write_json(None, {})
+    assert capsys.readouterr().out == ''
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(InputError, match=r'none/out.json: cannot be written: No such file'):
+        write_json(str(tmp_path / 'none' / 'out.json'), {})
+
+
+def test_a_fresh_folder_is_not_there_yet(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    one = fresh_folder('run')
+    assert one.parent == tmp_path
+    assert one.name.startswith('xpbd_ros_run_2')
+    one.mkdir()
+    assert fresh_folder('run') != one

@@ -1,0 +1,54 @@
+"""What tests of every part need: a DDS domain of their own, and a small log."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+import random
+import socket
+
+import pytest
+from samples import sample_log
+
+
+@pytest.fixture(scope='session')
+def domain_id() -> Iterator[int]:
+    """Return a DDS domain that nobody on this machine uses, and keep other test runs off it."""
+    domains = list(range(1, 101))
+    random.shuffle(domains)
+    for domain in domains:
+        lock = reserve(domain)
+        if lock:
+            with lock:
+                yield domain
+            return
+    pytest.fail('no free DDS domain between 1 and 100')
+
+
+@pytest.fixture(scope='session', autouse=True)
+def own_domain(domain_id: int) -> Iterator[None]:
+    """Keep every node of the tests, in this process or another, on loopback and this domain."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('ROS_DOMAIN_ID', str(domain_id))
+        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.delenv('ROS_LOCALHOST_ONLY', raising=False)
+        patch.delenv('ROS_STATIC_PEERS', raising=False)
+        yield
+
+
+def reserve(domain: int) -> socket.socket | None:
+    """Return a socket that keeps a domain for this test run; None if its ports are in use."""
+    first = 7400 + 250 * domain    # discovery; the first participant's own ports follow at + 10
+    try:
+        for port, host in ((first, '0.0.0.0'), (first + 10, '0.0.0.0'), (first + 10, '127.0.0.1')):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+                probe.bind((host, port))
+        lock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        lock.bind(('127.0.0.1', first + 248))    # of a participant that no test gets to
+        return lock
+    except OSError:
+        return None
+
+
+@pytest.fixture
+def write_log(tmp_path: Path) -> Callable[..., Path]:
+    """Return a function that writes a log of some frames and returns its folder."""
+    return lambda name='run', **options: sample_log(tmp_path / name, **options)

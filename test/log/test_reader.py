@@ -1,0 +1,295 @@
+"""Whatever happened to a log, what can be read is read, and what cannot is said."""
+
+from pathlib import Path
+import random
+
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+import pytest
+from rosbags.interfaces import (
+    Qos as BagQos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
+from rosbags.typesys import get_typestore, Stores
+from samples import cdr_string, cdr_uint64
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.log import writer
+from xpbd_ros.log.qos import DEFAULT, Qos, recorded_qos
+from xpbd_ros.log.reader import LogReader
+
+START = 1_700_000_000_000_000_000
+FRAME = 16_666_667
+NO_END = 'it has no end: the writer was killed, or is still recording'
+IN_CHUNK = 100    # bytes from the start of a chunk to somewhere in its data
+
+
+@pytest.fixture
+def run(write_log, monkeypatch) -> Path:
+    """A log of many small chunks."""
+    monkeypatch.setattr(writer, 'CHUNK_SIZE', 800)
+    return write_log()
+
+
+def chunks(path: Path) -> list[int]:
+    """Return where the chunks of a log begin (bytes)."""
+    with open(path, 'rb') as file:
+        summary = make_reader(file).get_summary()
+    return [index.chunk_start_offset for index in summary.chunk_indexes]
+
+
+@pytest.fixture
+def damaged(run, tmp_path):
+    """Return a function that reads other bytes in place of the log's own."""
+    def read(data: bytes) -> LogReader:
+        path = tmp_path / 'damaged.mcap'
+        path.write_bytes(data)
+        return LogReader(path)
+    return read
+
+
+def test_a_log_comes_back_as_it_was_written(run):
+    reader = LogReader(run)
+    assert reader.whole
+    assert reader.damage == []
+    assert reader.path == run / 'run_0.mcap'
+    assert reader.scene == 'gravity: [0.0, 0.0, -9.8]\n'
+    assert reader.settings['seed'] == '7'
+    assert (reader.start_ns, reader.end_ns) == (START, START + 59 * FRAME)
+    assert (reader.frames, reader.count) == (60, 121)
+    assert {name: (topic.type, topic.count) for name, topic in reader.topics.items()} == {
+        '/cloth/scene': ('std_msgs/msg/String', 1),
+        '/cloth/count': ('std_msgs/msg/UInt64', 60),
+        '/cloth/text': ('std_msgs/msg/String', 60)}
+    assert reader.topics['/cloth/scene'].qos == Qos(durability='transient_local', depth=1)
+    assert reader.topics['/cloth/count'].definition.splitlines()[-1] == 'uint64 data'
+    messages = list(reader.messages())
+    assert messages[0] == ('/cloth/scene', 'std_msgs/msg/String', START, 0,
+                           cdr_string('the scene'))
+    assert messages[-2] == ('/cloth/count', 'std_msgs/msg/UInt64', START + 59 * FRAME, 59,
+                            cdr_uint64(59))
+    assert [message.time_ns for message in messages] == sorted(
+        message.time_ns for message in messages)
+
+
+def test_the_file_alone_is_enough(run):
+    assert list(LogReader(run / 'run_0.mcap').messages()) == list(LogReader(run).messages())
+
+
+def test_only_the_topics_asked_for_are_read(run):
+    messages = list(LogReader(run).messages(['/cloth/count', '/none']))
+    assert [message.data for message in messages] == [cdr_uint64(frame) for frame in range(60)]
+
+
+def test_two_passes_at_once_do_not_disturb_each_other(run):
+    reader = LogReader(run)
+    pairs = list(zip(reader.messages(), reader.messages(), strict=True))
+    assert len(pairs) == 121
+    assert all(one == two for one, two in pairs)
+
+
+def test_a_log_cut_short_anywhere_gives_what_came_before(run, damaged):
+    data = (run / 'run_0.mcap').read_bytes()
+    everything = list(LogReader(run).messages())
+    before = 0
+    for length in [*range(8, len(data), 37), len(data) - 1]:
+        reader = damaged(data[:length])
+        messages = list(reader.messages())
+        assert messages == everything[:len(messages)]
+        assert len(messages) >= before    # a longer piece never holds less
+        assert not reader.whole
+        before = len(messages)
+    assert before == len(everything)
+
+
+def test_one_wrong_byte_anywhere_is_found_and_costs_no_more_than_its_chunk(run, damaged):
+    """Chunks of 800 bytes hold 10 messages at most; a wrong length does not hide the others."""
+    data = (run / 'run_0.mcap').read_bytes()
+    everything = set(LogReader(run).messages())
+    some = random.Random(3)
+    for at in range(8, len(data), 11):
+        wrong = bytearray(data)
+        wrong[at] ^= some.randrange(1, 256)
+        reader = damaged(wrong)
+        messages = set(reader.messages())
+        assert not reader.whole, at
+        assert messages <= everything, at    # nothing is made up
+        assert len(messages) >= len(everything) - 10, at
+
+
+def test_any_damage_is_survived(run, damaged):
+    data = (run / 'run_0.mcap').read_bytes()
+    everything = set(LogReader(run).messages())
+    some = random.Random(5)
+    for _ in range(300):
+        wrong = bytearray(data)
+        for _ in range(some.randrange(1, 5)):
+            at, length = some.randrange(8, len(wrong)), some.randrange(1, 300)
+            wrong[at:at + length] = some.choice(
+                [b'', bytes(length), some.randbytes(length), some.randbytes(2 * length)])
+        reader = damaged(wrong)
+        assert set(reader.messages()) <= everything
+        assert reader.whole == (wrong == data)
+
+
+def test_a_damaged_chunk_is_named_and_its_messages_counted(run, damaged):
+    data = bytearray((run / 'run_0.mcap').read_bytes())
+    data[chunks(run / 'run_0.mcap')[0] + IN_CHUNK] ^= 0xff
+    reader = damaged(data)
+    place, lost = reader.damage
+    assert 'are of no use: the chunk is damaged (' in place
+    assert lost == f'{121 - reader.count} of 121 messages are lost'
+    assert 0 < 121 - reader.count <= 10
+    assert reader.topics['/cloth/count'].type == 'std_msgs/msg/UInt64'    # from the summary
+
+
+def test_a_wrong_length_hides_no_chunk_but_its_own(run, damaged):
+    """The summary knows where the next one begins."""
+    data = bytearray((run / 'run_0.mcap').read_bytes())
+    first, _, third, *_ = chunks(run / 'run_0.mcap')
+    data[first + 1:first + 9] = (third - first).to_bytes(8, 'little')    # swallows the second
+    reader = damaged(data)
+    assert reader.damage[0].endswith('are of no use: a record is damaged')
+    assert 0 < 121 - reader.count <= 10
+
+
+def test_a_damaged_summary_describes_nothing(run, damaged):
+    data = bytearray((run / 'run_0.mcap').read_bytes())
+    data[chunks(run / 'run_0.mcap')[0] + IN_CHUNK] ^= 0xff    # where the topics are described
+    data[data.rindex(b'/cloth/count') + 8] ^= 0x01
+    reader = damaged(data)
+    assert reader.topics == {}
+    assert 'the summary before its end is damaged' in reader.damage
+    assert any('are of topics whose description is lost' in text for text in reader.damage)
+    assert list(reader.messages()) == []
+
+
+def test_what_follows_the_end_is_no_part_of_the_log(run, damaged):
+    data = (run / 'run_0.mcap').read_bytes()
+    reader = damaged(data + b'something else')
+    assert reader.damage == ['14 bytes after its end are of no use']
+    assert reader.count == 121
+
+
+@pytest.mark.parametrize('tail', [bytes(5000), b'\x70' * 5000, b'\x06' + b'\xff' * 500])
+def test_a_log_cut_short_may_end_in_anything(run, damaged, tail):
+    """After a power cut a file may end in zeros."""
+    data = (run / 'run_0.mcap').read_bytes()
+    cut = chunks(run / 'run_0.mcap')[-1]
+    reader = damaged(data[:cut] + tail)
+    assert reader.damage == [
+        f'bytes {cut} to {cut + len(tail)} are of no use: no whole record', NO_END]
+    assert reader.count > 100
+
+
+def test_a_log_can_be_read_while_it_is_written(tmp_path):
+    with writer.LogWriter(tmp_path / 'run', scene='a: 1\n', settings={}) as log:
+        log.add_channel('/count', 'std_msgs/msg/UInt64', Qos())
+        log.write('/count', cdr_uint64(3), time_ns=START, frame=3)
+        log.flush()
+        reader = LogReader(tmp_path / 'run')
+        assert reader.damage == [NO_END]
+        assert [message.frame for message in reader.messages()] == [3]
+        assert reader.scene == 'a: 1\n'
+
+
+def test_a_log_without_messages_is_whole(tmp_path):
+    with writer.LogWriter(tmp_path / 'run', scene='', settings={}):
+        pass
+    reader = LogReader(tmp_path / 'run')
+    assert reader.whole
+    assert (reader.start_ns, reader.end_ns, reader.frames, reader.count) == (None, None, 0, 0)
+
+
+@pytest.mark.parametrize('options', [
+    {'compression': CompressionType.LZ4}, {'compression': CompressionType.NONE},
+    {'use_chunking': False}, {'repeat_channels': False, 'repeat_schemas': False},
+    {'use_summary_offsets': False, 'use_statistics': False}, {'enable_crcs': False}])
+def test_logs_of_other_writers_are_read(tmp_path, options):
+    path = tmp_path / 'other.mcap'
+    with open(path, 'wb') as file:
+        log = Writer(file, **options)
+        log.start('ros2', 'another')
+        schema = log.register_schema('std_msgs/msg/UInt64', 'ros2msg', b'uint64 data')
+        channel = log.register_channel('/count', 'cdr', schema)
+        for frame in range(20):
+            log.add_message(channel, START + frame, cdr_uint64(frame), START, frame)
+        log.finish()
+    reader = LogReader(path)
+    assert reader.damage == []
+    assert [message.data for message in reader.messages()] == [
+        cdr_uint64(frame) for frame in range(20)]
+    assert reader.topics['/count'].qos == DEFAULT
+    assert (reader.scene, reader.settings) == (None, {})
+
+
+def test_a_bag_of_rosbags_is_read(tmp_path):
+    store = get_typestore(Stores.ROS2_JAZZY)
+    latched = BagQos(QosHistory.KEEP_LAST, 3, QosReliability.BEST_EFFORT,
+                     QosDurability.TRANSIENT_LOCAL, QosTime(0, 0), QosTime(0, 0),
+                     QosLiveliness.AUTOMATIC, QosTime(0, 0), False)
+    with BagWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection('/count', 'std_msgs/msg/UInt64', typestore=store,
+                                        offered_qos_profiles=[latched])
+        bag.write(connection, START, cdr_uint64(8))
+    reader = LogReader(tmp_path / 'bag')
+    assert reader.damage == []
+    assert reader.topics['/count'].qos == Qos('best_effort', 'transient_local', 3)
+    assert [message.data for message in reader.messages()] == [cdr_uint64(8)]
+
+
+def profile(**changes) -> str:
+    keys = {'history': 'keep_last', 'depth': 5, 'reliability': 'reliable',
+            'durability': 'volatile', **changes}
+    return '\n'.join(f'{"- " if key == "history" else "  "}{key}: {value}'
+                     for key, value in keys.items())
+
+
+@pytest.mark.parametrize(('profiles', 'expected'), [
+    (Qos('best_effort', 'transient_local', 7).offered_profiles(),
+     Qos('best_effort', 'transient_local', 7)),
+    (profile(history=3, depth=0, reliability=1, durability=1),    # as Humble writes it
+     Qos('reliable', 'transient_local', 10)),
+    (profile(history='unknown', depth=0, reliability='best_effort'),
+     Qos('best_effort', 'volatile', 10)),
+    (f'{profile()}\n{profile(depth=9)}', Qos('reliable', 'volatile', 9)),
+    (f'{profile()}\n{profile(reliability="best_effort")}', DEFAULT),    # they do not agree
+    (profile(reliability='perhaps'), DEFAULT), (profile(depth=-1), DEFAULT),
+    (profile(depth='many'), DEFAULT), ('- history: 1', DEFAULT), ('nonsense', DEFAULT),
+    ('{', DEFAULT), ('', DEFAULT), ('7', DEFAULT)])
+def test_what_a_replay_offers(profiles, expected):
+    assert recorded_qos(profiles) == expected
+
+
+def test_what_is_no_log_is_said_in_one_line(tmp_path):
+    (tmp_path / 'empty.mcap').write_bytes(b'')
+    (tmp_path / 'begun.mcap').write_bytes(b'\x89MCAP')
+    (tmp_path / 'text.mcap').write_text('these are words\n')
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'two').mkdir()
+    for name in ('two_1.mcap', 'two_0.mcap'):
+        (tmp_path / 'two' / name).write_bytes(b'')
+    for name, said in {
+            'missing': 'no such file or folder', 'empty.mcap': 'is empty',
+            'begun.mcap': 'is empty', 'text.mcap': 'is not an MCAP file',
+            'folder': 'holds no .mcap file',
+            'two': 'holds several .mcap files; name one of two_0.mcap, two_1.mcap'}.items():
+        with pytest.raises(InputError) as caught:
+            LogReader(tmp_path / name)
+        assert str(caught.value) == f'{tmp_path / name}: {said}'
+
+
+def test_much_damage_is_not_listed_place_by_place(run, write_log, damaged):
+    path = write_log('long', frames=300) / 'long_0.mcap'
+    data, starts = bytearray(path.read_bytes()), chunks(path)
+    for start in starts:
+        data[start + IN_CHUNK] ^= 0xff
+    reader = damaged(data)
+    assert reader.count == 0
+    assert reader.damage[20:] == [f'{len(starts) - 20} more places are damaged',
+                                  '601 of 601 messages are lost']

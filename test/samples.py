@@ -1,0 +1,38 @@
+"""A small log with known content, and messages as CDR without the help of ROS."""
+
+from pathlib import Path
+import random
+import struct
+
+from xpbd_ros.log.qos import Qos
+from xpbd_ros.log.writer import LogWriter
+
+
+def sample_log(folder: Path, *, frames: int = 60, frame_ns: int = 16_666_667,
+               start_ns: int = 1_700_000_000_000_000_000, filling: int = 40) -> Path:
+    """Write a latched scene at frame 0, then a counter and a text in each frame."""
+    noise = random.Random(1)    # does not compress
+    with LogWriter(folder, scene='gravity: [0.0, 0.0, -9.8]\n', settings={'seed': '7'},
+                   flush_period=3600.0) as log:    # no chunk ends where the machine was slow
+        log.add_channel('/cloth/scene', 'std_msgs/msg/String',
+                        Qos(durability='transient_local', depth=1))
+        log.add_channel('/cloth/count', 'std_msgs/msg/UInt64', Qos(depth=100))
+        log.add_channel('/cloth/text', 'std_msgs/msg/String', Qos(depth=100))
+        log.write('/cloth/scene', cdr_string('the scene'), time_ns=start_ns, frame=0)
+        for frame in range(frames):
+            time_ns = start_ns + frame * frame_ns
+            log.write('/cloth/count', cdr_uint64(frame), time_ns=time_ns, frame=frame)
+            text = noise.randbytes(filling).hex()
+            log.write('/cloth/text', cdr_string(text), time_ns=time_ns, frame=frame)
+    return folder
+
+
+def cdr_uint64(value: int) -> bytes:
+    """Return a std_msgs/msg/UInt64."""
+    return struct.pack('<4sQ', b'\0\1\0\0', value)
+
+
+def cdr_string(text: str) -> bytes:
+    """Return a std_msgs/msg/String."""
+    data = text.encode() + b'\0'
+    return struct.pack('<4sI', b'\0\1\0\0', len(data)) + data

@@ -1,0 +1,187 @@
+"""The launch files: what they take, and what they start."""
+
+import ast
+from pathlib import Path
+import sys
+
+import pytest
+import yaml
+
+from xpbd_ros.share import share_folder
+
+try:
+    from launch import LaunchContext
+    from launch.actions import DeclareLaunchArgument
+    from launch.launch_description_sources import PythonLaunchDescriptionSource
+    from launch.substitutions import LocalSubstitution
+    from launch_ros.actions import LifecycleNode
+except ImportError as error:
+    missing = f'needs ROS 2 launch and launch_ros: {error}'
+else:
+    missing = ''
+
+needs_launch = pytest.mark.skipif(bool(missing), reason=missing)
+
+LAUNCH = share_folder() / 'launch'
+ARGUMENTS = {
+    'cloth': {'scene', 'params_file', 'namespace', 'use_sim_time', 'record', 'mode', 'log_level',
+              'rviz'},
+    'replay': {'run', 'rate', 'start_offset', 'clock', 'topics', 'remap', 'loop', 'start_paused',
+               'rviz'},
+}
+
+
+@pytest.fixture(autouse=True)
+def no_bytecode(monkeypatch):
+    """Leave no __pycache__ beside the launch files, which would be installed with them."""
+    monkeypatch.setattr(sys, 'dont_write_bytecode', True)
+
+
+def started(name: str, **given):
+    """Return what a launch file starts with these arguments, and the context to ask it in."""
+    context = LaunchContext()
+    context.launch_configurations.update(given)
+    source = PythonLaunchDescriptionSource(str(LAUNCH / f'{name}.launch.py'))
+    *arguments, function = source.get_launch_description(context).entities
+    for argument in arguments:
+        argument.execute(context)
+    return function.execute(context), context
+
+
+def command_line(node, context) -> list[str]:
+    """Return the words that a node is started with, after the path of its executable."""
+    node._perform_substitutions(context)
+    return [''.join('' if isinstance(part, LocalSubstitution) else part.perform(context)
+                    for part in word) for word in node.cmd[1:]]
+
+
+def parameters(node, context) -> dict:
+    """Return the parameters of a node, as the last file to name each has it."""
+    words = command_line(node, context)
+    merged = {}
+    for word, file in zip(words, words[1:]):
+        if word == '--params-file':
+            (values,) = yaml.safe_load(Path(file).read_text()).values()
+            merged.update(values['ros__parameters'])
+    return merged
+
+
+@pytest.mark.parametrize('name', ARGUMENTS)
+def test_declares_each_argument_with_a_description(name):
+    """``ros2 launch --show-args`` is how a user finds them; asked of the source, without ROS."""
+    calls = [node for node in ast.walk(ast.parse((LAUNCH / f'{name}.launch.py').read_text()))
+             if isinstance(node, ast.Call)
+             and getattr(node.func, 'id', '') == 'DeclareLaunchArgument']
+    assert {call.args[0].value for call in calls} == ARGUMENTS[name]
+    for call in calls:
+        assert 'description' in {keyword.arg for keyword in call.keywords}, call.args[0].value
+
+
+@needs_launch
+@pytest.mark.parametrize('name', ARGUMENTS)
+def test_loads_as_launch_loads_it(name):
+    source = PythonLaunchDescriptionSource(str(LAUNCH / f'{name}.launch.py'))
+    description = source.get_launch_description(LaunchContext())
+    arguments = description.get_launch_arguments()
+    assert {argument.name for argument in arguments} == ARGUMENTS[name]
+    assert all(isinstance(argument, DeclareLaunchArgument) and argument.description
+               for argument in arguments)
+    required = {argument.name for argument in arguments if argument.default_value is None}
+    assert required == ({'run'} if name == 'replay' else set())
+
+
+@needs_launch
+def test_starts_the_cloth_node_under_its_name():
+    (rviz, cloth), context = started('cloth')
+    assert isinstance(cloth, LifecycleNode)
+    assert (cloth.node_package, cloth.node_executable) == ('xpbd_ros', 'cloth_node')
+    command_line(cloth, context)
+    assert cloth.node_name == '/cloth'
+    assert not rviz.condition.evaluate(context)
+
+
+@needs_launch
+def test_an_empty_argument_leaves_the_parameter_file_alone(tmp_path):
+    """Else ``params_file:=mine.yaml`` could not set the scene, the mode or the recording."""
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('/**:\n  ros__parameters: {scene: towel, mode: fast, record: {path: /data}}\n')
+    (_, cloth), context = started('cloth', params_file=str(mine))
+    assert parameters(cloth, context) == {
+        'scene': 'towel', 'mode': 'fast', 'record': {'path': '/data'}, 'use_sim_time': False}
+
+
+@needs_launch
+def test_an_argument_given_wins_over_the_parameter_file():
+    (_, cloth), context = started('cloth', scene='1', mode='lockstep', record='/data/run',
+                                  use_sim_time='true', log_level='debug')
+    words = command_line(cloth, context)
+    assert words[words.index('--log-level') + 1] == 'debug'
+    values = parameters(cloth, context)
+    assert values['scene'] == '1'    # a name, although it reads like a number
+    assert values['mode'] == 'lockstep'
+    assert values['record.path'] == '/data/run'
+    assert values['use_sim_time'] is True
+    assert values['marker_rate'] == 15.0    # from the shipped file
+
+
+@needs_launch
+def test_a_namespace_moves_the_node_and_what_rviz_listens_to():
+    (rviz, cloth), context = started('cloth', namespace='left', rviz='true')
+    command_line(cloth, context)
+    assert cloth.node_name == '/left/cloth'
+    assert rviz.condition.evaluate(context)
+    assert '/cloth/particles:=/left/cloth/particles' in command_line(rviz, context)
+
+
+@needs_launch
+def test_refuses_a_parameter_file_that_is_not_there():
+    """Launch itself would warn, and start the node on its defaults."""
+    with pytest.raises(ValueError, match=r'params_file: no such file: nope\.yaml'):
+        started('cloth', params_file='nope.yaml')
+
+
+@needs_launch
+@pytest.mark.parametrize(('given', 'flags'), [
+    ({}, '--rate 1.0 --start-offset 0.0'),
+    ({'rate': '0.5', 'clock': '40', 'loop': 'true'},
+     '--rate 0.5 --start-offset 0.0 --clock 40 --loop'),
+    ({'topics': '/a /b', 'remap': '/a:=/c', 'start_paused': 'true'},
+     '--rate 1.0 --start-offset 0.0 --topics /a /b --remap /a:=/c --start-paused'),
+])
+def test_replay_passes_the_flags_of_ros2_bag_play(given, flags):
+    (_, replay), context = started('replay', run='/data/flag', **given)
+    words = [''.join(part.perform(context) for part in word) for word in replay.cmd[1:]]
+    assert words == ['replay', '/data/flag', *flags.split()]
+
+
+def test_the_launch_files_need_nothing_but_launch():
+    """They are installed away from the package, and a machine with rviz alone may read them."""
+    for file in LAUNCH.glob('*.launch.py'):
+        names = {node.module or '' for node in ast.walk(ast.parse(file.read_text()))
+                 if isinstance(node, ast.ImportFrom)}
+        assert not [name for name in names if name.startswith('xpbd_ros')], file
+
+
+def test_rviz_listens_to_the_topics_of_the_node():
+    view = yaml.safe_load((share_folder() / 'views' / 'cloth.rviz').read_text())
+    manager = view['Visualization Manager']
+    topics = {entry['Class']: entry['Topic']['Value']
+              for entry in manager['Displays'] + manager['Tools'] if 'Topic' in entry}
+    assert topics == {'rviz_default_plugins/PointCloud2': '/cloth/particles',
+                      'rviz_default_plugins/MarkerArray': '/cloth/markers',
+                      'rviz_default_plugins/PublishPoint': '/cloth/clicked_point'}
+    assert manager['Global Options']['Fixed Frame'] == 'world'
+
+
+def test_the_parameter_file_holds_the_defaults_of_the_node():
+    """Else ``ros2 run`` and ``ros2 launch`` would start two different nodes."""
+    pytest.importorskip('rcl_interfaces', reason='needs ROS: the table of parameters')
+    from xpbd_ros.ros.parameters import TABLE
+    (parts,) = yaml.safe_load((share_folder() / 'cloth_node.yaml').read_text()).values()
+    values = {}
+    for name, value in parts['ros__parameters'].items():
+        values |= ({f'{name}.{key}': below for key, below in value.items()}
+                   if isinstance(value, dict) else {name: value})
+    assert values == {row.name: row.default for row in TABLE} | {'use_sim_time': False}
+    for row in TABLE:    # a node refuses 15 where it declared 15.0
+        assert type(values[row.name]) is type(row.default), row.name

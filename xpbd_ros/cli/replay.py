@@ -1,0 +1,106 @@
+"""
+Publish a log again, with the flags of ros2 bag play.
+
+Each message leaves as it was recorded, when its time comes. The node's services ~/pause, ~/resume,
+~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) say what they did. A damaged log is played
+as far as it can be read.
+"""
+
+import argparse
+import difflib
+import functools
+import math
+from pathlib import Path
+import re
+import sys
+
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.reader import LogReader
+
+EXAMPLE = 'xpbd_ros replay drape_run --rate 0.5 --loop --clock'
+RULE = re.compile(r'[~/]?[A-Za-z_][\w/]*:=[~/]?[A-Za-z_][\w/]*')
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap in it')
+    parser.add_argument('-r', '--rate', type=positive, default=1.0,
+                        help='times faster than it was recorded')
+    parser.add_argument('-l', '--loop', action='store_true', help='start again at the end')
+    parser.add_argument('--start-offset', type=not_negative, default=0.0, metavar='S',
+                        help='seconds to skip; what was latched in them is published at once')
+    parser.add_argument('-p', '--start-paused', action='store_true',
+                        help='wait for ~/resume or ~/play_next')
+    parser.add_argument('--clock', type=positive, nargs='?', const=40.0, metavar='HZ',
+                        help='publish the time of the log on /clock (40 Hz if not given), instead '
+                             'of a recorded /clock')
+    parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='publish only these')
+    parser.add_argument('-m', '--remap', type=rule, nargs='+', default=[], metavar='FROM:=TO',
+                        help='publish a topic under another name')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Publish to the end of the log."""
+    need_ros('replay')
+    from xpbd_ros.ros.replay import replay
+
+    refuse_existing(arguments.json)
+    log = LogReader(arguments.run)
+    check(log, arguments)
+    say = functools.partial(print, flush=True) if arguments.json != '-' else lambda text: None
+    for text in log.damage:
+        print(f'xpbd_ros replay: damaged log: {text}', file=sys.stderr)
+    duration = (log.end_ns - log.start_ns) * 1e-9
+    say(f'{log.path}: {log.count} messages, {duration:.3f} s')
+    published, stopped = replay(
+        log, topics=arguments.topics, rate=arguments.rate, loop=arguments.loop,
+        start_offset=arguments.start_offset, paused=arguments.start_paused,
+        clock_hz=arguments.clock, remap=arguments.remap)
+    say(f'{"stopped" if stopped else "ended"} after {published.total()} messages')
+    write_json(arguments.json, {
+        'run': Path(arguments.run), 'whole': log.whole, 'damage': log.damage,
+        'messages': published.total(), 'topics': dict(published), 'stopped': stopped})
+    return 0
+
+
+def check(log: LogReader, arguments: argparse.Namespace) -> None:
+    """Raise InputError if there is nothing in the log to do what is asked for with."""
+    if log.start_ns is None:
+        raise InputError(f'{log.path}: holds no message that can be read')
+    for topic in arguments.topics or ():
+        if topic not in log.topics:
+            near = difflib.get_close_matches(topic, log.topics, 1)
+            meant = f'; did you mean {near[0]}?' if near else ''
+            raise InputError(f'{topic}: the log has no such topic{meant} (it has '
+                             f'{", ".join(sorted(log.topics))})')
+    duration = (log.end_ns - log.start_ns) * 1e-9
+    if arguments.start_offset > duration:
+        raise InputError(f'--start-offset: must be within the log, which is {duration:.3f} s long '
+                         f'(got {arguments.start_offset:g} s)')
+
+
+def positive(text: str) -> float:
+    """Return a number above 0."""
+    value = float(text)
+    if not 0.0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f'must be > 0 (got {text})')
+    return value
+
+
+def not_negative(text: str) -> float:
+    """Return a number from 0 on."""
+    value = float(text)
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f'must be >= 0 (got {text})')
+    return value
+
+
+def rule(text: str) -> str:
+    """Return a remapping that rcl accepts."""
+    if not RULE.fullmatch(text):
+        raise argparse.ArgumentTypeError('must be FROM:=TO, such as '
+                                         f'/cloth/particles:=/particles (got {text})')
+    return text

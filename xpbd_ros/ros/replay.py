@@ -1,0 +1,260 @@
+"""
+The node that publishes a log again.
+
+It does what ``ros2 bag play`` does: each message leaves as the bytes that were recorded, with the
+recorded quality of service, when its log time comes. One thread does it all, so a service answers
+between two messages and knows what it says.
+"""
+
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+import importlib
+import re
+import signal
+import time
+
+from builtin_interfaces.msg import Time
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rosgraph_msgs.msg import Clock as ClockMessage
+from std_srvs.srv import Trigger
+
+from xpbd_ros.log.playhead import Playhead
+from xpbd_ros.log.qos import Qos
+from xpbd_ros.log.reader import LogReader, Message
+
+NODE = 'xpbd_ros_replay'
+CLOCK = '/clock'
+TYPE = re.compile(r'(\w+)/msg/(\w+)')
+SERVE_PERIOD = 0.02    # s that a burst of messages keeps a service waiting at most
+STOP_PERIOD = 0.1      # s that a signal waits at most
+ACK_TIMEOUT = 2.0      # s at the end for subscribers that have not acknowledged all yet
+
+
+def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[Counter[str], bool]:
+    """
+    Publish a log until it ends, or SIGINT or SIGTERM does.
+
+    Parameters
+    ----------
+    log
+        What to publish.
+    remap
+        Rules FROM:=TO for topics and services.
+    options
+        Those of Replay.
+
+    Returns
+    -------
+    published : Counter
+        Messages by topic.
+    stopped : bool
+        Whether a signal ended it.
+
+    """
+    rules = [word for rule in remap for word in ('--remap', rule)]
+    with stop_flag() as stopped:
+        rclpy.init(args=['--ros-args', *rules], signal_handler_options=SignalHandlerOptions.NO)
+        try:
+            node = Replay(log, **options)
+            try:
+                node.run(stopped)
+            finally:
+                node.close()
+        finally:
+            rclpy.try_shutdown()
+        return node.published, stopped()
+
+
+@contextmanager
+def stop_flag() -> Iterator[Callable[[], bool]]:
+    """Turn SIGINT and SIGTERM into an answer to ask for, so that they break into nothing."""
+    received: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: received.append(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class Replay:
+    """
+    A log being published.
+
+    Parameters
+    ----------
+    log
+        What to publish.
+    topics
+        Those to publish, as recorded; all if None.
+    rate
+        Log time per wall time.
+    loop
+        Start again at the end.
+    start_offset
+        Log time to skip (s); the last messages of latched topics in it are published first.
+    paused
+        Wait for ~/resume or ~/play_next.
+    clock_hz
+        Publish /clock this often (Hz), in place of a recorded one.
+
+    """
+
+    def __init__(self, log: LogReader, *, topics: Collection[str] | None = None,
+                 rate: float = 1.0, loop: bool = False, start_offset: float = 0.0,
+                 paused: bool = False, clock_hz: float | None = None):
+        self.published: Counter[str] = Counter()
+        self._log = log
+        self._loop = loop
+        self._start_ns = (log.start_ns or 0) + round(start_offset * 1e9)
+        self._node = rclpy.create_node(NODE)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._publishers: dict[str, Publisher] = {}
+        for topic in log.topics:
+            if (topics is None or topic in topics) and not (clock_hz and topic == CLOCK):
+                self._add_publisher(topic)
+        for name, answer in (('pause', self._pause), ('resume', self._resume),
+                             ('toggle_paused', self._toggle), ('play_next', self._play_next)):
+            self._node.create_service(Trigger, f'~/{name}', answer)
+        self._playhead = Playhead(self._start_ns, rate=rate, paused=paused)
+        if clock_hz:
+            self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
+            self._node.create_timer(1.0 / clock_hz, self._publish_clock,
+                                    clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._rewind()
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Publish to the end of the log, or for as long as it loops, until told to stop."""
+        served = time.monotonic()
+        while not stopped():
+            if self._next is None and not self._playhead.paused:
+                if self._loop:
+                    self._rewind()
+                if self._next is None:
+                    break
+            wait = self._playhead.wait(self._next.time_ns) if self._next else STOP_PERIOD
+            if wait == 0.0:
+                self._publish_next()
+                if time.monotonic() - served < SERVE_PERIOD:
+                    continue
+            self._executor.spin_once(timeout_sec=min(wait, STOP_PERIOD))
+            served = time.monotonic()
+        if not stopped():
+            self._settle()
+
+    def close(self) -> None:
+        """Take the node down."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def _add_publisher(self, topic: str) -> None:
+        """Offer a topic as it was recorded; warn where its type is not known here."""
+        about = self._log.topics[topic]
+        try:
+            if about.encoding != 'cdr':
+                raise ValueError(f'its data is {about.encoding}, not cdr')
+            found = TYPE.fullmatch(about.type)
+            if not found:
+                raise ValueError('not the name of a message type')
+            message_type = getattr(importlib.import_module(f'{found[1]}.msg'), found[2])
+            self._publishers[topic] = self._node.create_publisher(
+                message_type, topic, profile(about.qos))
+        except (ImportError, AttributeError, ValueError, NameValidationException) as error:
+            self._node.get_logger().warning(
+                f'{topic}: left out, its {about.type or "data"} cannot be published here: {error}')
+
+    def _rewind(self) -> None:
+        """Go to the start, and publish what was latched before it."""
+        self._messages = self._log.messages(self._publishers.keys())
+        before: dict[str, deque[Message]] = {
+            topic: deque(maxlen=self._log.topics[topic].qos.depth) for topic in self._publishers
+            if self._log.topics[topic].qos.latched}
+        self._advance()
+        while self._next and self._next.time_ns < self._start_ns:
+            if self._next.topic in before:
+                before[self._next.topic].append(self._next)
+            self._advance()
+        for messages in before.values():
+            for message in messages:
+                self._publish(message)
+        self._playhead.jump(self._start_ns)
+
+    def _advance(self) -> None:
+        """Take the next message out of the log."""
+        self._next = next(self._messages, None)
+
+    def _publish(self, message: Message) -> None:
+        """Publish a message as it was recorded."""
+        self._publishers[message.topic].publish(message.data)
+        self.published[message.topic] += 1
+
+    def _publish_next(self) -> None:
+        """Publish the next message."""
+        self._publish(self._next)
+        self._advance()
+
+    def _publish_clock(self) -> None:
+        """Publish the log time."""
+        seconds, nanoseconds = divmod(self._playhead.time_ns, 10**9)
+        self._clock.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
+
+    def _settle(self) -> None:
+        """Wait until reliable subscribers have all that was published."""
+        deadline = time.monotonic() + ACK_TIMEOUT
+        for publisher in self._publishers.values():
+            left = max(0.0, deadline - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
+
+    def _pause(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Stand still."""
+        was = self._playhead.paused
+        self._playhead.pause()
+        return told(answer, True, f'{"was" if was else "is"} paused at {self._where()}')
+
+    def _resume(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Go on."""
+        was = self._playhead.paused
+        self._playhead.resume()
+        return told(answer, True, f'{"goes on" if was else "was playing"} at {self._where()}')
+
+    def _toggle(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Do one or the other."""
+        return (self._resume if self._playhead.paused else self._pause)(request, answer)
+
+    def _play_next(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Publish one message, while paused."""
+        if not self._playhead.paused:
+            return told(answer, False, 'is playing; pause first')
+        if self._next is None:
+            return told(answer, False, f'no message after {self._where()}: the end of the log')
+        message = self._next
+        self._playhead.jump(message.time_ns)
+        self._publish_next()
+        return told(answer, True, f'{message.topic}, frame {message.frame}, at {self._where()}')
+
+    def _where(self) -> str:
+        """Return the log time from the start of the log, as text."""
+        return f'{(self._playhead.time_ns - (self._log.start_ns or 0)) * 1e-9:.3f} s'
+
+
+def profile(qos: Qos) -> QoSProfile:
+    """Return the recorded quality of service in rclpy's terms."""
+    return QoSProfile(depth=qos.depth,
+                      reliability=ReliabilityPolicy[qos.reliability.upper()],
+                      durability=DurabilityPolicy[qos.durability.upper()])
+
+
+def told(answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
+    """Fill in an answer."""
+    answer.success, answer.message = success, message
+    return answer
