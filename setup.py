@@ -39,6 +39,7 @@ setup(
         'numpy>=1.26',
         'PyYAML>=6.0',
         'scipy>=1.11',
+        'tqdm>=4.66',
         'zstandard>=0.22',
     ],
     extras_require={
