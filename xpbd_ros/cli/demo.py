@@ -1,9 +1,9 @@
 """
 Start the node, drive it over DDS as a robot would, and show what happened.
 
-Three processes on a ROS domain of their own, on loopback: the node with a towel on a table; a robot
-that grasps two corners, lifts, holds, sweeps a ball through the towel, carries it over a stool and
-lets go; an onlooker that reads the clouds. The run is recorded, checked and drawn.
+Three processes on a ROS domain of their own, on loopback: the node with a towel on a table; a
+robot that grasps two corners, lifts, holds, sweeps a ball through the towel, carries it over a
+stool and lets go; an onlooker that reads the clouds. The run is recorded, checked and drawn.
 """
 
 from pathlib import Path
@@ -19,6 +19,7 @@ from xpbd_ros.errors import InputError
 EXAMPLE = 'xpbd_ros demo --output my_demo'
 SCENE = 'demo'
 COMPILE_SECONDS = 150.0
+END_SECONDS = 30.0
 PATIENCE = 20.0
 """how much slower than real time a machine may be"""
 
@@ -64,7 +65,9 @@ def play(folder: Path, duration: float, say) -> None:
     node_log = (folder / 'node.log').open('w')
 
     def start(*command: str, **streams) -> subprocess.Popen:
-        return subprocess.Popen([sys.executable, '-m', *command], env=environment, **streams)
+        processes.append(subprocess.Popen([sys.executable, '-m', *command], env=environment,
+                                          **streams))
+        return processes[-1]
 
     say(f"ROS domain {environment['ROS_DOMAIN_ID']}, loopback only; starting the node "
         '(compiling takes up to a minute the first time) …')
@@ -76,18 +79,27 @@ def play(folder: Path, duration: float, say) -> None:
         observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'))
         robot = start('xpbd_ros.demo.robot', str(duration), str(folder / 'robot.json'),
                       stdout=subprocess.PIPE, text=True)
-        processes = [node, observer, robot]
         follow(robot, node, folder, duration, say)
         for process in (observer, node):
             process.send_signal(signal.SIGINT)
-            if process.wait(30.0) != 0:
+            if ended(process) != 0:
                 raise InputError(f'{process.args[2]} ended with {process.returncode}; see '
                                  f'{folder / "node.log"}')
     finally:
         for process in processes:
-            if process.poll() is None:
-                process.kill()
+            process.terminate()
+        for process in processes:
+            ended(process)
         node_log.close()
+
+
+def ended(process: subprocess.Popen) -> int:
+    """Wait for the end of a process that was asked to, and make sure of it."""
+    try:
+        return process.wait(END_SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
 
 
 def follow(robot, node, folder: Path, duration: float, say) -> None:

@@ -1,4 +1,11 @@
-"""The node: the same program as ``ros2 run xpbd_ros cloth_node``; it takes --ros-args."""
+"""
+The node: the same program as ``ros2 run xpbd_ros cloth_node``; it takes --ros-args.
+
+What it simulates and how are parameters: ``ros2 param list /cloth`` names them while it runs, and
+share/xpbd_ros/cloth_node.yaml holds their defaults.
+"""
+
+import argparse
 
 from xpbd_ros.cli.ros import need_ros
 
@@ -6,7 +13,22 @@ EXAMPLE = 'xpbd_ros node --ros-args -p scene:=drape -p mode:=realtime'
 
 
 def main(argv: list[str]) -> int:
-    """Hand everything to the node."""
+    """Hand everything to the node, if it is all for ROS."""
+    parser = argparse.ArgumentParser(
+        prog='xpbd_ros node', usage='xpbd_ros node [-h] [--ros-args ...]',
+        description=__doc__.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=f'example:\n  {EXAMPLE}')
+    parser.parse_args(not_for_ros(argv))
     need_ros('node')
     from xpbd_ros.ros.cloth_node import main as node_main
     return node_main(argv)
+
+
+def not_for_ros(argv: list[str]) -> list[str]:
+    """Return what lies outside ``--ros-args ... --``."""
+    found, outside = [], True
+    for word in argv:
+        if outside and word != '--ros-args':
+            found.append(word)
+        outside = word == '--' if not outside else word != '--ros-args'
+    return found

@@ -1,8 +1,8 @@
 """
 Run a scene as fast as it can, without DDS, and write the same log as the node.
 
-The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log, at
-the frames that they acted on.
+The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log,
+at the frames that they acted on.
 """
 
 from pathlib import Path
@@ -15,6 +15,10 @@ from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
+
+
+LONGEST = 1e6
+"""[s]; stamps and disks end not far behind"""
 
 
 def add_arguments(parser):
@@ -48,6 +52,7 @@ def run(arguments) -> int:
         overrides['duration'] = arguments.duration
     refuse_existing(arguments.json)
     scene = load_scene(arguments.scene, overrides)
+    frames = count_frames(scene)
     commands = commands_by_frame(arguments.commands) if arguments.commands else {}
     simulation = compile_scene(scene)
     quiet = arguments.json == '-'
@@ -55,11 +60,10 @@ def run(arguments) -> int:
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
-    simulation.compile()
-    frames = round(scene.top.duration * simulation.frame_rate)
     step_ms, refused = [], 0
-    begin = time.perf_counter()
     try:
+        simulation.compile()
+        begin = time.perf_counter()
         for index in progress(range(1, frames + 1), 'frames'):
             start = time.perf_counter()
             frame = simulation.step(commands.get(index, ()))
@@ -71,7 +75,7 @@ def run(arguments) -> int:
     wall = time.perf_counter() - begin
     numbers = {
         'frames': frames,
-        'real_time_factor': frames * simulation.frame_dt / wall if frames else None,
+        'real_time_factor': frames * simulation.frame_dt / wall,
         'step_ms': {'p50': percentile(step_ms, 0.5), 'p95': percentile(step_ms, 0.95),
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
@@ -92,6 +96,15 @@ def run(arguments) -> int:
         if refused:
             print(f'refused  {refused} commands')
     return 0
+
+
+def count_frames(scene) -> int:
+    """Return how many frames the scene's duration is, or refuse it."""
+    duration, rate = scene.top.duration, scene.top.frame_rate
+    if duration * rate < 0.5 or duration > LONGEST:
+        raise InputError(f'{scene.where}: duration: must be from a frame ({1.0 / rate:.3g} s) to '
+                         f'{LONGEST:g} s (got {duration:g} s)')
+    return round(duration * rate)
 
 
 def parse_keys(pairs: list[str]) -> dict:

@@ -4,6 +4,7 @@ The onlooker of the demo: a program of its own that reads what the node publishe
 It keeps clouds, pin states and diagnostics until it is told to stop, then writes them to a file.
 """
 
+from contextlib import suppress
 import json
 import sys
 import time
@@ -52,10 +53,8 @@ def main() -> int:
     """Watch until SIGINT or SIGTERM: ``observer.py FILE.npz``."""
     rclpy.init()
     observer = Observer()
-    try:
+    with suppress(KeyboardInterrupt, ExternalShutdownException):
         rclpy.spin(observer)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
     np.savez(sys.argv[1], stamps=observer.stamps, heard=observer.heard, clouds=observer.clouds,
              pins=json.dumps(observer.pins), diagnostics=json.dumps(observer.diagnostics))
     rclpy.try_shutdown()

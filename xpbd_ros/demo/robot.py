@@ -59,8 +59,8 @@ class Robot(Node):
         if self.start is None or self.done:
             return
         phase, s = self.where((now - self.start) / self.duration)
-        if phase != self.phase:
-            self.enter(phase, now, cloud)
+        while self.phase != phase:    # each in turn, however few clouds came through
+            self.enter(self.after(self.phase), now, cloud)
         self.act(phase, s, cloud)
 
     @staticmethod
@@ -71,6 +71,12 @@ class Robot(Node):
                 return phase, share / length
             share -= length
         return 'end', 1.0
+
+    @staticmethod
+    def after(phase: str | None) -> str:
+        """Return the next phase; None comes before the first."""
+        order = [None, *PHASES, 'end']
+        return order[order.index(phase) + 1]
 
     def enter(self, phase: str, now: float, cloud: PointCloud2) -> None:
         """Begin a phase."""

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.batch import colour_order
+from xpbd_ros.sim.batch import colour_order, SOFTEST
 from xpbd_ros.sim.effect import Constraints, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import cross, dot, hinges, length
@@ -107,7 +107,8 @@ def build(parameters, world) -> Constraints:
         hinge = hinges(cloth.mesh.triangles)
         particles.append(hinge + cloth.first)
         weight.append(isometric_weights(cloth.mesh, hinge))
-        compliance.append(np.full(len(hinge), world.compliance_scale / chosen.stiffness))
+        alpha = min(world.compliance_scale / chosen.stiffness, SOFTEST)
+        compliance.append(np.full(len(hinge), alpha))
     particles = np.concatenate(particles)
     order, colours = colour_order(particles, len(world.state.x))
     data = Bend(np.ascontiguousarray(particles[order], np.int64),

@@ -7,9 +7,10 @@ iteration, a candidate that is too deep is pushed out along the normal n (Mülle
     Δd = max(-C, -d),   d += Δd,   x += n Δd        (d ≥ 0: the push so far, never a pull)
 
 r is the thickness. A particle that begins the substep already too deep (a collider teleported into
-the cloth) comes out at no more than DEPENETRATION, and that part of the push moves x_prev as well,
-so it never becomes velocity (pre-stabilisation, Macklin et al. 2014). Colliders move through the
-frame from pose to pose and carry the cloth along.
+the cloth) comes out at no more than DEPENETRATION, and what velocity that part of the push gave
+away from the surface is taken back at the substep's end (the aim of pre-stabilisation, Macklin et
+al. 2014; moving x_prev instead leaves a velocity where another collider pushes back). Colliders
+move through the frame from pose to pose and carry the cloth along.
 
 Limits: particles are tested, not triangles, and at the substep's end, so what is thinner than the
 spacing of particles, or faster than its own size per substep, can slip through.
@@ -25,12 +26,12 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim import colliders as shapes
 from xpbd_ros.sim.colliders import Colliders, pose_at, signed_distance, to_local
 from xpbd_ros.sim.commands import MoveCollider, Pose
-from xpbd_ros.sim.contacts import Contacts, new_contacts
+from xpbd_ros.sim.contacts import Contacts, new_contacts, surface_motion
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import from_z_axis, multiply, rotate
-from xpbd_ros.sim.stages import prepare, project, stage
+from xpbd_ros.sim.stages import finish, prepare, project, stage
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
@@ -217,11 +218,27 @@ def push_out(contact, state, substep):
         q = pose[1]
         n = rotate(q[0], q[1], q[2], q[3], nx, ny, nz)
         contacts.push[k] = before + push
-        still = min(contacts.overlap[k], contacts.push[k]) - min(contacts.overlap[k], before)
         for a in range(3):
             state.x[i, a] += n[a] * push
-            state.x_prev[i, a] += n[a] * still
             contacts.normal[k, a] = n[a]
+
+
+@stage(finish, Contact)
+@jit
+def calm(contact, state, substep):
+    """Take back the velocity that came from undoing an old overlap, down to the surface's own."""
+    contacts, h = contact.contacts, substep.h
+    for k in range(contacts.count[0]):
+        still = min(contacts.overlap[k], contacts.push[k])
+        if still == 0.0:
+            continue
+        v, n = state.v[contacts.particle[k]], contacts.normal[k]
+        ux, uy, uz = surface_motion(contacts, k, state, substep)
+        away = (v[0] - ux / h) * n[0] + (v[1] - uy / h) * n[1] + (v[2] - uz / h) * n[2]
+        excess = min(away, still / h)
+        if excess > 0.0:
+            for a in range(3):
+                v[a] -= excess * n[a]
 
 
 @dataclass(frozen=True)
@@ -259,8 +276,9 @@ class BuiltContact(Built):
         self.commands = {MoveCollider: self.move}
         self.motions: dict[str, Motion] = {}
 
-    def reset(self, state):
-        self.motions = {name: self._motion(entry) for name, entry in self.entries.items()}
+    def reset(self, state, now_ns):
+        self.motions = {name: self._motion(entry, now_ns * 1e-9)
+                        for name, entry in self.entries.items()}
         self.colliders.has_twist[:] = False
         for c, motion in enumerate(self.motions.values()):
             pose = (*motion.pose.position, *motion.pose.orientation)
@@ -272,11 +290,11 @@ class BuiltContact(Built):
             ours[:] = theirs
 
     @staticmethod
-    def _motion(entry: Entry) -> Motion:
-        keyframes = None if entry.motion is None else monotone_cubic(entry.motion)
-        pose = entry.pose
-        if keyframes is not None:
-            pose = Pose(keyframes(0.0), pose.orientation)
+    def _motion(entry: Entry, now: float) -> Motion:
+        keyframes, pose = None, entry.pose
+        if entry.motion is not None:
+            keyframes = monotone_cubic(entry.motion, now)
+            pose = Pose(keyframes(now), pose.orientation)
         lever = shapes.reach(SHAPES[entry.shape], shape_size(entry))
         return Motion(pose, entry.max_speed, keyframes=keyframes,
                       lever=lever if lever > 0.0 else 1.0)

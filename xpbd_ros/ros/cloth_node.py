@@ -5,16 +5,21 @@ It owns the parts and joins them; each part knows only what it needs. Callbacks 
 executor's thread and fill the inbox; the stepper's thread owns the simulation and the log.
 """
 
+from concurrent import futures
 from pathlib import Path
+import signal
 import sys
+import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 import rclpy
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
@@ -30,7 +35,7 @@ from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.stepper import Stepper
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.load import load_scene, settings_overrides
+from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Release, Reset, SetKey
@@ -41,7 +46,7 @@ EVERY = QoSProfile(depth=10)
 ANSWER_SECONDS = 10.0
 """how long a service waits for the frame in hand"""
 TOPIC_OF = {Grasp: 'pins', Release: 'pins', MovePin: 'pin_targets',
-            MoveCollider: 'collider_states'}
+            MoveCollider: 'collider_states', SetKey: 'parameters'}
 
 
 class ClothNode(LifecycleNode):
@@ -49,14 +54,20 @@ class ClothNode(LifecycleNode):
 
     def __init__(self):
         super().__init__('cloth')
-        for row in TABLE:
-            self.declare_parameter(row.name, row.default, descriptor(row))
         self._rows = {row.name: row for row in TABLE}
         self.simulation = None
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
+        self.failed = False
+        """whether the stepper's thread ended on an error"""
+        self._last_ns = 0
+        self._dropped_before = 0
+        self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
+        for row in TABLE:
+            self.declare_parameter(row.name, row.default, descriptor(row))
+        self._answer_every_transition()
 
     def value(self, name: str):
         """Return a parameter's value."""
@@ -64,17 +75,30 @@ class ClothNode(LifecycleNode):
 
     # lifecycle
 
+    def _answer_every_transition(self) -> None:
+        """Say no to a transition that the state does not have; rclpy would end the node."""
+        change = self._service_change_state.callback
+
+        def answer(request, response):
+            try:
+                return change(request, response)
+            except RuntimeError:    # rcl has said why
+                response.success = False
+                return response
+        self._service_change_state.callback = answer
+
     def on_configure(self, state):
         """Load and compile the scene, and open what it calls for."""
         try:
             self._configure()
-        except InputError as error:
+        except (InputError, ParameterException) as error:
             self.get_logger().error(str(error))
-            return TransitionCallbackReturn.FAILURE
         except Exception as error:
             self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
-            raise
-        return TransitionCallbackReturn.SUCCESS
+        else:
+            return TransitionCallbackReturn.SUCCESS
+        self._forget()
+        return TransitionCallbackReturn.FAILURE
 
     def _configure(self) -> None:
         log = self.get_logger()
@@ -86,6 +110,7 @@ class ClothNode(LifecycleNode):
         live = scene_parameters(scene, simulation.solver.substeps)
         changed = self._declare_live(live)
         simulation.check(changed)
+        self._publish_every = every(self.value('publish_rate'), simulation)
         log.info(f"scene '{scene.name}': {len(simulation.state.x)} particles, effects "
                  f'{", ".join(scene.effect_names)}; {simulation.solver.reason}')
         log.info('compiling for this scene; the first time takes some seconds')
@@ -106,25 +131,20 @@ class ClothNode(LifecycleNode):
         """Declare the scene's live keys; return those that a parameter file sets otherwise."""
         changed = {}
         for name, (value, about) in live.items():
-            if self.has_parameter(name):
-                self.undeclare_parameter(name)
-            given = self.declare_parameter(name, value, about).value
-            given = list(given) if isinstance(value, list) else given
+            given = as_plain(self.declare_parameter(name, value, about).value)
+            self._live.add(name)
             if given != value:
                 changed[name] = given
-        self._live = set(live)
         return changed
 
     def _room(self) -> int:
-        """Return how many pins or colliders one message may name."""
-        scene = self.scene
-        return max([1, *(getattr(scene.effects[name], f'max_{name}s', 0)
-                         for name in scene.effects if name in ('pin', 'contact')),
-                    getattr(scene.effects.get('contact'), 'max_colliders', 0)])
+        """Return how many entries make sense in a message: wipe all, release all, add all."""
+        effects = self.scene.effects
+        return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
+                           getattr(effects.get('contact'), 'max_colliders', 0))
 
     def _open_topics(self) -> None:
         overridable = QoSOverridingOptions.with_default_policies()
-        self._outlets = {}
         for output in self.outputs.topics.values():
             if output.log_only:
                 continue
@@ -137,7 +157,6 @@ class ClothNode(LifecycleNode):
             DiagnosticArray, '/diagnostics', 10)
         if self.value('publish_clock'):
             self._outlets['/clock'] = self.create_lifecycle_publisher(Clock, '/clock', 10)
-        self._inlets = []
         if 'pin' in self.simulation.effects:
             self._listen('pins', EVERY)
             self._listen('pin_targets', LATEST)
@@ -158,38 +177,57 @@ class ClothNode(LifecycleNode):
         if kind is None:
             kind, read = READERS[topic]
         name, frame_id = self.resolve_topic_name(f'~/{topic}'), self.scene.top.frame_id
-        self._inlets.append(self.create_subscription(
-            kind, f'~/{topic}',
-            lambda raw: self.inbox.take(name, raw, kind, lambda m: read(m, frame_id)),
-            qos, raw=True))
+
+        def take(raw):
+            if self.stepper is None:
+                self.inbox.refuse(name, 'the node is not active')
+            else:
+                self.inbox.take(name, raw, kind, lambda m: read(m, frame_id))
+        self._inlets.append(self.create_subscription(kind, f'~/{topic}', take, qos, raw=True))
 
     def on_activate(self, state):
         """Publish the start, open the log if one was asked for, and let time run."""
         result = super().on_activate(state)
-        self._epoch_ns = self.get_clock().now().nanoseconds
-        self._epoch_ns -= self.simulation.time_ns(self.simulation.index)
+        clock = self.get_clock()
+        # a node that is the source of /clock cannot wait for it
+        follows = self.value('use_sim_time') and not self.value('publish_clock')
+        self._begun = False
         self._next_markers = self._next_diagnostics = 0.0
-        self._frames_per_publish()
-        if self.value('record.path'):
+        self._dropped_before = 0
+        self._set_epoch()
+        if follows and not clock.now().nanoseconds:
+            self.get_logger().info('use_sim_time: waiting for /clock')
+        else:
             try:
-                self._start_recording(Path(self.value('record.path')))
+                self._begin()
             except InputError as error:
                 self.get_logger().error(str(error))
+                super().on_deactivate(state)
                 return TransitionCallbackReturn.FAILURE
+        self.stepper = Stepper(
+            self._step, self._idle, self._failed,
+            now_ns=(lambda: clock.now().nanoseconds) if follows else time.monotonic_ns,
+            frame_ns=self.simulation.time_ns, mode=self.value('mode'),
+            poll=0.002 if follows else 0.2)
+        self.stepper.start()
+        self.get_logger().info(f'running, mode {self.value("mode")}')
+        return result
+
+    def _set_epoch(self) -> None:
+        """Let simulation time go on from now, and never back: whoever listens may depend on it."""
+        now = max(self.get_clock().now().nanoseconds, self._last_ns + 1)
+        self._epoch_ns = now - self.simulation.time_ns(self.simulation.index)
+
+    def _begin(self) -> None:
+        """Open the log and publish the start, once there is a time to stamp them with."""
+        self._set_epoch()
+        if self.value('record.path'):
+            self._start_recording(Path(self.value('record.path')))
         for topic, data in self.outputs.start().items():
             self._outlets[topic].publish(data)
         frame = self.simulation.frame()
         self._publish(self.outputs.frame(frame, self._stamp_ns(frame)))
-        use_sim_time = self.value('use_sim_time')
-        clock = self.get_clock()
-        self.stepper = Stepper(
-            self._step, self._idle, self._failed,
-            now_ns=(lambda: clock.now().nanoseconds) if use_sim_time else time.monotonic_ns,
-            frame_ns=self.simulation.time_ns, mode=self.value('mode'),
-            poll=0.002 if use_sim_time else 0.2)
-        self.stepper.start()
-        self.get_logger().info(f'running, mode {self.value("mode")}')
-        return result
+        self._begun = True
 
     def on_deactivate(self, state):
         """Stop time and close the log."""
@@ -198,16 +236,21 @@ class ClothNode(LifecycleNode):
 
     def on_cleanup(self, state):
         """Forget the scene."""
+        self._forget()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _forget(self) -> None:
+        """Take back what configuring made, as far as it got."""
         for publisher in self._outlets.values():
-            self.destroy_publisher(publisher)
+            self.destroy_lifecycle_publisher(publisher)
         for subscription in self._inlets:
             self.destroy_subscription(subscription)
         for service in self._offers:
             self.destroy_service(service)
+        self.simulation = None
         for name in self._live:
             self.undeclare_parameter(name)
-        self.simulation = None
-        return super().on_cleanup(state)
+        self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
 
     def on_shutdown(self, state):
         """Stop time and close the log."""
@@ -219,6 +262,7 @@ class ClothNode(LifecycleNode):
         if self.stepper is not None:
             self.stepper.stop()
             self.stepper = None
+            self._last_ns = self._epoch_ns + self.simulation.time_ns(self.simulation.index)
         self._stop_recording()
 
     # the stepper's thread
@@ -227,6 +271,8 @@ class ClothNode(LifecycleNode):
         return self._epoch_ns + frame.time_ns
 
     def _step(self) -> None:
+        if not self._begun:
+            self._begin()
         begin = time.perf_counter()
         frame = self.simulation.step(self.inbox.drain())
         now = time.perf_counter()
@@ -234,10 +280,11 @@ class ClothNode(LifecycleNode):
         for command, reason in frame.refused:
             topic = TOPIC_OF.get(type(command), type(command).__name__)
             self.inbox.refuse(self.resolve_topic_name(f'~/{topic}'), reason)
-        if any(isinstance(command, SetKey) for command in frame.applied):
-            self.get_logger().info(f'now: {self.simulation.solver.reason}')
         due = frame.index % self._publish_every == 0
         encoded = self.outputs.frame(frame, self._stamp_ns(frame)) if due else {}
+        keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
+        if keys:
+            encoded['scene'] = self._changed(keys)
         if '/clock' in self._outlets:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(self._stamp_ns(frame), 10**9)
@@ -250,6 +297,16 @@ class ClothNode(LifecycleNode):
                 self.get_logger().error(f'recording stopped: {error}')
                 self._stop_recording()
         self._look_after(frame)
+
+    def _changed(self, keys: dict) -> bytes:
+        """Return the scene as it runs from now on, and show what ``auto`` made of it."""
+        solver = self.simulation.solver
+        self.scene = scene_from_mapping(self.scene.raw, where=self.scene.where,
+                                        name=self.scene.name, overrides=keys)
+        if self.value('solver.substeps') != solver.substeps:
+            self.set_parameters([Parameter('solver.substeps', value=solver.substeps)])
+        self.get_logger().info(f'now: {solver.reason}')
+        return self.outputs.scene(scene_text(self.scene, solver))
 
     def _idle(self) -> None:
         if self.recorder is not None:
@@ -304,11 +361,13 @@ class ClothNode(LifecycleNode):
         return diagnostics.message(self.get_fully_qualified_name().lstrip('/'), level, summary,
                                    values, self._epoch_ns + simulation.time_ns(simulation.index))
 
-    _dropped_before = 0
-
     def _failed(self, error: Exception) -> None:
+        """End the node: one that looks alive and does not step helps nobody."""
         if rclpy.ok():
+            self.failed = True
             self.get_logger().fatal(f'stopped stepping: {type(error).__name__}: {error}')
+            self._stop_recording()
+            rclpy.try_shutdown()
 
     # recording
 
@@ -344,12 +403,14 @@ class ClothNode(LifecycleNode):
         if self.stepper is None:
             response.success, response.message = False, 'the node is not active'
             return response
+        future = self.stepper.ask(action)
         try:
-            done = self.stepper.ask(action).result(ANSWER_SECONDS)
+            done = future.result(ANSWER_SECONDS)
             response.success, response.message = True, message.format(done)
-        except TimeoutError:
+        except futures.TimeoutError:
             response.success = False
-            response.message = f'not done yet after {ANSWER_SECONDS:g} s'
+            response.message = f'not done after {ANSWER_SECONDS:g} s' + (
+                ', and given up' if future.cancel() else '; it may still happen')
         except Exception as error:
             response.success, response.message = False, str(error)
         return response
@@ -418,7 +479,7 @@ class ClothNode(LifecycleNode):
                                    'up first')
                 if row.name == 'publish_rate' and self.simulation is not None:
                     try:
-                        self._every(value)
+                        every(value, self.simulation)
                     except InputError as error:
                         return refusal(str(error))
             elif self.simulation is not None and parameter.name in self._live:
@@ -432,34 +493,27 @@ class ClothNode(LifecycleNode):
 
     def _apply_parameters(self, parameters):
         """Hand live keys to the next frame."""
-        if self.simulation is None:
-            return
+        if self.simulation is None or threading.current_thread() is self.stepper:
+            return    # the stepper only tells what holds already
         keys = [SetKey(p.name, as_plain(p.value)) for p in parameters if p.name in self._live]
         if keys:
             self.inbox.put('parameters', keys)
         for parameter in parameters:
             if parameter.name == 'mode' and self.stepper is not None:
-                self.stepper.mode = parameter.value
-                self.stepper.ask(self.stepper.resume)
+                self.stepper.switch(parameter.value)
             elif parameter.name == 'publish_rate':
-                self._publish_every = self._every(parameter.value)
+                self._publish_every = every(parameter.value, self.simulation)
 
-    def _every(self, rate: float) -> int:
-        """Return after how many frames one is published."""
-        if rate == 0.0:
-            return 1
-        every = float(self.simulation.frame_rate) / rate
-        if abs(every - round(every)) > 1e-6 or round(every) < 1:
-            raise InputError(f'publish_rate: must divide the frame rate of '
-                             f'{float(self.simulation.frame_rate):g} Hz (got {rate:g} Hz)')
-        return round(every)
 
-    def _frames_per_publish(self) -> None:
-        try:
-            self._publish_every = self._every(self.value('publish_rate'))
-        except InputError as error:
-            self.get_logger().warning(f'{error}; publishing every frame')
-            self._publish_every = 1
+def every(rate: float, simulation) -> int:
+    """Return how many frames there are to one that is published, at ``publish_rate`` [Hz]."""
+    if rate == 0.0:
+        return 1
+    count = float(simulation.frame_rate) / rate
+    if abs(count - round(count)) > 1e-6 or round(count) < 1:
+        raise InputError(f'publish_rate: must divide the frame rate of '
+                         f'{float(simulation.frame_rate):g} Hz (got {rate:g} Hz)')
+    return round(count)
 
 
 def refusal(reason: str) -> SetParametersResult:
@@ -472,11 +526,20 @@ def as_plain(value):
     return value if isinstance(value, bool | int | float | str) else list(value)
 
 
+def leave(number, frame):
+    """Take SIGTERM like SIGINT, and the first of both only: the log has to be finished."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, lambda *_: None)
+    raise KeyboardInterrupt
+
+
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop: 0, or 2 where it cannot start."""
-    rclpy.init(args=args)
+    """Run the node until it is told to stop: 0; 1 where it broke, 2 where it cannot start."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, leave)    # rclpy calls these after its own
     node = None
     try:
+        rclpy.init(args=args)
         node = ClothNode()
         if node.value('autostart'):
             good = TransitionCallbackReturn.SUCCESS
@@ -485,12 +548,20 @@ def main(args: list[str] | None = None) -> int:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except ParameterException as error:
+        print(f'cloth_node: {error}', file=sys.stderr)
+        return 2
+    except RuntimeError as error:
+        if node is not None:
+            raise
+        print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
+        return 2
     finally:
         if node is not None:
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return 1 if node is not None and node.failed else 0
 
 
 if __name__ == '__main__':

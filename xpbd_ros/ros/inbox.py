@@ -1,8 +1,8 @@
 """
 What came in since the last frame: checked at the door, latest per name, drained between frames.
 
-Callbacks fill it from the executor's thread and the simulation's thread empties it. What is refused
-is counted and said at most once a second, and nothing else happens.
+Callbacks fill it from the executor's thread and the simulation's thread empties it. What is
+refused is counted and said at most once a second, and nothing else happens.
 """
 
 from collections import Counter
@@ -10,14 +10,12 @@ from collections.abc import Callable
 import threading
 import time
 
-from rclpy.serialization import deserialize_message
-
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros.inputs import count_in
+from xpbd_ros.ros.inputs import count_in, unpacked
 from xpbd_ros.sim.commands import Command, MoveCollider, MovePin
 
 ROOM = 4096
-"""commands that may wait for the next frame"""
+"""commands from messages that may wait for the next frame"""
 WARN_PERIOD = 1.0
 """[s]"""
 
@@ -49,23 +47,20 @@ class Inbox:
                 kind, 'joint_names') else 0
             if count > self.max_names:
                 raise InputError(f'{count} entries, and there is room for {self.max_names}')
-            try:
-                message = deserialize_message(raw, kind)
-            except Exception as error:
-                raise InputError(f'cannot be unpacked ({error})') from error
-            self.put(topic, read(message))
+            commands = read(unpacked(raw, kind))
+            if len(self._waiting) + len(commands) > ROOM:
+                raise InputError(f'more than {ROOM} commands wait for the next frame')
+            self.put(topic, commands)
         except InputError as error:
             self.refuse(topic, str(error))
 
     def put(self, topic: str, commands: list[Command]) -> None:
         """Keep commands for the next frame."""
         with self._lock:
-            if len(self._waiting) + len(commands) > ROOM:
-                raise InputError(f'more than {ROOM} commands wait for the next frame')
             for command in commands:
                 self._keep(command)
-        self.accepted[topic] += 1
-        self.arrived[topic] = time.monotonic()
+            self.accepted[topic] += 1
+            self.arrived[topic] = time.monotonic()
 
     def _keep(self, command: Command) -> None:
         """Let a new target take the place of one that nobody has seen yet."""
@@ -87,14 +82,15 @@ class Inbox:
 
     def refuse(self, topic: str, reason: str) -> None:
         """Count a refusal and say so, at most once a second for each topic."""
-        self.refused[topic] += 1
         now = time.monotonic()
-        last, silent = self._warned.get(topic, (-WARN_PERIOD, 0))
-        if now - last < WARN_PERIOD:
-            self._warned[topic] = (last, silent + 1)
-            return
-        more = f' ({silent} more like it)' if silent else ''
-        self._warned[topic] = (now, 0)
+        with self._lock:
+            self.refused[topic] += 1
+            last, silent = self._warned.get(topic, (-WARN_PERIOD, 0))
+            if now - last < WARN_PERIOD:
+                self._warned[topic] = (last, silent + 1)
+                return
+            self._warned[topic] = (now, 0)
+        more = f' ({silent} more refused since)' if silent else ''
         self._warn(f'{topic}: refused: {reason}{more}')
 
 

@@ -12,6 +12,7 @@ import struct
 from geometry_msgs.msg import Point, Transform, Twist as TwistMessage, Vector3
 from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.parameter import Parameter as RclpyParameter, parameter_value_to_python
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import UInt64
 from visualization_msgs.msg import Marker, MarkerArray
@@ -33,7 +34,9 @@ from xpbd_ros.sim.commands import (
 )
 
 FAR = 1e6
-"""nothing sensible is further away than this [m]"""
+"""nothing sensible is further away, or faster [m, m/s, rad/s]"""
+SECOND = 10**9
+"""[ns]"""
 
 
 def pose(position, orientation, what: str) -> Pose:
@@ -58,6 +61,8 @@ def twist(message, what: str) -> Twist:
     angular = (message.angular.x, message.angular.y, message.angular.z)
     if not all(map(isfinite, linear + angular)):
         raise InputError(f'{what}: twist is not finite')
+    if max(map(abs, linear + angular)) > FAR:
+        raise InputError(f'{what}: twist {list(linear)}, {list(angular)} is faster than {FAR:g}')
     return Twist(linear, angular)
 
 
@@ -66,7 +71,14 @@ def check_frame(header, frame_id: str, what: str) -> int:
     if header.frame_id not in ('', frame_id):
         raise InputError(f"{what}: TF frame '{header.frame_id}' is not the scene's "
                          f"'{frame_id}'; transform it first")
-    return header.stamp.sec * 10**9 + header.stamp.nanosec
+    return nanoseconds(header.stamp, f'{what}: stamp')
+
+
+def nanoseconds(time, what: str) -> int:
+    """Return a time or a duration as one number; refuse what would not come back as it is."""
+    if time.sec < 0 or time.nanosec >= SECOND:
+        raise InputError(f'{what}: {time.sec} s and {time.nanosec} ns make no sense')
+    return time.sec * SECOND + time.nanosec
 
 
 def check_name(name: str, what: str) -> str:
@@ -90,13 +102,13 @@ def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
         if marker.action == Marker.DELETE:
             commands.append(Release(name))
         elif marker.action == Marker.ADD:
-            if not (isfinite(marker.scale.x) and marker.scale.x > 0.0):
+            radius = 0.5 * marker.scale.x
+            if not (isfinite(radius) and radius > 0.0):
                 raise InputError(f'{what}: scale.x is twice the grasp radius and must be > 0 m '
                                  f'(got {marker.scale.x})')
             commands.append(Grasp(
-                name, pose(marker.pose.position, marker.pose.orientation, what),
-                0.5 * marker.scale.x,
-                marker.lifetime.sec * 10**9 + marker.lifetime.nanosec))
+                name, pose(marker.pose.position, marker.pose.orientation, what), radius,
+                nanoseconds(marker.lifetime, f'{what}: lifetime')))
         else:
             raise InputError(f'{what}: unknown action {marker.action}')
     return commands
@@ -130,6 +142,14 @@ def read_events(message: ParameterEvent) -> list[Command]:
     """Read the log's ``/parameter_events``: live keys that changed."""
     return [SetKey(p.name, parameter_value_to_python(p.value))
             for p in message.changed_parameters]
+
+
+def unpacked(raw: bytes, kind: type):
+    """Return a serialized message as one of a type, or refuse bytes that are none."""
+    try:
+        return deserialize_message(raw, kind)
+    except Exception as error:
+        raise InputError(f'cannot be unpacked ({error})') from error
 
 
 def count_in(raw: bytes, kind: type) -> int:
@@ -207,7 +227,7 @@ def _marker(command, frame_id: str, time_ns: int) -> Marker:
         size = 2.0 * command.radius
         marker.scale = Vector3(x=size, y=size, z=size)
         marker.color.a = 1.0
-        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, 10**9)
+        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, SECOND)
     return marker
 
 

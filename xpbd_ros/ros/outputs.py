@@ -66,11 +66,16 @@ class Outputs:
     def start(self) -> dict[str, bytes]:
         """Return the latched messages: the scene, and each cloth's mesh at the start."""
         x = self.simulation.state.x
-        found = {'scene': serialize_message(messages.text(self.scene_text))}
+        found = {'scene': self.scene(self.scene_text)}
         for topic, cloud in self._clouds.items():
             mesh = messages.mesh_message(cloud.cloth, x)
             found[topic.replace('particles', 'mesh')] = serialize_message(mesh)
         return found
+
+    def scene(self, text: str) -> bytes:
+        """Return the scene as it runs from now on."""
+        self.scene_text = text
+        return serialize_message(messages.text(text))
 
     def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
         """Return the state whole, in float64, from which a run can go on."""

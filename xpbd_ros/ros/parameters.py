@@ -21,7 +21,7 @@ class Row:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    """may change while the node is active; else only before it is configured"""
+    """may change at any time; else only before the node is configured"""
 
 
 TABLE = (
@@ -36,11 +36,11 @@ TABLE = (
     Row('marker_rate', 15.0, 'of ~/markers in Hz of wall time, while someone listens; 0: never',
         minimum=0.0, maximum=1000.0, live=True),
     Row('record.path', '', "folder to record to from activation on; '' records only on ~/record, "
-        'into a fresh folder'),
+        'into a fresh folder', live=True),
     Row('record.flush_period', 1.0, 'at most this much of a log is lost in a crash, in s',
-        minimum=0.01, maximum=3600.0),
+        minimum=0.01, maximum=3600.0, live=True),
     Row('record.checkpoint_period', 10.0, 'the whole state is logged this often, in s of '
-        'simulation time', minimum=0.01, maximum=1e6),
+        'simulation time', minimum=0.01, maximum=1e6, live=True),
     Row('publish_clock', False, 'publish simulation time on /clock'),
     Row('max_message_bytes', 4 * 2**20, 'larger array messages are refused unread',
         minimum=1024, maximum=2**30),

@@ -1,12 +1,10 @@
 """The inputs of a log as commands again, by the frame that they acted on."""
 
-from rclpy.serialization import deserialize_message
-import yaml
-
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
-from xpbd_ros.ros.inputs import READERS
+from xpbd_ros.ros.inputs import READERS, unpacked
 from xpbd_ros.ros.recorder import type_name
+from xpbd_ros.scene.load import parse_yaml
 from xpbd_ros.sim.commands import Command
 
 
@@ -20,8 +18,10 @@ def commands_by_frame(run: str) -> dict[int, list[Command]]:
 
     """
     reader = LogReader(run)
-    scene = yaml.safe_load(reader.scene or '') or {}
-    frame_id = scene.get('frame_id', 'world')
+    if reader.scene is None:
+        raise InputError(f'{reader.path}: is not a log of xpbd_ros: it holds no scene')
+    scene = parse_yaml(reader.scene, f'{reader.path}: scene')
+    frame_id = scene.get('frame_id', 'world') if isinstance(scene, dict) else 'world'
     inputs = {}
     for topic, about in reader.topics.items():
         kind, read = READERS.get(topic.rsplit('/', 1)[-1], (None, None))
@@ -31,7 +31,7 @@ def commands_by_frame(run: str) -> dict[int, list[Command]]:
     for message in reader.messages(inputs):
         kind, read = inputs[message.topic]
         try:
-            commands = read(deserialize_message(message.data, kind), frame_id)
+            commands = read(unpacked(message.data, kind), frame_id)
         except InputError as error:
             raise InputError(f'{run}: {message.topic}, frame {message.frame}: '
                              f'{error}') from error

@@ -14,6 +14,7 @@ IDLE = 0.2
 """the longest nap, so that something waiting for wall time is looked after [s]"""
 LATE_FRAMES = 3
 """frames behind the clock before frames are dropped"""
+STOPPED = 'the simulation has stopped'
 
 
 class Stepper(threading.Thread):
@@ -57,7 +58,7 @@ class Stepper(threading.Thread):
         future: Future = Future()
         with self._wake:
             if self._stopping:
-                future.set_exception(RuntimeError('the simulation has stopped'))
+                future.set_exception(RuntimeError(STOPPED))
             else:
                 self._asked.append((action, future))
                 self._wake.notify()
@@ -65,13 +66,16 @@ class Stepper(threading.Thread):
 
     def stop(self) -> None:
         """End after the frame in hand, and wait for that."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
+        self._refuse_more()
         if self.is_alive() and threading.current_thread() is not self:
             self.join()
-        for _, future in self._asked:
-            future.cancel()
+
+    def switch(self, mode: str) -> Future:
+        """Go on in another mode, from the next frame."""
+        def switch():
+            self.mode = mode
+            self.resume()
+        return self.ask(switch)
 
     def resume(self) -> None:
         """Count time from now on, so that a pause is not made up for."""
@@ -93,12 +97,27 @@ class Stepper(threading.Thread):
                         if not self._asked and not self._stopping:
                             self._wake.wait(min(wait, self._poll))
         except Exception as error:
-            self._stopping = True
+            self._refuse_more()
             self._failed(error)
 
+    def _refuse_more(self) -> None:
+        """Do nothing more, and leave nobody waiting for what will not happen."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+            for _, future in self._asked:
+                if future.set_running_or_notify_cancel():
+                    future.set_exception(RuntimeError(STOPPED))
+            self._asked.clear()
+
     def _answer(self) -> None:
-        while self._asked:
-            action, future = self._asked.popleft()
+        while True:
+            with self._wake:
+                if not self._asked:
+                    return
+                action, future = self._asked.popleft()
+            if not future.set_running_or_notify_cancel():
+                continue    # whoever asked has given up
             try:
                 future.set_result(action())
             except Exception as error:
@@ -110,6 +129,8 @@ class Stepper(threading.Thread):
             return float('inf')
         if self.mode == 'fast':
             return 0.0
+        if self._start_ns == 0:
+            self.resume()    # the clock has not begun, or does so now
         now = self._now_ns() - self._start_ns
         if now < self._frame_ns(self._count) - self._frame_ns(1):
             self.resume()    # the clock was set back

@@ -35,9 +35,13 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
             ratio = max(ratio, float((extra / alpha).max()) if (alpha > 0.0).all()
                         else float('inf'))
     affordable = max(1, int(keys.budget_ms * 1e6 / cost))
-    wanted = ceil(sqrt(ratio / SOFTNESS)) if ratio < 1e12 else affordable
+    rigid = ratio > 1e12
+    wanted = affordable if rigid else ceil(sqrt(ratio / SOFTNESS))
     substeps = max(min(wanted, affordable), min(4, affordable))
-    if wanted <= affordable:
+    if rigid:
+        reason = (f'{substeps} substeps fill the budget of {keys.budget_ms:g} ms; no number of '
+                  'them makes an edge rigid')
+    elif wanted <= affordable:
         reason = (f'{substeps} substeps keep the added softness within {SOFTNESS:.0%}; about '
                   f'{substeps * cost * 1e-6:.1f} ms per frame')
     else:

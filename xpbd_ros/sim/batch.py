@@ -4,6 +4,9 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 
+SOFTEST = 1e300
+"""largest compliance of a constraint: finite, so that times no force it is nothing"""
+
 
 def colour_order(particles: np.ndarray, particle_count: int) -> tuple[np.ndarray, np.ndarray]:
     """

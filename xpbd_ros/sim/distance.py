@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.batch import colour_order
+from xpbd_ros.sim.batch import colour_order, SOFTEST
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import length
 
@@ -42,8 +42,9 @@ def distance_batch(particles, rest_length, compliance, particle_count: int, *,
     """Sort edges by colour and give each its multiplier."""
     particles = np.asarray(particles, np.int64).reshape(-1, 2)
     order, colours = colour_order(particles, particle_count)
+    compliance = np.minimum(np.asarray(compliance, float), SOFTEST)
     return Distance(np.ascontiguousarray(particles[order]), np.asarray(rest_length, float)[order],
-                    np.asarray(compliance, float)[order], np.zeros(len(order)),
+                    compliance[order], np.zeros(len(order)),
                     np.zeros(len(order) + 1 if pins else 1, np.int64), colours)
 
 

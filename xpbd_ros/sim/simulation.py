@@ -31,7 +31,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Frame:
-    """What the world sees after one frame; the arrays are read-only views, valid until the next."""
+    """What the world sees after one frame: arrays are read-only views, valid until the next."""
 
     index: int
     """0 is the start"""
@@ -76,7 +76,7 @@ class Simulation:
         self._step = step.compiled(tuple(effects))
         self._tuple = ()
         for built in effects.values():
-            built.reset(state)
+            built.reset(state, 0)
         self._collect()
 
     @property
@@ -155,7 +155,7 @@ class Simulation:
         self.state.v[:] = 0.0
         self.state.inv_mass[:] = 1.0 / self.state.mass
         for built in self.effects.values():
-            built.reset(self.state)
+            built.reset(self.state, self.time_ns(self.index))
 
     def _set(self, command: SetKey) -> str | None:
         if self._retune is None:

@@ -1,0 +1,136 @@
+// Isometric bending on a regular grid with alternating diagonals: each hinge a linear vector
+// constraint C = Σ k x with a vector multiplier; any weights, masses and compliance.
+//
+// The order: the warp edges' hinges, the weft edges', the diagonals'; each in runs (see sheet.hpp).
+
+#pragma once
+
+#include "sheet.hpp"
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+struct Bend {    // in any precision
+    virtual ~Bend() = default;
+    virtual void set(const double *x) = 0;
+    virtual void get(double *x) const = 0;
+    virtual int order(std::int32_t *particles) const = 0;
+    virtual void weigh(const double *k, double alpha) = 0;
+    virtual void project(int passes) = 0;
+};
+
+template <class T>
+class BendOf final : public Bend {
+    using L = Lanes<T>;
+    using V = typename L::V;
+    static constexpr int N = L::count;
+    enum { X, Y, Z, W, FIELDS };
+    enum { K0, K1, K2, K3, LX, LY, LZ, REGISTERS };    // of each N hinges
+
+    struct Run {
+        T *p[4];      // edge start, edge end, opposite, opposite
+        int count;    // hinges
+        int first;    // in `data`
+    };
+
+    Sheet<T> sheet;
+    std::vector<Run> runs;
+    std::vector<T> data;
+    T alpha = 0;
+
+public:
+    BendOf(int n, const double *inv_mass) : sheet(n, FIELDS) {
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j < n; ++j) sheet.at(i, j)[W * sheet.field] = T(inv_mass[i * n + j]);
+        // A cell whose i + j is even has its diagonal from (i, j) to (i + 1, j + 1).
+        for (int i = 1; i + 1 < n; ++i)
+            for (int j = 0; j < 4; ++j) {
+                const int even = (i + j) % 2 == 0;
+                add({i, i, i + 1, i - 1}, {j, j + 1, j + even, j + even});
+            }
+        for (int i = 0; i + 1 < n; ++i)
+            for (int j = 0; j < 4; ++j) {
+                const int odd = (i + j) % 2;
+                add({i, i + 1, i + odd, i + odd}, {j + 1, j + 1, j, j + 2});
+            }
+        for (int i = 0; i + 1 < n; ++i)
+            for (int j = 0; j < 4; ++j) {
+                const int odd = (i + j) % 2;
+                add({i, i + 1, i, i + 1}, {j + odd, j + !odd, j + !odd, j + odd});
+            }
+    }
+
+    void set(const double *x) override {
+        for (int i = 0; i < sheet.n; ++i)
+            for (int j = 0; j < sheet.n; ++j)
+                for (int k = 0; k < 3; ++k) sheet.at(i, j)[k * sheet.field] = T(*x++);
+    }
+
+    void get(double *x) const override {
+        for (int i = 0; i < sheet.n; ++i)
+            for (int j = 0; j < sheet.n; ++j)
+                for (int k = 0; k < 3; ++k) *x++ = sheet.at(i, j)[k * sheet.field];
+    }
+
+    // Write the hinges in the order in which project() takes them; return how many.
+    int order(std::int32_t *particles) const override {
+        int hinges = 0;
+        for (const Run &run : runs) {
+            for (int q = 0; q < run.count; ++q)
+                for (T *p : run.p) *particles++ = sheet.particle(p + q);
+            hinges += run.count;
+        }
+        return hinges;
+    }
+
+    // Take the weights, in that order, and the compliance over h².
+    void weigh(const double *k, double compliance) override {
+        alpha = T(compliance);
+        for (const Run &run : runs)
+            for (int q = 0; q < run.count; ++q)
+                for (int i = K0; i <= K3; ++i)
+                    data[run.first + q / N * REGISTERS * N + i * N + q % N] = T(*k++);
+    }
+
+    void project(int passes) override {
+        for (std::size_t k = 0; k < data.size(); k += REGISTERS * N)
+            std::fill_n(&data[k + LX * N], 3 * N, T(0));
+        for (int pass = 0; pass < passes; ++pass)
+            for (const Run &run : runs)
+                for (int q = 0; q < run.count; q += N)
+                    project(run, q, &data[run.first + q * REGISTERS]);
+    }
+
+private:
+    void add(const int (&i)[4], const int (&j)[4]) {
+        const int column = *std::min_element(j, j + 4), width = *std::max_element(j, j + 4) - column;
+        const int count = sheet.count(column, width), chunks = (count + N - 1) / N;
+        if (count == 0) return;
+        Run run{{}, count, static_cast<int>(data.size())};
+        for (int k = 0; k < 4; ++k) run.p[k] = sheet.at(i[k], j[k]);
+        runs.push_back(run);
+        data.resize(data.size() + chunks * REGISTERS * N);
+    }
+
+    void project(const Run &run, int q, T *d) const {
+        V k[4], wk[4], sum = L::all(alpha);
+        for (int i = 0; i < 4; ++i) {
+            k[i] = L::load(d + i * N);
+            wk[i] = L::load(run.p[i] + q + W * sheet.field) * k[i];
+            sum = L::fma(k[i], wk[i], sum);
+        }
+        const V per_sum = L::all(-1) / sum;
+        for (int axis = 0; axis < 3; ++axis) {
+            V x[4], lambda = L::load(d + (LX + axis) * N), c = L::all(alpha) * lambda;
+            for (int i = 0; i < 4; ++i) {
+                x[i] = L::load(run.p[i] + q + axis * sheet.field);
+                c = L::fma(k[i], x[i], c);
+            }
+            const V change = c * per_sum;
+            L::store(d + (LX + axis) * N, lambda + change);
+            for (int i = 0; i < 4; ++i)
+                L::store(run.p[i] + q + axis * sheet.field, L::fma(wk[i], change, x[i]));
+        }
+    }
+};

@@ -1,0 +1,52 @@
+"""Which CPU this is, as far as it says."""
+
+import os
+from pathlib import Path
+import platform
+
+
+def machine() -> dict:
+    """Return name, family, clock and vector width of the CPU, and how busy the machine is."""
+    found = {'name': platform.processor() or platform.machine(), 'cores': _cores(),
+             'family': None, 'mhz': None, 'vector_bits': None, 'load': _load()}
+    try:
+        text = Path('/proc/cpuinfo').read_text()
+    except OSError:
+        return found
+    keys = {}
+    for line in text.partition('\n\n')[0].splitlines():
+        key, _, value = line.partition(':')
+        keys[key.strip()] = value.strip()
+    found['name'] = keys.get('model name', found['name'])
+    if 'cpu family' in keys:
+        found['family'] = f"family {keys['cpu family']} model {keys.get('model')}"
+    if 'cpu MHz' in keys:
+        found['mhz'] = float(keys['cpu MHz'])
+    flags = keys.get('flags', '').split()
+    found['vector_bits'] = (512 if {'avx512f', 'avx512dq'} <= set(flags)
+                            else 256 if {'avx2', 'fma'} <= set(flags) else None)
+    return found
+
+
+def describe(found: dict) -> str:
+    """Return one line about it."""
+    name = found['name'] + (f" ({found['family']})" if found['family'] else '')
+    parts = [name, f"{found['cores']} cores"]
+    if found['mhz']:
+        parts.append(f"{found['mhz']:.0f} MHz")
+    parts.append({512: 'AVX-512', 256: 'AVX2', None: 'no AVX2'}[found['vector_bits']])
+    return ', '.join(parts)
+
+
+def _cores() -> int | None:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:
+        return os.cpu_count()
+
+
+def _load() -> float | None:
+    try:
+        return os.getloadavg()[0]
+    except OSError:
+        return None

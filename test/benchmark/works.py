@@ -1,0 +1,236 @@
+"""What is computed: particles and the constraint list that every candidate gets."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+FRAME_DT = 1 / 60
+"""[s]"""
+SUBSTEPS = 10
+"""per frame, with one iteration each"""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Distance constraints, in the order in which one would write them down."""
+
+    particles: np.ndarray
+    """shape (edges, 2)"""
+    rest_length: np.ndarray
+    """[m], shape (edges,)"""
+    compliance: np.ndarray
+    """[m/N], shape (edges,)"""
+
+    def ordered(self, order: np.ndarray) -> 'Edges':
+        """Return the same edges in another order."""
+        return Edges(self.particles[order], self.rest_length[order], self.compliance[order])
+
+
+@dataclass(frozen=True, eq=False)
+class Hinges:
+    """Isometric bending: C = Σ weight x."""
+
+    particles: np.ndarray
+    """edge start, edge end, opposite, opposite; shape (hinges, 4)"""
+    weight: np.ndarray
+    """[1/m], shape (hinges, 4)"""
+    compliance: np.ndarray
+    """[1/(N m)], shape (hinges,)"""
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """Particles at rest, and what holds them together."""
+
+    n: int
+    """particles along a side"""
+    x: np.ndarray
+    """[m], shape (particles, 3)"""
+    inv_mass: np.ndarray
+    """[1/kg], shape (particles,); 0 where pinned"""
+    gravity: tuple[float, float, float]
+    """[m/s²]"""
+    edges: Edges | None = None
+    hinges: Hinges | None = None
+    kinds: tuple = ()
+    """(rest length, compliance) of structural, diagonal and next-but-one edges of the grid work"""
+
+    @property
+    def projections(self) -> int:
+        """Constraints."""
+        return sum(len(batch.particles) for batch in (self.edges, self.hinges) if batch)
+
+
+GRAVITY = (0.0, 0.0, -9.81)
+
+
+def grid_work(n: int) -> Work:
+    """
+    Return the list of MEASURED.md: structural, both diagonals, and next but one.
+
+    1 m², 0.2 kg spread evenly, two corners pinned, let go from the horizontal.
+    """
+    d = 1 / (n - 1)
+    kinds = ((d, 1e-6), (2**0.5 * d, 1e-5), (2 * d, 1e-2))
+    grid = np.arange(n * n).reshape(n, n)
+    families = ((0, grid[:, :-1], grid[:, 1:]), (0, grid[:-1], grid[1:]),
+                (1, grid[:-1, :-1], grid[1:, 1:]), (1, grid[:-1, 1:], grid[1:, :-1]),
+                (2, grid[:, :-2], grid[:, 2:]), (2, grid[:-2], grid[2:]))
+    pairs = [np.column_stack([a.ravel(), b.ravel()]) for _, a, b in families]
+    rest, compliance = (np.concatenate([np.full(a.size, kinds[kind][k])
+                                        for kind, a, _ in families]) for k in (0, 1))
+    return Work(n, _flat(n), _even_mass(n), GRAVITY,
+                Edges(np.concatenate(pairs), rest, compliance), kinds=kinds)
+
+
+def irregular_work(n: int) -> Work:
+    """Return the edges of a Delaunay triangulation of n² jittered points; two corners pinned."""
+    from scipy.spatial import Delaunay
+    random = np.random.default_rng(0)
+    x = _flat(n)
+    x[:, :2] += random.uniform(-0.35, 0.35, (n * n, 2)) / (n - 1)
+    triangles = np.sort(Delaunay(x[:, :2]).simplices, axis=1)
+    pairs = np.unique(triangles[:, [[0, 1], [1, 2], [0, 2]]].reshape(-1, 2), axis=0)
+    rest = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
+    inside = rest < 3 / (n - 1)    # not the slivers along the rim
+    pairs, rest = pairs[inside], rest[inside]
+    return Work(n, x, _even_mass(n), GRAVITY,
+                Edges(pairs.astype(np.int64), rest, np.full(len(rest), 1e-6)))
+
+
+@dataclass(frozen=True, eq=False)
+class LineWork:
+    """
+    The lines of one direction of an n × n grid, with masses, lengths and compliances of any value.
+
+    An edge stands where its first particle does, so the last place of a line is empty.
+    """
+
+    n: int
+    h: float
+    """substep [s]"""
+    along: bool
+    """whether a line is a row of the arrays below, not a column"""
+    x: np.ndarray
+    """[m], shape (n, n, 3)"""
+    inv_mass: np.ndarray
+    """[1/kg], shape (n, n)"""
+    rest_length: np.ndarray
+    """[m], shape (n, n)"""
+    compliance: np.ndarray
+    """[m/N], shape (n, n)"""
+
+    @property
+    def projections(self) -> int:
+        """Edges."""
+        return self.n * (self.n - 1)
+
+    def as_work(self) -> Work:
+        """Return the same edges as a list, by rising first particle."""
+        first, second = ((slice(None), slice(None, -1)), (slice(None), slice(1, None)))
+        if not self.along:
+            first, second = first[::-1], second[::-1]
+        grid = np.arange(self.n**2).reshape(self.n, self.n)
+        edges = Edges(np.column_stack([grid[first].ravel(), grid[second].ravel()]),
+                      self.rest_length[first].ravel(), self.compliance[first].ravel())
+        return Work(self.n, self.x.reshape(-1, 3), self.inv_mass.ravel(), GRAVITY, edges)
+
+
+def line_work(n: int, *, along: bool) -> LineWork:
+    """Return a wrinkled sheet of about 5 kN/m and 0.2 kg/m², with pins on its rim and inside."""
+    random = np.random.default_rng(1)
+    d = 1 / (n - 1)
+    x = _flat(n).reshape(n, n, 3) + 0.05 * d * random.standard_normal((n, n, 3))
+    inv_mass = random.uniform(0.5, 2.0, (n, n)) / (0.2 * d * d)
+    inv_mass[0, 0] = inv_mass[0, -1] = inv_mass[n // 2, n // 3] = 0.0
+    rest = d * random.uniform(0.95, 1.05, (n, n))
+    return LineWork(n, FRAME_DT / 32, along, x, inv_mass, rest,
+                    random.uniform(0.5, 2.0, (n, n)) / 5000.0)
+
+
+def bend_work(n: int) -> Work:
+    """Return the hinges of a grid with alternating diagonals, its particles and masses uneven."""
+    random = np.random.default_rng(2)
+    d = 1 / (n - 1)
+    rest = _flat(n)
+    rest[:, :2] += 0.05 * d * random.standard_normal((n * n, 2))
+    particles = hinges_of_grid(n)
+    x = rest.copy()
+    x[:, 2] += 0.1 * d * random.standard_normal(n * n)
+    inv_mass = random.uniform(0.5, 2.0, n * n) / (0.2 * d * d)
+    inv_mass[[0, n - 1]] = 0.0
+    return Work(n, x, inv_mass, GRAVITY, hinges=Hinges(
+        particles, isometric_weights(rest, particles), np.full(len(particles), 1e3)))
+
+
+def hinges_of_grid(n: int) -> np.ndarray:
+    """
+    Return the hinges of n × n particles, sorted by their first edge particle, shape (hinges, 4).
+
+    The diagonal of a cell runs from (i, j) to (i + 1, j + 1) if i + j is even, else the other way.
+    """
+    p = np.arange(n * n).reshape(n, n)
+    i, j = np.indices((n - 1, n - 1))
+    even = (i + j) % 2 == 0
+    a, b, c, d = p[:-1, :-1], p[:-1, 1:], p[1:, 1:], p[1:, :-1]    # around each cell
+    diagonal = np.where(even, [a, c, b, d], [b, d, a, c])
+    above, below = even[1:], even[:-1]    # the cells that meet in an inner horizontal edge
+    horizontal = [a[1:], b[1:], np.where(above, c[1:], d[1:]), np.where(below, a[:-1], b[:-1])]
+    left, right = even[:, :-1], even[:, 1:]
+    vertical = [b[:, :-1], c[:, :-1], np.where(left, a[:, :-1], d[:, :-1]),
+                np.where(right, c[:, 1:], b[:, 1:])]
+    found = np.concatenate([np.reshape(family, (4, -1)).T
+                            for family in (horizontal, vertical, diagonal)])
+    return found[np.argsort(found[:, 0], kind='stable')]
+
+
+def isometric_weights(rest: np.ndarray, hinges: np.ndarray) -> np.ndarray:
+    """Return the K / sqrt(A0 + A1) of Bergou et al. 2006 for each hinge, shape (hinges, 4)."""
+    x0, x1, x2, x3 = rest[hinges].transpose(1, 0, 2)
+    e = x1 - x0
+
+    def cot(u, v):
+        return (u * v).sum(1) / np.linalg.norm(np.cross(u, v), axis=1)
+
+    at_start = cot(e, x2 - x0), cot(e, x3 - x0)
+    at_end = cot(-e, x2 - x1), cot(-e, x3 - x1)
+    area = 0.5 * (np.linalg.norm(np.cross(e, x2 - x0), axis=1)
+                  + np.linalg.norm(np.cross(e, x3 - x0), axis=1))
+    k = np.stack([sum(at_end), sum(at_start), -at_start[0] - at_end[0],
+                  -at_start[1] - at_end[1]], 1)
+    return k / np.sqrt(area)[:, None]
+
+
+def scene_work(problem, n: int) -> Work:
+    """
+    Return a compiled scene of one n × n cloth as the list that one would have written by hand.
+
+    Parameters
+    ----------
+    problem : what ``xpbd_ros.study.reference.problem_of`` says of the simulation
+
+    Bending comes first, then the diagonals, then warp and weft (what is projected last holds
+    best); within each kind the constraints are sorted by their first particle.
+    """
+    first, second = np.sort(problem.edges, axis=1).T
+    kind = np.select([second - first == d for d in (n + 1, n - 1, 1, n)], range(4), 4)
+    order = np.lexsort((first, kind))
+    edges = Edges(problem.edges, problem.rest_length, 1.0 / problem.stiffness).ordered(order)
+    hinges = None
+    if len(problem.bends):
+        order = np.argsort(problem.bends[:, 0], kind='stable')
+        hinges = Hinges(problem.bends[order], problem.weight[order],
+                        1.0 / problem.bend_stiffness[order])
+    return Work(n, problem.x, np.where(problem.pinned, 0.0, 1.0 / problem.mass),
+                tuple(problem.gravity), edges, hinges)
+
+
+def _flat(n: int) -> np.ndarray:
+    i, j = np.indices((n, n)) / (n - 1)
+    return np.stack([j, i, np.zeros((n, n))], -1).reshape(-1, 3)
+
+
+def _even_mass(n: int) -> np.ndarray:
+    inv_mass = np.full(n * n, n * n / 0.2)
+    inv_mass[[0, n - 1]] = 0.0
+    return inv_mass

@@ -1,0 +1,112 @@
+"""An effect that the scene does not name is absent: from imports, memory and machine code."""
+
+import json
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+from sim.small import EXAMPLES, simulate, with_every_effect
+
+from xpbd_ros.effects import EFFECTS, load
+from xpbd_ros.sim import stages
+
+ROOT = Path(__file__).resolve().parents[2]
+CHILD = """
+import json, sys, warnings
+from sim.small import run, simulate
+scene, kernels = json.loads(sys.argv[1])
+simulation = simulate(**scene)
+simulation.compile()
+run(simulation, 3)
+with warnings.catch_warnings():
+    warnings.simplefilter('ignore')    # of a cached step there is no text to look at
+    text = ''.join(simulation._step.inspect_asm().values())
+print(json.dumps({
+    'imported': [name for name in sys.modules if name.startswith('xpbd_ros.effects.')],
+    'kernels': [name for name in kernels if name in text],
+    'data': [type(data).__name__ for data in simulation._tuple],
+    'reaction': simulation.state.reaction is not None,
+    'cached': bool(simulation._step.stats.cache_hits)}))
+"""
+SCENES = {
+    ('contact',): {'colliders': {'s': {'plane': {}}},
+                   'scene_effects': {'contact': {'thickness': 0.01}}},
+    ('stretch',): {'effects': {'stretch': {'compliance': 1e-3}}},
+}
+
+
+def kernels(names=EFFECTS, *, without=None):
+    """Return the names of the kernels of some effects, but for those of one stage."""
+    modules = {load(name).build.__module__ for name in names}
+    return sorted(kernel.__name__ for (stage, kind), kernel in stages._KERNELS.items()
+                  if kind.__module__ in modules and stage is not without)
+
+
+def look(names, cache):
+    """Run a scene with these effects in a process of its own; say what was there."""
+    path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
+    arguments = json.dumps([SCENES[names], kernels()])
+    child = subprocess.run(
+        [sys.executable, '-c', CHILD, arguments], check=True, capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': path, 'NUMBA_CACHE_DIR': str(cache)}, timeout=300)
+    return json.loads(child.stdout)
+
+
+@pytest.fixture(scope='module')
+def cache(tmp_path_factory):
+    """Return a cache that begins empty and that all processes here share."""
+    return tmp_path_factory.mktemp('cache')
+
+
+def test_every_effect_has_kernels_of_its_own_name():
+    assert all(kernels([name]) for name in EFFECTS)
+    assert len(set(kernels())) == len(kernels())
+
+
+@pytest.mark.parametrize('names', SCENES)
+def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cache):
+    """The scene with contact runs first, so that the other meets what it left in the cache."""
+    seen = look(names, cache)
+    assert not seen['cached']
+    assert seen['kernels'] == kernels(names, without=stages.react)    # nobody asks for forces
+    assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
+    assert [name.lower() for name in seen['data']] == list(names)
+    assert not seen['reaction']
+
+
+def test_a_step_from_the_cache_imports_nothing_more(cache):
+    """Numba's cache holds the types of all scenes that it has seen; each has a folder here."""
+    seen = look(('stretch',), cache)
+    assert seen['cached']
+    assert seen['imported'] == ['xpbd_ros.effects.stretch']
+
+
+def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
+    code = ('import sys; from xpbd_ros.scene.load import load_scene; '
+            "from xpbd_ros.scene.compile import compile_scene; load_scene('swing'); "
+            "print(sorted(name for name in sys.modules if name.startswith('xpbd_ros.effects.')))")
+    child = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                           check=True, env={**os.environ, 'PYTHONPATH': str(ROOT)}, timeout=60)
+    assert child.stdout.strip() == str([f'xpbd_ros.effects.{name}'
+                                        for name in ('pin', 'shear', 'stretch')])
+
+
+def test_the_effects_of_a_scene_are_in_projection_order_and_there_are_no_others():
+    assert tuple(with_every_effect().effects) == tuple(EFFECTS)
+    simulation = simulate(effects={'stretch': EXAMPLES['stretch'], 'bend': EXAMPLES['bend']})
+    assert tuple(simulation.effects) == ('bend', 'stretch')
+    assert len(simulation._tuple) == 2
+
+
+def test_what_is_turned_off_makes_no_difference():
+    """A contact that nothing can reach gives the bits of a scene without one."""
+    hashes = []
+    for extra in ({}, {'contact': {'thickness': 0.01}, 'friction': {}}):
+        simulation = simulate((5, 4), effects={'stretch': {'compliance': 1e-3}}, substeps=3,
+                              scene_effects={'damping': {'rate': 0.5}, 'pin': {}, **extra})
+        for _ in range(20):
+            simulation.step()
+        hashes.append(simulation.hash())
+    assert hashes[0] == hashes[1]

@@ -1,0 +1,256 @@
+"""Contact: what rests, what is pushed, what is lifted, and what must not be kicked."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sim.small import GRAVITY, run, simulate, with_every_effect
+
+from xpbd_ros.effects.contact import DEPENETRATION
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import MoveCollider, Pose
+
+R = 0.01
+SHAPES = {'plane': {'plane': {}}, 'sphere': {'sphere': {'radius': 0.3}},
+          'capsule': {'capsule': {'radius': 0.3, 'length': 0.4}},
+          'cylinder': {'cylinder': {'radius': 0.3, 'length': 0.6}},
+          'box': {'box': {'size': [0.5, 0.6, 0.6]}}}
+TOPS = {'plane': 0.0, 'sphere': 0.3, 'capsule': 0.5, 'cylinder': 0.3, 'box': 0.3}
+EACH_SHAPE = pytest.mark.parametrize('shape', SHAPES)
+
+
+def particle(colliders, x=(0.0, 0.0, 1.0), *, friction=0.0, contact=None, **options):
+    """Return the simulation of one particle among colliders."""
+    return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
+                    scene_effects={'contact': {'thickness': R, **(contact or {})},
+                                   'friction': {}}, **options)
+
+
+@EACH_SHAPE
+@pytest.mark.parametrize('substeps', [1, 8])
+def test_what_falls_on_a_shape_comes_to_rest_at_the_thickness_from_it(shape, substeps):
+    top = TOPS[shape]
+    simulation = particle({'s': SHAPES[shape]}, (0.0, 0.0, top + 0.2), substeps=substeps)
+    deepest = np.inf
+    for _ in range(60):
+        frame = simulation.step()
+        deepest = min(deepest, frame.x[0, 2] - top)
+    np.testing.assert_allclose(frame.x[0], [0.0, 0.0, top + R], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(frame.v, 0.0, atol=1e-9)
+    assert deepest >= R - 1e-12
+    assert simulation.stats()['contacts'] == 1
+
+
+@EACH_SHAPE
+def test_a_pose_turns_and_moves_the_shape(shape):
+    """Falling along the shape's own z, wherever that points."""
+    turn, place = Rotation.from_rotvec([2.0, 0.4, -1.0]), np.array([1.0, -2.0, 0.5])
+    up = turn.apply([0.0, 0.0, 1.0])
+    simulation = particle(
+        {'s': {**SHAPES[shape], 'position': place.tolist(),
+               'orientation': turn.as_quat().tolist()}},
+        place + (TOPS[shape] + 0.1) * up, gravity=(-GRAVITY * up).tolist(), substeps=4)
+    frame = run(simulation, 40)
+    np.testing.assert_allclose(frame.x[0], place + (TOPS[shape] + R) * up, atol=1e-9)
+
+
+def test_a_planes_normal_points_out_of_it():
+    normal = np.array([0.6, 0.0, 0.8])
+    simulation = particle({'s': {'plane': {'normal': [3.0, 0.0, 4.0]}}}, normal * 0.05,
+                          gravity=(-normal).tolist(), substeps=2)
+    np.testing.assert_allclose(run(simulation, 60).x[0], normal * R, atol=1e-12)
+
+
+def test_a_contact_never_pulls():
+    """What moves away from a surface moves as if it were not there."""
+    near, far = (particle({'s': {'plane': {}, 'position': [0.0, 0.0, z]}}, (0.0, 0.0, R),
+                          substeps=3) for z in (0.0, -50.0))
+    for simulation in (near, far):
+        simulation.state.v[0] = (0.3, 0.0, 1.0)
+        run(simulation, 10)
+    assert near.hash() == far.hash()
+
+
+def test_without_friction_what_lies_on_a_slope_slides_with_g_sin():
+    normal = np.array([0.6, 0.0, 0.8])
+    simulation = particle({'s': {'plane': {'normal': normal.tolist()}}}, normal * R, substeps=2)
+    frame = run(simulation, 30)
+    downhill = np.array([0.8, 0.0, -0.6])
+    assert frame.v[0] @ downhill == pytest.approx(GRAVITY * 0.6 * 0.5, rel=1e-9)
+    assert frame.x[0] @ normal == pytest.approx(R, abs=1e-12)
+
+
+DEEP = {'plane': (0.0, 0.0, -0.2), 'sphere': (0.05, 0.02, 0.12), 'capsule': (0.1, 0.0, 0.1),
+        'cylinder': (0.0, 0.12, 0.1), 'box': (0.1, 0.05, 0.0)}
+
+
+@EACH_SHAPE
+@pytest.mark.parametrize('centre', [False, True])
+@pytest.mark.parametrize('substeps', [1, 10])
+def test_an_overlap_from_the_start_is_left_slowly_and_gives_no_kick(shape, centre, substeps):
+    """H15, H17: out at no more than DEPENETRATION, from the very centre too, and then at rest."""
+    start = (0.0, 0.0, 0.0) if centre else DEEP[shape]
+    simulation = particle({'s': SHAPES[shape]}, start, gravity=(0, 0, 0), substeps=substeps)
+    place = simulation.state.x[0].copy()
+    speeds = []
+    for _ in range(40):
+        frame = simulation.step()
+        speeds.append(np.linalg.norm(frame.x[0] - place) / simulation.frame_dt)
+        place = frame.x[0].copy()
+        assert np.linalg.norm(frame.v[0]) < 1e-9
+    assert max(speeds) <= 1.01 * DEPENETRATION
+    if shape != 'plane' or not centre:    # where it lies only R too deep
+        assert max(speeds) > 0.99 * DEPENETRATION
+    assert speeds[-1] < 1e-12
+    x, y, z = frame.x[0]
+    gap = {'plane': z, 'sphere': np.linalg.norm(frame.x[0]) - 0.3,
+           'capsule': np.linalg.norm([x, y, z - np.clip(z, -0.2, 0.2)]) - 0.3,
+           'cylinder': max(np.hypot(x, y) - 0.3, abs(z) - 0.3),
+           'box': max(abs(x) - 0.25, abs(y) - 0.3, abs(z) - 0.3)}[shape]
+    assert gap == pytest.approx(R, abs=1e-12)
+
+
+def test_a_zero_length_capsule_is_a_sphere():
+    """H17."""
+    ends = [run(particle({'s': shape}, (0.1, 0.0, 0.5), substeps=4), 60).x.copy() for shape in (
+        {'capsule': {'radius': 0.3, 'length': 0.0}}, {'sphere': {'radius': 0.3}})]
+    assert np.isfinite(ends[0]).all()
+    np.testing.assert_array_equal(*ends)
+
+
+def test_a_moving_box_pushes_what_it_meets_to_its_own_speed():
+    """Without a bounce, and what is pushed goes on when the box stops."""
+    simulation = particle(
+        {'s': {'box': {'size': [0.2, 0.2, 0.2]}, 'position': [-0.5, 0.0, 0.0], 'motion': [
+            [0.0, -0.5, 0.0, 0.0], [0.5, 0.5, 0.0, 0.0]]}}, (0.0, 0.0, 0.0), gravity=(0, 0, 0),
+        substeps=4)
+    frame = run(simulation, 28)
+    np.testing.assert_allclose(frame.v[0], [2.0, 0.0, 0.0], atol=1e-6)
+    box = frame.colliders['s']
+    np.testing.assert_allclose(box.linear, [2.0, 0.0, 0.0], atol=1e-6)
+    assert frame.x[0, 0] - box.pose.position[0] == pytest.approx(0.1 + R, abs=1e-7)
+    frame = run(simulation, 20)
+    np.testing.assert_allclose(frame.v[0], [2.0, 0.0, 0.0], atol=1e-6)
+    assert frame.x[0, 0] - frame.colliders['s'].pose.position[0] > 0.3
+
+
+def test_a_turning_box_sweeps_what_lies_beside_it():
+    quarter = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
+    simulation = particle({'s': {'box': {'size': [1.0, 0.1, 0.2]}}}, (0.4, 0.07, 0.0),
+                          gravity=(0, 0, 0), substeps=10)
+    for k in range(30):
+        frame = simulation.step([MoveCollider('s', Pose((0.0, 0.0, 0.0), quarter))]
+                                if k == 0 else [])
+        turned = Rotation.from_quat(frame.colliders['s'].pose.orientation)
+        local = turned.inv().apply(frame.x[0].copy())
+        assert (np.abs(local) - [0.5, 0.05, 0.1]).max() >= R - 1e-9
+    assert frame.x[0, 0] < 0.4
+    assert frame.v[0, 1] > 1.0
+
+
+def test_a_lift_carries_cloth_up_and_never_lets_it_through():
+    simulation = with_every_effect((8, 8), substeps=6, pins={}, colliders={
+        's': {'box': {'size': [1.5, 1.5, 0.2]}, 'position': [0.5, 0.5, -0.105], 'motion': [
+            [0.0, 0.5, 0.5, -0.105], [0.5, 0.5, 0.5, -0.105], [1.0, 0.5, 0.5, 0.2],
+            [1.5, 0.5, 0.5, 0.2]]}})
+    for _ in range(150):
+        frame = simulation.step()
+        top = frame.colliders['s'].pose.position[2] + 0.1
+        assert frame.x[:, 2].min() >= top + 0.005 - 1e-9
+    np.testing.assert_allclose(frame.x[:, 2], 0.3 + 0.005, atol=1e-6)
+    np.testing.assert_allclose(frame.v, 0.0, atol=1e-6)
+
+
+def test_between_two_planes_closer_than_its_thickness_a_particle_lies_still():
+    """H16: it neither escapes nor hums, and has no velocity to shoot off with."""
+    simulation = particle({'floor': {'plane': {}}, 'lid': {
+        'plane': {'normal': [0, 0, -1]}, 'position': [0.0, 0.0, 0.015]}}, (0.0, 0.0, 0.007),
+        substeps=5, iterations=4)
+    run(simulation, 60)
+    frame = simulation.frame()
+    seen = [frame.x[0, 2]]
+    for _ in range(60):
+        frame = simulation.step()
+        seen.append(frame.x[0, 2])
+        assert np.abs(frame.v).max() < 1e-3
+    assert 0.0 < min(seen) <= max(seen) < 0.015
+    assert np.ptp(seen) < 1e-9
+
+
+def test_a_collider_told_to_jump_into_the_cloth_comes_at_max_speed_and_is_reported():
+    """H15."""
+    simulation = with_every_effect(substeps=10, pins={}, colliders={
+        'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]},
+        's': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, 2.0]}})
+    run(simulation, 5)
+    frame = simulation.step([MoveCollider('s', Pose((0.5, 0.5, 0.1)))])
+    assert frame.colliders['s'].linear[2] == pytest.approx(-5.0)
+    assert simulation.stats()['colliders_at_max_speed'] == 1
+    for _ in range(200):
+        frame = simulation.step()
+        assert np.isfinite(frame.x).all()
+        assert np.abs(frame.v).max() < 10.0
+    assert simulation.stats()['colliders_at_max_speed'] == 0
+    assert np.abs(frame.v).max() < 0.2
+
+
+def test_what_is_pinned_passes_through():
+    simulation = simulate((1, 1), scene_effects={'contact': {'thickness': R}, 'friction': {}},
+                          colliders={'s': {'plane': {}}}, pins={
+                              'a': {'cloth': 'c', 'at': [0], 'target': [0.0, 0.0, -0.2]}})
+    np.testing.assert_allclose(run(simulation, 10).x[0], [0.0, 0.0, -0.2], atol=1e-15)
+
+
+def test_candidates_without_room_are_counted():
+    """There is room for four per particle; the rest is told, not silently dropped."""
+    simulation = particle({f's{k}': {'sphere': {'radius': 0.3}} for k in range(7)},
+                          (0.0, 0.0, 0.2), gravity=(0, 0, 0), substeps=2)
+    simulation.step()
+    assert simulation.stats()['contacts_without_room'] == 2 * 3
+    assert np.isfinite(simulation.state.x).all()
+
+
+@pytest.mark.parametrize('shape', ['sphere', 'box', 'capsule', 'cylinder'])
+def test_a_particle_that_flies_at_a_shape_is_met_from_any_side(shape):
+    rng = np.random.default_rng(1)
+    for _ in range(10):
+        direction = rng.normal(size=3)
+        direction /= np.linalg.norm(direction)
+        simulation = particle({'s': SHAPES[shape]}, direction, gravity=(0, 0, 0), substeps=20)
+        simulation.state.v[0] = -4.0 * direction
+        frame = run(simulation, 40)
+        assert np.linalg.norm(frame.x[0]) > 0.3 or frame.x[0] @ direction > 0.0
+        assert np.linalg.norm(frame.v[0]) <= 4.0 + 1e-9
+
+
+@pytest.mark.parametrize('collider, text', [
+    ({}, 'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box '
+     '(got none)'),
+    ({'sphere': {'radius': 1}, 'box': {'size': [1, 1, 1]}},
+     'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box '
+     '(got sphere, box)'),
+    ({'sphere': {'radius': 0}}, 'colliders.s.sphere.radius: must be > 0 m (got 0)'),
+    ({'capsule': {'radius': 1}}, 'colliders.s.capsule.length: missing (m)'),
+    ({'box': {'size': [1, -1, 1]}}, 'colliders.s.box.size[1]: must be > 0 m (got -1)'),
+    ({'plane': {'normal': [0, 0, 0]}}, 'colliders.s.plane: normal: must not be zero'),
+    ({'plane': {}, 'orientation': [0, 0, 0, 3]},
+     'colliders.s.orientation: must be a unit quaternion x y z w (got length 3)'),
+    ({'plane': {}, 'friction': -0.1}, 'colliders.s.friction: must be at least 0 (got -0.1)')])
+def test_a_collider_without_sense_is_refused(collider, text):
+    with pytest.raises(InputError) as error:
+        particle({'s': collider})
+    assert str(error.value) == f'small.yaml: {text}'
+
+
+def test_the_capacity_is_kept():
+    colliders = {f's{k}': {'plane': {}} for k in range(3)}
+    particle(colliders, contact={'max_colliders': 3})
+    with pytest.raises(InputError) as error:
+        particle(colliders, contact={'max_colliders': 2})
+    assert str(error.value) == ('small.yaml: colliders: 3 colliders, but '
+                                'effects.contact.max_colliders is 2; raise it')
+
+
+def test_an_unknown_collider_is_refused_with_those_there_are():
+    command = MoveCollider('bal', Pose())
+    assert particle({'ball': SHAPES['sphere'], 'floor': SHAPES['plane']}).step([command]).refused \
+        == ((command, "unknown collider 'bal' (known: ball, floor)"),)

@@ -1,0 +1,321 @@
+"""Pins: what they hold, where it goes, and the wrench on them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll, Twist
+
+STRETCH = {'stretch': {'compliance': 1e-4}}
+
+
+def sheet(grid=(5, 4), **options):
+    """Return a sheet of 0.4 m × 0.3 m in the plane z = 0 that can be pinned."""
+    return simulate(grid, (0.4, 0.3), effects=STRETCH, scene_effects={
+        'pin': {'max_pins': 3}, 'damping': {'rate': 0.0}}, **options)
+
+
+def test_a_grasp_holds_what_lies_within_the_radius_and_nothing_else():
+    simulation = sheet()
+    point = (0.1, 0.1, 0.0)
+    frame = simulation.step([Grasp('hand', Pose(point), 0.11)])
+    near = np.linalg.norm(simulation._start - point, axis=1) <= 0.11
+    assert near.sum() == 5
+    np.testing.assert_array_equal(frame.pins['hand'].particles, np.flatnonzero(near))
+    np.testing.assert_array_equal(frame.inv_mass == 0.0, near)
+    np.testing.assert_allclose(frame.x[near], simulation._start[near], atol=1e-15)
+
+
+def test_what_is_held_keeps_its_place_in_the_pins_axes():
+    """Wherever the pin goes and however it turns: x = p + R q."""
+    simulation = sheet(substeps=3)
+    turn = Rotation.from_rotvec([0.1, 0.4, -0.2])
+    grip = Pose((0.1, 0.1, 0.0), tuple(turn.as_quat()))
+    frame = simulation.step([Grasp('hand', grip, 0.15)])
+    held = frame.pins['hand'].particles
+    offsets = turn.inv().apply(frame.x[held] - grip.position)
+    goal = Rotation.from_rotvec([0.3, -0.5, 1.2])
+    for k in range(40):
+        frame = simulation.step([MovePin('hand', Pose((0.2, 0.0, 0.4), tuple(goal.as_quat())))]
+                                if k == 0 else [])
+        pose = frame.pins['hand'].pose
+        np.testing.assert_allclose(
+            frame.x[held], Rotation(pose.orientation).apply(offsets) + pose.position, atol=1e-14)
+    np.testing.assert_allclose(pose.position, (0.2, 0.0, 0.4), atol=1e-15)
+    assert abs(np.dot(pose.orientation, goal.as_quat())) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_what_is_held_moves_evenly_through_the_substeps():
+    """So it has a velocity, and what hangs on it is pulled, not thrown."""
+    velocities = []
+    for substeps in (1, 4):
+        simulation = sheet(substeps=substeps)
+        run(simulation, 2, [Grasp('hand', Pose(), 0.01)])
+        frame = simulation.step([MovePin('hand', Pose((0.03, 0.0, 0.0)))])
+        velocities.append(frame.v[0])
+        assert frame.pins['hand'].linear == pytest.approx([1.8, 0.0, 0.0])
+    np.testing.assert_allclose(velocities, [[1.8, 0.0, 0.0]] * 2, rtol=1e-12, atol=1e-15)
+
+
+def test_a_release_gives_the_mass_back_and_the_motion_goes_on():
+    simulation = simulate((1, 1), substeps=5, rate=50, effects=STRETCH,
+                          scene_effects={'pin': {}, 'damping': {'rate': 0.0}})
+    weight = simulation.state.inv_mass.copy()
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    for k in range(1, 10):
+        frame = simulation.step([MovePin('hand', Pose((0.02 * k, 0.0, 0.01 * k)))])
+    assert frame.inv_mass[0] == 0.0
+    before, here = frame.v[0].copy(), frame.x[0].copy()
+    frame = simulation.step([Release('hand')])
+    np.testing.assert_array_equal(frame.inv_mass, weight)
+    assert dict(frame.pins) == {}
+    h = simulation.frame_dt / 5
+    fallen = np.array([0.0, 0.0, -GRAVITY * h * 5])
+    np.testing.assert_allclose(before, [1.0, 0.0, 0.5], rtol=1e-10)
+    np.testing.assert_allclose(frame.v[0], before + fallen, rtol=1e-10)
+    np.testing.assert_allclose(frame.x[0], here + before * 5 * h + fallen * 3 * h, rtol=1e-10)
+
+
+def test_a_pin_on_and_off_every_frame_stays_finite():
+    """H14."""
+    simulation = sheet(substeps=2)
+    for k in range(100):
+        frame = simulation.step([Grasp('hand', Pose(tuple(simulation.state.x[0])), 0.15)]
+                                if k % 2 == 0 else [Release('hand')])
+        assert frame.refused == ()
+        assert np.isfinite(frame.x).all()
+    assert np.abs(frame.v).max() < 20.0
+
+
+def test_only_free_particles_are_grasped_and_a_grasp_of_none_says_how_far():
+    simulation = sheet()
+    simulation.step([Grasp('a', Pose(), 0.11)])
+    frame = simulation.step([Grasp('b', Pose(), 0.15)])
+    a, b = (set(frame.pins[name].particles.tolist()) for name in 'ab')
+    assert a == {0, 1, 5}
+    assert b == {6}
+    frame = simulation.step([Grasp('c', Pose((0.0, 0.0, 1.0)), 0.2)])
+    gap = np.linalg.norm(simulation.state.x - [0, 0, 1.0], axis=1)[
+        simulation.state.inv_mass > 0.0].min()
+    (_, reason), = frame.refused
+    start, distance = reason.split('the nearest is ')
+    assert start == "pin 'c': no free particle within 0.2 m of [0.0, 0.0, 1.0]; "
+    assert float(distance.split()[0]) == pytest.approx(gap, rel=1e-2)
+
+
+def test_beyond_the_capacity_a_grasp_is_refused_with_the_number():
+    simulation = sheet()
+    corners = [(0.0, 0.0, 0.0), (0.4, 0.0, 0.0), (0.0, 0.3, 0.0), (0.4, 0.3, 0.0)]
+    grasps = [Grasp(name, Pose(corner), 0.01) for name, corner in zip('abcd', corners)]
+    frame = simulation.step(grasps)
+    assert frame.refused == ((grasps[3], 'all 3 pins are in use (effects.pin.max_pins)'),)
+    frame = simulation.step([Release('b'), grasps[3]])
+    assert frame.refused == ()
+    assert list(frame.pins) == ['a', 'c', 'd']
+    for name, corner in (('a', 0), ('c', 15), ('d', 19)):
+        np.testing.assert_array_equal(frame.pins[name].particles, [corner])
+    assert dict(simulation.step([ReleaseAll()]).pins) == {}
+    assert (simulation.state.inv_mass > 0.0).all()
+
+
+def test_a_lifetime_ends_by_itself_unless_renewed():
+    simulation = sheet()
+    grasp = Grasp('hand', Pose(), 0.01, lifetime_ns=100_000_000)
+    simulation.step([grasp])
+    for frame in range(2, 7):
+        assert 'hand' in simulation.step().pins, frame
+    assert 'hand' not in simulation.step().pins
+    assert simulation.state.inv_mass[0] > 0.0
+    start = simulation.state.x[0].copy()
+    grasp = Grasp('hand', Pose(tuple(start)), 0.01, lifetime_ns=100_000_000)
+    for _ in range(20):
+        frame = simulation.step([grasp])
+        assert 'hand' in frame.pins
+    np.testing.assert_allclose(frame.x[0], start, atol=1e-15)
+
+
+def test_a_grasp_of_a_pin_that_holds_moves_it():
+    simulation = sheet()
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    frame = run(simulation, 10, [Grasp('hand', Pose((0.0, 0.0, 0.02)), 5.0)])
+    np.testing.assert_array_equal(frame.pins['hand'].particles, [0])
+    np.testing.assert_allclose(frame.x[0], [0.0, 0.0, 0.02], atol=1e-15)
+
+
+@pytest.mark.parametrize('command', [Release('x'), MovePin('x', Pose())])
+def test_a_pin_that_holds_nothing_is_refused_with_those_that_do(command):
+    simulation = sheet()
+    assert simulation.step([command]).refused == ((command, "pin 'x' holds nothing (holding: "
+                                                   'none)'),)
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    assert simulation.step([command]).refused == ((command, "pin 'x' holds nothing (holding: "
+                                                   'hand)'),)
+
+
+@pytest.mark.parametrize('substeps, iterations', [(1, 1), (6, 3)])
+def test_the_wrench_at_rest_is_the_weight(substeps, iterations):
+    """Exactly so at any setting: what falls short of stiffness still pulls with its weight."""
+    simulation = hang(8, damping=20.0, effects={'stretch': {'compliance': 1e-3}}, density=0.7,
+                      substeps=substeps, iterations=iterations)
+    state = run_until_still(simulation, speed=1e-10).pins['top']
+    weight = 0.7 * GRAVITY
+    np.testing.assert_allclose(state.force, [0.0, 0.0, -weight], atol=1e-6 * weight)
+    np.testing.assert_allclose(state.torque, 0.0, atol=1e-6 * weight)
+
+
+def test_the_torque_is_about_the_pose():
+    """Two particles held 0.4 m apart, from poses with known arms."""
+    for where in ((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), (0.3, -0.5, 0.7)):
+        simulation = simulate((2, 1), (0.4, 1.0), effects=STRETCH, density=2.5, scene_effects={
+            'pin': {}, 'damping': {'rate': 0.0}})
+        frame = run(simulation, 3, [Grasp('hand', Pose(where), 5.0)])
+        half = 0.5 * np.array([0.0, 0.0, -0.4 * 2.5 * GRAVITY])
+        expected = sum(np.cross(np.subtract(x, where), half) for x in ([0, 0, 0], [0.4, 0, 0]))
+        np.testing.assert_allclose(frame.pins['hand'].force, 2.0 * half, atol=1e-12)
+        np.testing.assert_allclose(frame.pins['hand'].torque, expected, atol=1e-12)
+
+
+def test_two_pins_share_the_weight_and_their_torques_balance_it():
+    simulation = simulate(
+        (9, 3), (1.0, 0.2), effects={'stretch': {'compliance': 1e-4}}, density=0.5, substeps=100,
+        iterations=3, scene_effects={'damping': {'rate': 15.0}},
+        pins={'a': {'cloth': 'c', 'at': 'edge_x0', 'target': [0.2, 0.1, 0.0]},
+              'b': {'cloth': 'c', 'at': 'edge_x1'}})
+    frame = run_until_still(simulation, speed=1e-9)
+    a, b = frame.pins['a'], frame.pins['b']
+    weight = 0.5 * 0.2 * GRAVITY
+    np.testing.assert_allclose(a.force + b.force, [0.0, 0.0, -weight], atol=1e-6 * weight)
+    np.testing.assert_allclose(a.force[2], b.force[2], rtol=1e-3)
+    assert a.force[0] > 0.1 * weight    # each is pulled towards the other
+
+
+@pytest.mark.parametrize('substeps', [1, 5])
+def test_a_pin_that_accelerates_feels_m_g_minus_a(substeps):
+    simulation = simulate((1, 1), density=3.0, effects=STRETCH, substeps=substeps, rate=50,
+                          scene_effects={'pin': {}, 'damping': {'rate': 0.0}})
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    place = speed = 0.0
+    acceleration, dt = 4.0, simulation.frame_dt
+    for _ in range(10):
+        speed += acceleration * dt
+        place += speed * dt
+        frame = simulation.step([MovePin('hand', Pose((place, 0.0, 0.0)))])
+        np.testing.assert_allclose(frame.pins['hand'].force,
+                                   [-3.0 * acceleration, 0.0, -3.0 * GRAVITY], rtol=1e-9)
+
+
+@pytest.mark.parametrize('substeps, accuracy', [(25, 5e-3), (400, 2e-4)])
+def test_the_wrench_is_the_rate_of_momentum_of_all_that_is_held(substeps, accuracy):
+    """Newton's second law, in every frame of a violent swing: F = M g - dP/dt."""
+    simulation = simulate(
+        (5, 4), (0.4, 0.3), effects={'stretch': {'compliance': 1e-3}}, substeps=substeps,
+        pose={'orientation': DOWN}, scene_effects={'damping': {'rate': 0.0}},
+        pins={'a': {'cloth': 'c', 'at': 'edge_x0', 'motion': [
+            [0.0, 0.0, 0.0, 0.0], [0.2, 0.3, 0.0, 0.1], [0.4, 0.0, 0.2, 0.0]]}})
+    state = simulation.state
+    before = np.zeros(3)
+    for _ in range(30):
+        frame = simulation.step()
+        after = (state.mass[:, None] * frame.v).sum(0)
+        expected = state.mass.sum() * state.gravity - (after - before) / simulation.frame_dt
+        error = np.linalg.norm(frame.pins['a'].force - expected)
+        assert error < accuracy * np.linalg.norm(expected)
+        before = after
+
+
+def test_an_edge_between_two_pins_pulls_both_though_nothing_moves():
+    """H10: stretched to three times its length."""
+    simulation = simulate(
+        (2, 1), effects={'stretch': {'compliance': 0.01}}, gravity=(0, 0, 0), density=0.001,
+        scene_effects={'damping': {'rate': 0.0}},
+        pins={'a': {'cloth': 'c', 'at': 'corner_00'},
+              'b': {'cloth': 'c', 'at': 'corner_01', 'target': [3.0, 0.0, 0.0]}})
+    frame = run(simulation, 60)
+    np.testing.assert_allclose(frame.x, [[0, 0, 0], [3, 0, 0]], atol=1e-14)
+    np.testing.assert_allclose(frame.pins['a'].force, [200.0, 0.0, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(frame.pins['b'].force, [-200.0, 0.0, 0.0], rtol=1e-12)
+
+
+def test_a_target_10_m_away_is_reached_late_reported_and_nothing_breaks():
+    """H13."""
+    simulation = sheet(substeps=20)
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    simulation.step([MovePin('hand', Pose((10.0, 0.0, 0.0)))])
+    for _ in range(118):
+        frame = simulation.step()
+        assert frame.pins['hand'].limited
+        assert simulation.stats()['pins_at_max_speed'] == 1
+        assert np.linalg.norm(frame.v, axis=1).max() <= 2.0 * 5.0 + GRAVITY * 2.0
+    frame = run(simulation, 3)
+    assert not frame.pins['hand'].limited
+    np.testing.assert_array_equal(frame.x[0], [10.0, 0.0, 0.0])
+
+
+def test_a_twist_sets_the_pace():
+    simulation = sheet()
+    simulation.step([Grasp('hand', Pose(), 0.01)])
+    frame = simulation.step([MovePin('hand', Pose((0.1, 0, 0)), Twist((0.3, 0.0, 0.0)))])
+    np.testing.assert_allclose(frame.v[0], [0.3, 0.0, 0.0], rtol=1e-9)
+
+
+@pytest.mark.parametrize('at, expected', [
+    ('corner_00', [0]), ('corner_01', [4]), ('corner_10', [15]), ('corner_11', [19]),
+    ('edge_0x', [0, 1, 2, 3, 4]), ('edge_1x', [15, 16, 17, 18, 19]), ('edge_x0', [0, 5, 10, 15]),
+    ('edge_x1', [4, 9, 14, 19]), ([7, 2, 7], [2, 7])])
+def test_places_mean_rows_and_columns(at, expected):
+    simulation = sheet(pins={'a': {'cloth': 'c', 'at': at}})
+    frame = run(simulation, 3)
+    np.testing.assert_array_equal(frame.pins['a'].particles, expected)
+    np.testing.assert_allclose(frame.x[expected], simulation._start[expected], atol=1e-15)
+    np.testing.assert_allclose(frame.pins['a'].pose.position,
+                               simulation._start[expected].mean(0), atol=1e-15)
+
+
+def test_near_and_motion_from_the_scene():
+    simulation = sheet(pins={'a': {'cloth': 'c', 'near': [0.4, 0.3, 0.0], 'radius': 0.11,
+                                   'motion': [[0.0, 0.4, 0.3, 0.0], [1.0, 0.4, 0.3, 0.5]]}})
+    frame = run(simulation, 30)
+    np.testing.assert_array_equal(frame.pins['a'].particles, [14, 18, 19])
+    np.testing.assert_allclose(frame.x[19], [0.4, 0.3, 0.25], atol=1e-9)
+
+
+def test_pins_of_the_scene_share_no_particle():
+    """The first takes it; else a release of one would let go what the other holds."""
+    simulation = sheet(pins={'a': {'cloth': 'c', 'at': 'edge_0x'},
+                             'b': {'cloth': 'c', 'at': 'edge_x0'}})
+    frame = simulation.step()
+    np.testing.assert_array_equal(frame.pins['a'].particles, [0, 1, 2, 3, 4])
+    np.testing.assert_array_equal(frame.pins['b'].particles, [5, 10, 15])
+    frame = simulation.step([Release('b')])
+    np.testing.assert_array_equal(np.flatnonzero(frame.inv_mass == 0.0), [0, 1, 2, 3, 4])
+
+
+@pytest.mark.parametrize('pins, text', [
+    ({'a': {'cloth': 'd', 'at': 'corner_00'}}, "pins.a.cloth: unknown cloth 'd' (known: c)"),
+    ({'a': {'cloth': 'c', 'at': 'corner_02'}},
+     "pins.a: at: unknown place 'corner_02' (known: corner_00, corner_01, corner_10, corner_11, "
+     'edge_0x, edge_1x, edge_x0, edge_x1, or a list of particle indices)'),
+    ({'a': {'cloth': 'c', 'at': [20]}},
+     'pins.a.at: indices must be from 0 to 19 (got [20])'),
+    ({'a': {'cloth': 'c', 'at': [-1, 3]}},
+     'pins.a.at: indices must be from 0 to 19 (got [-1, 3])'),
+    ({'a': {'cloth': 'c', 'at': []}}, 'pins.a: at: must name at least one particle'),
+    ({'a': {'cloth': 'c'}}, "pins.a: needs either 'at' or 'near', and only one of them"),
+    ({'a': {'cloth': 'c', 'at': 'corner_00', 'near': [0, 0, 0]}},
+     "pins.a: needs either 'at' or 'near', and only one of them"),
+    ({'a': {'cloth': 'c', 'near': [9, 0, 0], 'radius': 0.1}},
+     'pins.a: no particle within 0.1 m of [9.0, 0.0, 0.0]; the nearest is 8.6 m away'),
+    ({'a': {'cloth': 'c', 'at': 'corner_00', 'target': [0, 0, 0], 'motion': [[0, 0, 0, 0]]}},
+     "pins.a: needs either 'target' or 'motion', not both"),
+    ({'a': {'cloth': 'c', 'at': 'corner_00', 'motion': [[1, 0, 0, 0], [0, 0, 0, 0]]}},
+     'pins.a: motion: times must rise (got [1.0, 0.0])'),
+    ({'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': [0]}},
+     'pins.b: other pins hold all that it names'),
+    ({name: {'cloth': 'c', 'at': 'corner_00'} for name in 'abcd'},
+     'pins: 4 pins, but effects.pin.max_pins is 3; raise it')])
+def test_a_pin_without_sense_is_refused(pins, text):
+    with pytest.raises(InputError) as error:
+        sheet(pins=pins)
+    assert str(error.value) == f'small.yaml: {text}'

@@ -1,0 +1,269 @@
+"""Messages to commands and back: what is refused, with which words, and what comes through."""
+
+from math import inf, nan
+import random
+
+from geometry_msgs.msg import PoseStamped, Twist
+import pytest
+from rclpy.serialization import serialize_message
+from ros.rig import pin, pose_stamped, targets, transform
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros import inbox
+from xpbd_ros.ros.inbox import Inbox
+from xpbd_ros.ros.inputs import (
+    as_messages,
+    count_in,
+    read_pins,
+    read_pose,
+    read_targets,
+    READERS,
+    unpacked,
+)
+from xpbd_ros.sim import commands
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+)
+
+NO_ROTATION = (0.0, 0.0, 0.0, 0.0)
+HERE = Pose((0.1, 0.2, 0.3))
+
+
+def changed(message, **changes):
+    """Return a message with something in it changed; a dot is written as ``__``."""
+    for path, value in changes.items():
+        *parents, name = path.split('__')
+        part = message
+        for parent in parents:
+            part = getattr(part, parent)
+        setattr(part, name, value)
+    return message
+
+
+def twist(**linear) -> Twist:
+    """Return a twist with these linear components [m/s]."""
+    return changed(Twist(), **{f'linear__{axis}': value for axis, value in linear.items()})
+
+
+def lengths(names: int, transforms: int, twists: int) -> MultiDOFJointState:
+    """Return a message whose arrays may not match."""
+    return MultiDOFJointState(joint_names=[f'n{k}' for k in range(names)],
+                              transforms=[transform((0.0, 0.0, 0.0))] * transforms,
+                              twist=[Twist()] * twists)
+
+
+@pytest.mark.parametrize(('changes', 'reason'), [
+    ({'header__frame_id': 'map'}, "marker a/0: TF frame 'map' is not the scene's 'world'; "
+                                  'transform it first'),
+    ({'pose__position__x': nan}, 'marker a/0: position or orientation is not finite'),
+    ({'pose__orientation__w': inf}, 'marker a/0: position or orientation is not finite'),
+    ({'pose__orientation__w': 0.0}, 'marker a/0: orientation [0.0, 0.0, 0.0, 0.0] is not a unit '
+                                    'quaternion'),
+    ({'pose__position__z': -1e7}, 'marker a/0: position [0.0, 0.0, -10000000.0] is further than '
+                                  '1e+06 m away'),
+    ({'scale__x': 0.0}, 'marker a/0: scale.x is twice the grasp radius and must be > 0 m '
+                        '(got 0.0)'),
+    ({'scale__x': -1.0}, 'must be > 0 m (got -1.0)'),
+    ({'scale__x': nan}, 'must be > 0 m (got nan)'),
+    ({'scale__x': inf}, 'must be > 0 m (got inf)'),
+    ({'scale__x': 5e-324}, 'must be > 0 m (got 5e-324)'),
+    ({'ns': 'no good!'}, "marker no good!/0: bad name 'no good!'"),
+    ({'ns': 'ä'}, "marker ä/0: bad name 'ä'"),
+    ({'id': -1}, "marker a/-1: bad name 'a_-1'"),
+    ({'action': 7}, 'marker a/0: unknown action 7'),
+    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns make no sense'),
+    ({'lifetime__nanosec': 2**32 - 1}, 'marker a/0: lifetime: 0 s and 4294967295 ns make no sense'),
+])
+def test_a_grasp_that_makes_no_sense(changes, reason):
+    good = pin('good', (0.0, 0.0, 0.0))
+    with pytest.raises(InputError) as error:
+        read_pins(MarkerArray(markers=[good, changed(pin('a'), **changes)]), 'world')
+    assert reason in str(error.value)
+
+
+@pytest.mark.parametrize(('message', 'reason'), [
+    (targets(frame_id='map', left=(0, 0, 0)), "header: TF frame 'map' is not the scene's 'world'"),
+    (targets(left=(nan, 0, 0)), 'left: position or orientation is not finite'),
+    (targets(left=transform((0, 0, 0), NO_ROTATION)), 'left: orientation [0.0, 0.0, 0.0, 0.0]'),
+    (targets(left=transform((0, 0, 0), (0, 0, 0, 1e200))), 'is not a unit quaternion'),
+    (lengths(2, 1, 0), '2 names but 1 transforms and 0 twists'),
+    (lengths(0, 1, 0), '0 names but 1 transforms and 0 twists'),
+    (lengths(2, 2, 1), '2 names but 2 transforms and 1 twists'),
+    (targets(left=(0, 0, 0), twist=twist(x=nan)), 'left: twist is not finite'),
+    (targets(left=(0, 0, 0), twist=twist(z=1e200)), 'is faster than 1e+06'),
+    (targets(left=(0, 0, 0), stamp=-1), 'header: stamp: -1 s and 999999999 ns make no sense'),
+    (changed(targets(left=(0, 0, 0)), header__stamp__nanosec=10**9), '0 s and 1000000000 ns'),
+    (targets(**{'a/b': (0, 0, 0)}), "joint_names: bad name 'a/b'"),
+    (targets(**{'': (0, 0, 0)}), "joint_names: bad name ''"),
+    (targets(**{'x' * 1000 + '!': (0, 0, 0)}), f"joint_names: bad name '{'x' * 40}'"),
+])
+@pytest.mark.parametrize('kind', [MovePin, MoveCollider])
+def test_targets_that_make_no_sense(message, reason, kind):
+    with pytest.raises(InputError) as error:
+        read_targets(message, 'world', kind)
+    assert reason in str(error.value)
+
+
+@pytest.mark.parametrize(('message', 'reason'), [
+    (pose_stamped((0, 0, 0), frame_id='tool0'), "header: TF frame 'tool0'"),
+    (pose_stamped((0, inf, 0)), 'ball: position or orientation is not finite'),
+    (pose_stamped((0, 0, 0), NO_ROTATION), 'ball: orientation [0.0, 0.0, 0.0, 0.0] is not'),
+    (changed(pose_stamped((0, 0, 0)), header__stamp__sec=-5), 'header: stamp: -5 s and 0 ns'),
+])
+def test_a_pose_that_makes_no_sense(message, reason):
+    with pytest.raises(InputError) as error:
+        read_pose(message, 'world', 'ball')
+    assert reason in str(error.value)
+
+
+def test_an_empty_tf_frame_is_the_scenes():
+    (command,) = read_pose(pose_stamped((1, 2, 3), frame_id=''), 'base_link', 'ball')
+    assert command == MoveCollider('ball', Pose((1.0, 2.0, 3.0)), None, 0)
+
+
+def test_a_quaternion_that_is_nearly_one_is_made_one():
+    (command,) = read_pose(pose_stamped((0, 0, 0), (0, 0, 0.6, 0.801)), 'world', 'ball')
+    assert sum(c * c for c in command.pose.orientation) == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize('garbage', [
+    b'', b'\0', b'\0\1\0\0', b'\0\1\0\0' + b'\xff' * 40, b'\0\0\0\0' + b'\xff' * 40,
+    bytes(range(256)), serialize_message(String(data='not at all ' * 9)),
+    serialize_message(pin('a'))[:-9],
+], ids=['empty', 'one byte', 'header only', 'little endian', 'big endian', 'bytes', 'a string',
+        'cut off'])
+@pytest.mark.parametrize('kind', [MarkerArray, MultiDOFJointState, PoseStamped])
+def test_bytes_that_are_no_message(garbage, kind):
+    count_in(garbage, kind)    # of a kind that has a count; never raises
+    with pytest.raises(InputError, match='cannot be unpacked'):
+        unpacked(garbage, kind)
+
+
+@pytest.mark.parametrize('frame_id', ['', 'w', 'wo', 'wor', 'world', 'a_longer_one'])
+def test_the_count_is_read_without_unpacking(frame_id):
+    names = {f'n{k}': (0, 0, 0) for k in range(7)}
+    assert count_in(serialize_message(targets(frame_id=frame_id, **names)),
+                    MultiDOFJointState) == 7
+    assert count_in(serialize_message(MarkerArray(markers=[Marker()] * 5)), MarkerArray) == 5
+
+
+def random_commands(count: int) -> list[commands.Command]:
+    """Return commands of all kinds, with numbers of any size."""
+    noise = random.Random(3)
+
+    def number():
+        return noise.choice([0.0, -0.0, 5e-324, 1.0, -1e5, noise.gauss(0.0, 1.0)])
+
+    def pose():
+        q = [noise.gauss(0.0, 1.0) for _ in range(4)]
+        length = sum(c * c for c in q)**0.5
+        return Pose((number(), number(), number()), tuple(c / length for c in q))
+
+    def move(kind):
+        speed = commands.Twist((number(), number(), number()), (number(), number(), number()))
+        return kind(noise.choice(['left', 'right']), pose(), noise.choice([None, speed]),
+                    noise.choice([0, 1, 1_700_000_000_999_999_999]))
+    kinds = [lambda: Grasp('a', pose(), noise.random() + 1e-9, noise.choice([0, 1, 10**10 + 1])),
+             lambda: Release('a'), ReleaseAll, Reset,
+             lambda: move(MovePin), lambda: move(MoveCollider),
+             lambda: SetKey('solver.substeps', noise.randint(1, 99)),
+             lambda: SetKey('gravity', [number(), number(), number()]),
+             lambda: SetKey('cloths.towel.friction', noise.random())]
+    return [noise.choice(kinds)() for _ in range(count)]
+
+
+def test_commands_come_out_of_the_log_as_they_went_in():
+    """Bit for bit and in order: all that a repeated run depends on."""
+    before = random_commands(2000)
+    after = []
+    for topic, message in as_messages(before, 'world', 1_700_000_000_123_456_789):
+        kind, read = READERS[topic.rsplit('/', 1)[-1]]
+        after += read(unpacked(serialize_message(message), kind), 'world')
+    assert list(map(repr, after)) == list(map(repr, before))    # repr tells -0.0 from 0.0
+
+
+# the inbox
+
+
+@pytest.fixture
+def said():
+    """Return what was warned about."""
+    return []
+
+
+@pytest.fixture
+def box(said):
+    """Return an inbox that nothing has come to."""
+    return Inbox(said.append, max_message_bytes=1000, max_names=4)
+
+
+def take(box, message, topic='/t'):
+    """Give an inbox a message of ~/pin_targets."""
+    box.take(topic, serialize_message(message), MultiDOFJointState,
+             lambda m: read_targets(m, 'world', MovePin))
+
+
+def test_only_the_last_target_of_a_name_waits(box):
+    for k in range(3):
+        take(box, targets(left=(k, 0, 0), right=(-k, 0, 0)))
+    assert [(c.pin, c.pose.position[0]) for c in box.drain()] == [('left', 2.0), ('right', -2.0)]
+    assert box.drain() == []
+
+
+def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
+    first, second = MovePin('a', HERE), MovePin('a', Pose())
+    for between in (Grasp('a', HERE, 1.0), Release('a'), ReleaseAll(), Reset()):
+        other = MovePin('b', HERE)
+        for command in (first, other, between, second):
+            box.put('/t', [command])
+        assert box.drain() == [first, other, between, second]
+
+
+def test_a_collider_and_a_pin_of_the_same_name_are_two(box):
+    both = [MovePin('a', HERE), MoveCollider('a', HERE)]
+    box.put('/t', both)
+    assert box.drain() == both
+
+
+def test_refuses_what_is_too_long_or_too_much(box, said):
+    take(box, targets(**{f'n{k}': (0, 0, 0) for k in range(5)}), '/a')
+    take(box, targets(left=(0, 0, 0), frame_id='w' * 2000), '/b')
+    assert said == ['/a: refused: 5 entries, and there is room for 4',
+                    '/b: refused: 2124 bytes are more than max_message_bytes (1000)']
+    assert box.drain() == []
+    assert box.refused == {'/a': 1, '/b': 1}
+
+
+def test_refuses_what_no_frame_takes_away(box, said, monkeypatch):
+    monkeypatch.setattr(inbox, 'ROOM', 6)
+    for k in range(4):
+        take(box, targets(**{f'a{k}': (0, 0, 0), f'b{k}': (0, 0, 0)}))
+    assert said == ['/t: refused: more than 6 commands wait for the next frame']
+    assert len(box.drain()) == 6
+    take(box, targets(left=(0, 0, 0)))
+    assert len(box.drain()) == 1
+
+
+def test_warns_once_a_second_and_counts_all(box, said, monkeypatch):
+    now = 100.0
+    monkeypatch.setattr(inbox.time, 'monotonic', lambda: now)
+    for _ in range(50):
+        box.refuse('/a', 'no')
+    box.refuse('/b', 'neither')
+    now = 100.9
+    box.refuse('/a', 'no')
+    assert said == ['/a: refused: no', '/b: refused: neither']
+    now = 101.0
+    box.refuse('/a', 'not yet')
+    assert said[2:] == ['/a: refused: not yet (50 more refused since)']
+    assert box.refused == {'/a': 52, '/b': 1}

@@ -1,0 +1,67 @@
+"""From a scene to a simulation: places, masses, and that what is shipped runs."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sim.small import run, simulate
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene, scene_from_text
+from xpbd_ros.scene.save import scene_text
+from xpbd_ros.share import share_folder
+from xpbd_ros.sim.measure import largest_strain
+
+SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+
+
+@pytest.mark.parametrize('name', SHIPPED)
+def test_a_shipped_scene_runs(name):
+    simulation = compile_scene(load_scene(name))
+    for _ in range(30):
+        frame = simulation.step()
+        assert np.isfinite(frame.x).all()
+        assert np.isfinite(frame.v).all()
+    assert largest_strain(simulation) < 0.5
+    assert np.abs(frame.v).max() < 20.0
+    for pin in frame.pins.values():
+        assert np.isfinite(pin.force).all()
+
+
+@pytest.mark.parametrize('name', SHIPPED)
+def test_what_is_saved_runs_with_the_same_bits(name):
+    scene = load_scene(name, {'solver.iterations': 2, 'gravity': [0.1, 0.2, -9.0]})
+    simulation = compile_scene(scene)
+    again = compile_scene(scene_from_text(scene_text(scene, simulation.solver), where='log',
+                                          name='log'))
+    assert again.solver.reason == 'substeps: given'
+    run(simulation, 5)
+    run(again, 5)
+    assert simulation.hash() == again.hash()
+
+
+def test_a_cloth_lies_where_its_pose_says_and_weighs_what_its_density_says():
+    turn = Rotation.from_rotvec([0.3, -1.0, 0.5])
+    simulation = simulate((4, 3), (0.6, 0.5), density=0.3, pose={
+        'position': [1.0, 2.0, 3.0], 'orientation': turn.as_quat().tolist()})
+    rows, columns = np.mgrid[0:3, 0:4]
+    flat = np.stack([columns * 0.2, rows * 0.25, np.zeros((3, 4))], -1).reshape(-1, 3)
+    np.testing.assert_allclose(simulation.state.x, turn.apply(flat) + [1.0, 2.0, 3.0], atol=1e-14)
+    assert simulation.state.mass.sum() == pytest.approx(0.3 * 0.6 * 0.5, rel=1e-14)
+    np.testing.assert_array_equal(simulation.state.inv_mass, 1.0 / simulation.state.mass)
+    np.testing.assert_array_equal(simulation.state.v, 0.0)
+
+
+@pytest.mark.parametrize('size, weight', [(1e300, 'inf'), (1e-300, '0')])
+def test_a_cloth_too_heavy_or_too_light_for_numbers_is_refused(size, weight):
+    with np.errstate(over='ignore'), pytest.raises(InputError) as error:
+        simulate((2, 2), (size, size))
+    assert str(error.value) == (f'small.yaml: cloths: a particle would weigh {weight} kg; size, '
+                                'density and resolution do not fit together')
+
+
+def test_what_is_wrong_with_a_pin_is_told_with_the_file():
+    """Found only when the cloths are laid out."""
+    with pytest.raises(InputError) as error:
+        simulate(pins={'a': {'cloth': 'towel', 'at': 'corner_00'}})
+    assert str(error.value) == "small.yaml: pins.a.cloth: unknown cloth 'towel' (known: c)"

@@ -1,0 +1,280 @@
+"""A scene file at the door: what is understood, and what a user is told of the rest."""
+
+from pathlib import Path
+import time
+
+import pytest
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text, settings_overrides
+
+FLAG = """\
+cloths:
+  flag:
+    grid: {size: [1.2, 0.8], resolution: [4, 3]}
+    density: 0.15
+    effects:
+      stretch: {warp: 800.0, weft: 800.0}
+"""
+TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, pins, '
+       'colliders)')
+
+
+def read(text, **options):
+    """Return a scene given as text."""
+    return scene_from_text(text, where='flag.yaml', name='flag', **options)
+
+
+def refusal(text, **options):
+    """Return what a user is told about a scene."""
+    with pytest.raises(InputError) as error:
+        read(text, **options)
+    assert '\n' not in str(error.value)
+    assert len(str(error.value)) < 400
+    return str(error.value)
+
+
+@pytest.mark.parametrize('before, after, text', [
+    ('stretch:', 'strech:', "cloths.flag.effects.strech: unknown effect; did you mean 'stretch'? "
+     '(known: bend, shear, stretch)'),
+    ('warp: 800.0', 'warp: -1', 'cloths.flag.effects.stretch.warp: must be > 0 N/m (got -1)'),
+    ('warp: 800.0', 'warp: 0', 'cloths.flag.effects.stretch.warp: must be > 0 N/m (got 0)'),
+    ('warp: 800.0', 'wrap: 800.0', "cloths.flag.effects.stretch.wrap: unknown key; did you mean "
+     "'warp'? (known: warp, weft, compliance)"),
+    ('warp: 800.0', 'warp: .nan',
+     'cloths.flag.effects.stretch.warp: must be finite N/m (got nan)'),
+    ('warp: 800.0', 'warp: soft',
+     "cloths.flag.effects.stretch.warp: must be a number N/m (got 'soft')"),
+    ('warp: 800.0', 'warp: ', 'cloths.flag.effects.stretch.warp: has no value'),
+    ('warp: 800.0', 'warp: [1]',
+     'cloths.flag.effects.stretch.warp: must be a number N/m (got [1])'),
+    ('density: 0.15', 'density: -0.15', 'cloths.flag.density: must be > 0 kg/m² (got -0.15)'),
+    ('density: 0.15', 'density: .inf', 'cloths.flag.density: must be finite kg/m² (got inf)'),
+    ('density: 0.15', 'density: true',
+     'cloths.flag.density: must be a number kg/m² (got True)'),
+    ('density: 0.15', 'density: 2001-01-01',
+     'cloths.flag.density: must be a number kg/m² (got datetime.date(2001, 1, 1))'),
+    ('density: 0.15', 'density: 0x' + 'f' * 6000,
+     'cloths.flag.density: must be finite kg/m² (got a number of 24000 bits)'),
+    ('    density: 0.15\n', '', 'cloths.flag.density: missing (kg/m²)'),
+    ('[1.2, 0.8]', '[1.2]', 'cloths.flag.grid.size: must be 2 numbers (got 1)'),
+    ('[1.2, 0.8]', '1.2', 'cloths.flag.grid.size: must be a list (got 1.2)'),
+    ('[1.2, 0.8]', '[1.2, 0]', 'cloths.flag.grid.size[1]: must be > 0 m (got 0)'),
+    ('[4, 3]', '[4.5, 3]',
+     'cloths.flag.grid.resolution[0]: must be a whole number (got 4.5)'),
+    ('[4, 3]', '[0, 3]', 'cloths.flag.grid.resolution[0]: must be at least 1 (got 0)'),
+    ('[4, 3]', '[4, 100000]',
+     'cloths.flag.grid.resolution[1]: must be at most 10000 (got 100000)'),
+    ('{warp: 800.0, weft: 800.0}', '800',
+     'cloths.flag.effects.stretch: must be a mapping (got 800)'),
+    ('  flag:', '  my flag:',
+     'cloths.my flag: a name must match [A-Za-z_][A-Za-z0-9_]*'),
+    ('  flag:', '  2:', 'cloths.2: a name must match [A-Za-z_][A-Za-z0-9_]*'),
+    ('cloths:', 'cloth:', f"cloth: unknown key; did you mean 'cloths'? {TOP}"),
+    ('      stretch', '      contact: {thickness: 0.01}\n      stretch',
+     'cloths.flag.effects.contact: belongs under effects')])
+def test_a_mistake_in_a_cloth_is_told_with_key_value_unit_and_the_way_out(before, after, text):
+    assert FLAG.count(before) == 1
+    assert refusal(FLAG.replace(before, after)) == f'flag.yaml: {text}'
+
+
+@pytest.mark.parametrize('added, text', [
+    ('effects: {friction: {}}',
+     'effects.friction: needs contact or self_collision, and the scene has neither'),
+    ('effects: {stretch: {warp: 1, weft: 1}}',
+     'effects.stretch: belongs under cloths.<name>.effects'),
+    ('effects: {dampng: {rate: 1}}', "effects.dampng: unknown effect; did you mean 'damping'? "
+     '(known: pin, damping, contact, friction)'),
+    ('effects: {damping: {}}', 'effects.damping.rate: missing (1/s)'),
+    ('effects: {damping: {rate: -1}}', 'effects.damping.rate: must be at least 0 1/s (got -1)'),
+    ('colliders: {floor: {plane: {}}}',
+     'colliders: needs effects.contact, and the scene does not name it'),
+    ('pins: [left]', "pins: must be a mapping (got ['left'])"),
+    ('pins: {left: {cloth: flag, at: 3}}', 'pins.left.at: must be text (got 3)'),
+    ('pins: {left: {at: corner_00}}', 'pins.left.cloth: missing'),
+    ('pins: {left: {cloth: flag, at: [0, x]}}',
+     "pins.left.at[1]: must be a number (got 'x')"),
+    ('gravity: [0, 0]', 'gravity: must be 3 numbers (got 2)'),
+    ('gravity: [0, 0, -.inf]', 'gravity[2]: must be finite m/s² (got -inf)'),
+    ('frame_rate: 0.5', 'frame_rate: must be at least 1 Hz (got 0.5)'),
+    ('frame_rate: 20000', 'frame_rate: must be at most 10000 Hz (got 20000)'),
+    ('frame_id: ""', "frame_id: must be text (got '')"),
+    ('duration: 0', 'duration: must be > 0 s (got 0)'),
+    ('solver: {substeps: 0}', 'solver.substeps: must be at least 1 (got 0)'),
+    ('solver: {method: gauss_siedel}', "solver.method: unknown value; did you mean "
+     "'gauss_seidel'? (known: auto, gauss_seidel; got 'gauss_siedel')"),
+    ('solver: fast', "solver: must be a mapping (got 'fast')"),
+    ('wind: {}', f'wind: unknown key; {TOP}')])
+def test_a_mistake_in_the_rest_is_told_too(added, text):
+    assert refusal(f'{FLAG}{added}\n') == f'flag.yaml: {text}'
+
+
+@pytest.mark.parametrize('scene, text', [
+    ('', 'cloths: missing; a scene needs at least one cloth'),
+    ('cloths: {}', 'cloths: missing; a scene needs at least one cloth'),
+    ('cloths: {flag: }', 'cloths.flag.grid: missing'),
+    ('3', 'the scene: must be a mapping (got 3)'),
+    (FLAG + 'gravity: [0, 0, -1]\ngravity: [0, 0, -2]\n',
+     "line 8, column 1: key 'gravity' stands twice"),
+    (FLAG + '  flag: {}\n', "line 7, column 3: key 'flag' stands twice"),
+    (FLAG + '? [a, b]\n: 1\n', 'line 7, column 3: a key must be a name'),
+    (FLAG + '? !!set {a}\n: 1\n', 'line 7, column 3: a key must be a name'),
+    (FLAG + '\tx: 1\n',
+     "line 7, column 1: found character '\\t' that cannot start any token"),
+    (FLAG + 'gravity: [0, 0\n', "line 8, column 1: expected ',' or ']', but got '<stream end>'"),
+    (FLAG + '---\n' + FLAG, 'line 7, column 1: but found another document'),
+    (FLAG.replace('0.15', '!!python/object/apply:os.getcwd []'),
+     'line 4, column 14: could not determine a constructor for the tag '
+     "'tag:yaml.org,2002:python/object/apply:os.getcwd'")])
+def test_what_is_no_scene_at_all_is_told_with_its_place(scene, text):
+    assert refusal(scene) == f'flag.yaml: {text}'
+
+
+def bomb(levels=9):
+    """Return aliases of aliases: a few hundred bytes that spell out as 10 ** levels words."""
+    lines = ['&a0 [' + ', '.join('x' * 10) + ']']
+    lines += [f'&a{k} [' + ', '.join([f'*a{k - 1}'] * 10) + ']' for k in range(1, levels)]
+    return '[' + ', '.join(lines) + ']'
+
+
+@pytest.mark.parametrize('scene', [
+    FLAG.replace('0.15', bomb()), FLAG + f'duration: {bomb()}\n', FLAG + f'? {bomb()}\n: 1\n',
+    FLAG + f'gravity: {bomb()}\n', FLAG + f'effects: {bomb()}\n', bomb(),
+    FLAG + f'frame_id: {bomb()}\n', FLAG + f'pins: {{a: {bomb()}}}\n',
+    'cloths: &c {a: *c}', 'gravity: &g [*g, *g, *g]', '&s {cloths: *s}',
+    FLAG + 'duration: &d [*d]',
+    '[' * 2000, '{a: ' * 2000, FLAG + 'x' * 300_000 + ': 1\n'])
+def test_aliases_and_nesting_are_refused_within_two_seconds(scene):
+    start = time.process_time()
+    with pytest.raises(InputError) as error:
+        read(scene)
+    assert time.process_time() - start < 2.0
+    assert len(str(error.value)) < 300 + scene.count('xxx')
+
+
+def test_numbers_may_be_written_without_a_dot():
+    """YAML 1.1 takes 1e-5 for text."""
+    scene = read(FLAG.replace('warp: 800.0', 'warp: 1e-5').replace('0.15', '2E+1'))
+    assert scene.cloth_effects['flag']['stretch'].warp == 1e-5
+    assert scene.cloths['flag'].density == 20.0
+    assert read(FLAG + 'solver: {substeps: 1e1}').top.solver.substeps == 10
+
+
+def test_what_is_left_out_takes_its_default():
+    scene = read(FLAG)
+    assert scene.top.gravity == (0.0, 0.0, -9.80665)
+    assert scene.top.frame_id == 'world'
+    assert scene.top.frame_rate == 60.0
+    assert scene.top.solver.method == 'auto'
+    assert scene.cloths['flag'].pose.orientation == (0.0, 0.0, 0.0, 1.0)
+    assert scene.sections == {}
+    assert scene.effect_names == ('stretch',)
+    assert read(FLAG + 'pins: {}').effect_names == ('pin', 'stretch')
+
+
+def test_both_forms_of_stretch_are_read():
+    assert read(FLAG).cloth_effects['flag']['stretch'].compliance is None
+    form = read(FLAG.replace('warp: 800.0, weft: 800.0', 'compliance: 0'))
+    assert form.cloth_effects['flag']['stretch'].compliance == 0.0
+    assert refusal(FLAG.replace('weft', 'compliance')) == (
+        'flag.yaml: cloths.flag.effects.stretch: needs either warp and weft (N/m) or compliance '
+        '(m/N), not both')
+
+
+def test_an_orientation_is_normalised_and_nonsense_refused():
+    pose = '    pose: {orientation: [0, 0, 0.70710678, 0.70710678]}\n    density'
+    q = read(FLAG.replace('    density', pose)).cloths['flag'].pose.orientation
+    assert sum(c * c for c in q) == pytest.approx(1.0, abs=1e-15)
+    assert refusal(FLAG.replace('    density', pose.replace('0.70710678', '1'))) == (
+        'flag.yaml: cloths.flag.pose.orientation: must be a unit quaternion x y z w '
+        '(got length 1.41)')
+
+
+def test_overrides_stand_in_for_what_the_file_says():
+    scene = read(FLAG, overrides={'solver.substeps': 32, 'gravity': [0.0, 0.0, -1.0],
+                                  'cloths.flag.effects.stretch.warp': '1e3',
+                                  'effects.damping.rate': 2})
+    assert scene.top.solver.substeps == 32
+    assert scene.top.gravity == (0.0, 0.0, -1.0)
+    assert scene.cloth_effects['flag']['stretch'].warp == 1000.0
+    assert scene.effects['damping'].rate == 2.0
+    assert scene.raw['solver'] == {'substeps': 32}
+
+
+@pytest.mark.parametrize('key, value, text', [
+    ('cloths.flag.density.x', 1, "'density' holds a value, so it has no key 'x'"),
+    ('cloths.flag.densty', 1, "cloths.flag.densty: unknown key; did you mean 'density'? "
+     '(known: grid, density, pose, friction, effects)'),
+    ('', 1, "'' is not a key"),
+    ('cloths..density', 1, "'.density' is not a key"),
+    ('solver.substeps', 3.5, 'solver.substeps: must be a whole number (got 3.5)'),
+    ('solver', None, 'ok')])
+def test_an_override_is_checked_like_the_file(key, value, text):
+    if text == 'ok':
+        assert read(FLAG, overrides={key: value}).top.solver.method == 'auto'
+    else:
+        assert refusal(FLAG, overrides={key: value}) == f'flag.yaml: {text}'
+
+
+def test_a_mapping_given_is_not_written_to():
+    raw = {'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [2, 2]}, 'density': 1}}}
+    scene_from_mapping(raw, where='x', name='x', overrides={'cloths.c.density': 2})
+    assert raw['cloths']['c']['density'] == 1
+
+
+def write(folder: Path, content: bytes, name: str = 'flag.yaml') -> str:
+    """Write a file and return its name."""
+    (folder / name).write_bytes(content)
+    return str(folder / name)
+
+
+def test_a_file_is_found_by_path_and_a_shipped_scene_by_name(tmp_path):
+    scene = load_scene(write(tmp_path, FLAG.encode()))
+    assert scene.name == 'flag'
+    assert scene.where == str(tmp_path / 'flag.yaml')
+    assert load_scene(write(tmp_path, b'\xef\xbb\xbf' + FLAG.encode())).cloths.keys() == {'flag'}
+    assert load_scene('swing').name == 'swing'
+
+
+def test_a_folder_of_the_same_name_does_not_hide_a_shipped_scene(tmp_path, monkeypatch):
+    """Runs are written to folders, and one may well be called after its scene."""
+    (tmp_path / 'swing').mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_scene('swing').where.endswith('scenes/swing.yaml')
+
+
+def test_a_file_that_cannot_be_read_is_told_in_one_line(tmp_path):
+    def told(name):
+        with pytest.raises(InputError) as error:
+            load_scene(name)
+        assert '\n' not in str(error.value)
+        return str(error.value)
+
+    assert told('no/such.yaml') == 'no/such.yaml: no such file'
+    (tmp_path / 'folder.yaml').mkdir()
+    assert told(str(tmp_path / 'folder.yaml')) == f'{tmp_path}/folder.yaml: is a folder'
+    assert told('swng').startswith("swng: unknown scene; did you mean 'swing'? (known: ")
+    assert told('swng').endswith('; or give a .yaml file')
+    name = write(tmp_path, b'cloths: \xff\n')
+    assert told(name) == f'{name}: not UTF-8 text (invalid start byte at byte 8)'
+    name = write(tmp_path, b'cloths: \x00\n')
+    assert told(name) == (f'{name}: unacceptable character #x0000: special characters are not '
+                          'allowed')
+    name = write(tmp_path, b'#' * (17 * 2**20))
+    assert told(name) == f'{name}: larger than 16 MiB'
+    assert told(str(tmp_path)).startswith(f'{tmp_path}: unknown scene; (known: ')
+    assert told('a\0b').startswith('a\0b: unknown scene; (known: ')
+
+
+def test_a_settings_file_gives_overrides(tmp_path):
+    name = write(tmp_path, b'solver: {substeps: 7, iterations: 2}\n', 'settings.yaml')
+    assert settings_overrides(name) == {'solver.substeps': 7, 'solver.iterations': 2}
+    for content, text in ((b'substeps: 7', "must hold one section, 'solver:'"),
+                          (b'solver: 3', 'must be a mapping (got 3)'),
+                          (b'\xff', 'cannot be read (')):
+        name = write(tmp_path, content, 'settings.yaml')
+        with pytest.raises(InputError) as error:
+            settings_overrides(name)
+        assert str(error.value).startswith(f'{name}: {text}')
+    with pytest.raises(InputError, match='no such file'):
+        settings_overrides(str(tmp_path / 'none.yaml'))

@@ -1,0 +1,79 @@
+"""Scenes of a few particles, as many as a law needs."""
+
+from typing import Any
+
+import numpy as np
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.simulation import Simulation
+
+GRAVITY = 9.80665
+DOWN = [0.0, 0.5**0.5, 0.0, 0.5**0.5]
+"""turns a cloth so that its warp points down"""
+EXAMPLES = {
+    'pin': {},
+    'damping': {'rate': 1.0},
+    'bend': {'stiffness': 2e-3},
+    'shear': {'stiffness': 15.0},
+    'stretch': {'warp': 60.0, 'weft': 40.0},
+    'contact': {'thickness': 0.005},
+    'friction': {},
+}
+"""parameters for each effect there is, of a cloth of about 1 m"""
+
+
+def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
+             scene_effects: dict | None = None, pins: dict | None = None,
+             colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
+             friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
+             substeps: int = 1, iterations: int = 1, scale: float = 1.0) -> Simulation:
+    """
+    Return the simulation of one cloth, ``c``.
+
+    ``effects`` belong to the cloth and ``scene_effects`` to the scene; ``rate`` is in frames per
+    second, ``scale`` multiplies all compliances.
+    """
+    return compile_scene(scene_from_mapping({
+        'gravity': list(gravity), 'frame_rate': rate,
+        'solver': {'substeps': substeps, 'iterations': iterations, 'compliance_scale': scale},
+        'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
+                         'density': density, 'friction': friction, 'pose': pose or {},
+                         'effects': effects or {}}},
+        **{key: value for key, value in (('effects', scene_effects), ('pins', pins),
+                                         ('colliders', colliders)) if value is not None},
+    }, where='small.yaml', name='small'))
+
+
+def with_every_effect(grid=(6, 5), **options: Any) -> Simulation:
+    """Return a cloth, pinned at a corner, that lies on a table; it has every effect there is."""
+    kinds = {scope: {name: EXAMPLES[name] for name, its in EFFECTS.items() if its == scope}
+             for scope in ('cloth', 'scene')}
+    return simulate(grid, effects=kinds['cloth'], scene_effects=kinds['scene'], **{
+        'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}},
+        'colliders': {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]}}, **options})
+
+
+def hang(n: int = 2, *, length: float = 1.0, damping: float = 10.0, **options: Any) -> Simulation:
+    """Return a strip of n particles, 1 m wide, that hangs from its first; damped unless 0."""
+    return simulate((n, 1), (length, 1.0), pose={'orientation': DOWN},
+                    pins={'top': {'cloth': 'c', 'at': 'corner_00'}},
+                    scene_effects={'damping': {'rate': damping}}, **options)
+
+
+def run(simulation: Simulation, frames: int, commands=()):
+    """Advance by some frames, the commands before the first, and return the last frame."""
+    frame = simulation.step(commands)
+    for _ in range(frames - 1):
+        frame = simulation.step()
+    return frame
+
+
+def run_until_still(simulation: Simulation, *, speed: float = 1e-13, frames: int = 3000):
+    """Advance until nothing moves faster than this [m/s]; fail if that never happens."""
+    for _ in range(frames):
+        frame = simulation.step()
+        if np.abs(frame.v).max() < speed:
+            return frame
+    raise AssertionError(f'still moving at {np.abs(frame.v).max():.3g} m/s')

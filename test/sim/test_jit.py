@@ -1,0 +1,46 @@
+"""Where compiled kernels are kept, and how they are compiled."""
+
+from numba import config
+import pytest
+
+from xpbd_ros.sim import jit
+from xpbd_ros.sim.state import predict
+
+
+@pytest.fixture
+def nowhere(tmp_path):
+    """Return a path under which no folder can be made."""
+    (tmp_path / 'file').write_text('')
+    return str(tmp_path / 'file' / 'folder')
+
+
+def test_the_cache_is_where_the_user_says_and_changes_with_the_sources(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'xdg'))
+    monkeypatch.delenv('NUMBA_CACHE_DIR', raising=False)
+    folder = jit._cache_folder()
+    assert folder.parent == tmp_path / 'xdg' / 'xpbd_ros'
+    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
+    assert jit._cache_folder() == tmp_path / 'numba' / 'xpbd_ros' / folder.name
+    assert jit._cache_folder().is_dir()
+    monkeypatch.setattr(jit, '__file__', str(tmp_path / 'package' / 'sim' / 'jit.py'))
+    other = jit._sources_hash()
+    assert other != folder.name
+    (tmp_path / 'package' / 'effects').mkdir(parents=True)
+    (tmp_path / 'package' / 'effects' / 'new.py').write_text('x = 1')
+    assert jit._sources_hash() not in (other, folder.name)
+
+
+def test_without_a_place_to_write_it_is_a_temporary_one(nowhere, monkeypatch, tmp_path):
+    monkeypatch.setenv('NUMBA_CACHE_DIR', nowhere)
+    monkeypatch.setattr(jit.tempfile, 'gettempdir', lambda: str(tmp_path))
+    assert jit._cache_folder().parent == tmp_path / 'xpbd_ros'
+    monkeypatch.setattr(jit.tempfile, 'gettempdir', lambda: nowhere)
+    monkeypatch.setattr(jit.tempfile, 'mkdtemp', lambda prefix: str(tmp_path / prefix))
+    assert jit._cache_folder() == tmp_path / 'xpbd_ros_'
+
+
+def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
+    assert predict.targetoptions['nogil']
+    assert not predict.targetoptions.get('fastmath')
+    assert str(jit.CACHE_FOLDER) in predict.stats.cache_path
+    assert str(jit.CACHE_FOLDER) != config.CACHE_DIR

@@ -1,0 +1,43 @@
+"""Momentum, energy and strain, from their definitions."""
+
+import numpy as np
+import pytest
+from sim.small import simulate
+
+from xpbd_ros.sim import measure
+
+
+@pytest.fixture
+def simulation():
+    """Return a cloth in any state."""
+    simulation = simulate((4, 3), (0.3, 0.4), gravity=(0.1, 0.2, -9.0))
+    rng = np.random.default_rng(2)
+    simulation.state.x[:] = rng.normal(size=(12, 3))
+    simulation.state.v[:] = rng.normal(size=(12, 3))
+    return simulation
+
+
+def test_the_sums_are_those_of_the_definitions(simulation):
+    state = simulation.state
+    p, l, kinetic, potential = np.zeros(3), np.zeros(3), 0.0, 0.0
+    for m, x, v in zip(state.mass, state.x, state.v):
+        p += m * v
+        l += m * np.cross(x, v)
+        kinetic += 0.5 * m * v @ v
+        potential -= m * x @ [0.1, 0.2, -9.0]
+    np.testing.assert_allclose(measure.momentum(state), p, rtol=1e-13)
+    np.testing.assert_allclose(measure.angular_momentum(state), l, rtol=1e-13)
+    assert measure.kinetic_energy(state) == pytest.approx(kinetic, rel=1e-13)
+    assert measure.potential_energy(state) == pytest.approx(potential, rel=1e-13)
+
+
+def test_the_largest_strain_is_that_of_the_worst_grid_edge():
+    simulation = simulate((4, 3), (0.3, 0.4))
+    assert measure.largest_strain(simulation) < 1e-14
+    simulation.state.x[5] += (0.0, 0.0, 0.2)    # a neighbour along weft is 0.2 m away, warp 0.1 m
+    assert measure.largest_strain(simulation) == pytest.approx(5**0.5 - 1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize('grid', [(1, 1), (1, 4), (4, 1)])
+def test_a_cloth_without_a_direction_has_no_strain_there(grid):
+    assert measure.largest_strain(simulate(grid)) < 1e-14

@@ -1,0 +1,282 @@
+"""A simulation as a whole: time, frames, commands, repetition, invariance."""
+
+from fractions import Fraction
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sim.small import EXAMPLES, run, simulate, with_every_effect
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+    Twist,
+)
+from xpbd_ros.sim.measure import angular_momentum, momentum
+
+ROOT = Path(__file__).resolve().parents[2]
+CLOTH = {name: EXAMPLES[name] for name, scope in EFFECTS.items() if scope == 'cloth'}
+MOVING = {
+    'pins': {'a': {'cloth': 'c', 'at': 'corner_00',
+                   'motion': [[0.0, 0.0, 0.0, 0.0], [0.5, 0.2, 0.0, 0.3], [1.0, 0.2, 0.4, 0.1]]}},
+    'colliders': {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]},
+                  'block': {'box': {'size': [0.2, 0.2, 0.2]}, 'motion': [
+                      [0.0, 0.5, 0.5, -0.2], [0.5, 0.5, 0.5, 0.1]]}}}
+COMMANDS = {
+    5: [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)],
+    6: [MovePin('hand', Pose((1.0, 0.8, 0.3), (0.0, 0.6, 0.0, 0.8)), None, 0)],
+    20: [MoveCollider('block', Pose((0.4, 0.5, 0.05)), Twist((0.1, 0.0, 0.0)), 0)],
+    25: [SetKey('cloths.c.effects.stretch.warp', 90.0), SetKey('solver.substeps', 7)],
+    30: [Release('hand'), Release('nobody')],
+}
+
+
+def story():
+    """Return the hash of every frame of a run in which something of each kind happens."""
+    simulation = with_every_effect(substeps=5, iterations=2, **MOVING)
+    hashes = []
+    for k in range(40):
+        simulation.step(COMMANDS.get(k, ()))
+        hashes.append(simulation.hash())
+    return hashes
+
+
+def test_two_runs_have_the_same_bits():
+    """V28."""
+    hashes = story()
+    assert hashes == story()
+    assert len(set(hashes)) == len(hashes)
+
+
+def test_another_process_has_the_same_bits():
+    path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
+    code = 'from sim.test_simulation import story; print(story())'
+    child = subprocess.run([sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': path},
+                           capture_output=True, text=True, check=True, timeout=120)
+    assert child.stdout.strip() == str(story())
+
+
+def test_the_hash_sees_the_last_bit_of_anything():
+    simulation = with_every_effect()
+    seen = {simulation.hash()}
+    for array in (simulation.state.x, simulation.state.v, simulation.state.inv_mass):
+        array.flat[-1] = np.nextafter(array.flat[-1], 9.0)
+        seen.add(simulation.hash())
+    assert len(seen) == 4
+
+
+def test_after_a_reset_the_run_repeats_though_time_goes_on():
+    """Pins and colliders that move by themselves too set out anew."""
+    simulation = with_every_effect(substeps=5, **MOVING)
+    first, first_poses = [], []
+    for _ in range(20):
+        frame = simulation.step()
+        first.append(simulation.hash())
+        first_poses.append([np.array(place.pose.position) for place in (
+            *frame.pins.values(), *frame.colliders.values())])
+    run(simulation, 25, [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)])
+    for k in range(20):
+        frame = simulation.step([Reset()] if k == 0 else ())
+        assert frame.index == 46 + k
+        np.testing.assert_allclose([place.pose.position for place in (
+            *frame.pins.values(), *frame.colliders.values())], first_poses[k], atol=1e-12)
+        assert list(frame.pins) == ['a']
+    simulation = with_every_effect(substeps=5)    # where nothing moves by itself, even its bits
+    run(simulation, 20)
+    expected = simulation.hash()
+    run(simulation, 10, [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)])
+    run(simulation, 20, [Reset()])
+    assert simulation.hash() == expected
+
+
+def test_a_live_key_set_to_what_it_is_changes_no_bit():
+    """What was built anew goes on from where the old one was."""
+    plain, touched = (with_every_effect(substeps=5, **MOVING) for _ in range(2))
+    hand = [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)]
+    turned = [MoveCollider('block', Pose((0.4, 0.5, 0.05)), Twist((0.1, 0.0, 0.0)), 0)]
+    for k in range(30):
+        commands = hand if k == 3 else turned if k == 6 else []
+        plain.step(commands)
+        touched.step(commands + ([SetKey('cloths.c.effects.stretch.warp',
+                                         EXAMPLES['stretch']['warp'])] if k in (2, 4, 9) else []))
+        assert plain.hash() == touched.hash(), k
+
+
+@pytest.mark.parametrize('key, value, text', [
+    ('cloths.c.effects.stretch.warp', -1, 'must be > 0 N/m (got -1)'),
+    ('cloths.c.effects.stretch.warp', float('nan'), 'must be finite N/m (got nan)'),
+    ('cloths.c.density', 2.0, 'cloths.c.density: cannot change while running (these can: '),
+    ('solver.substeps', 0, 'solver.substeps: must be at least 1 (got 0)'),
+    ('gravity', [0, 0], 'gravity: must be 3 numbers (got 2)'),
+    ('gravity.x', 1, 'gravity.x: cannot change while running (these can: '),
+    ('', 1, ': cannot change while running (these can: ')])
+def test_a_bad_live_key_is_refused_and_nothing_happens(key, value, text):
+    plain, touched = (with_every_effect(substeps=3) for _ in range(2))
+    command = SetKey(key, value)
+    for simulation, commands in ((plain, []), (touched, [command])):
+        simulation.step()
+        frame = simulation.step(commands)
+        simulation.step()
+    refused, = run(touched, 1, [command]).refused
+    assert refused[0] is command
+    assert text in refused[1]
+    plain.step()
+    assert frame.applied == ()
+    assert plain.hash() == touched.hash()
+    with pytest.raises(InputError):
+        touched.check({key: value})
+
+
+def test_live_keys_act():
+    simulation = simulate((1, 1), gravity=(0, 0, -1), rate=10)
+    frame = simulation.step([SetKey('gravity', [0.0, 0.0, 3.0])])
+    assert frame.applied == (SetKey('gravity', [0.0, 0.0, 3.0]),)
+    assert frame.v[0, 2] == pytest.approx(0.3)
+    simulation.step([SetKey('solver.substeps', 4), SetKey('solver.iterations', 2)])
+    assert (simulation.solver.substeps, simulation.solver.iterations) == (4, 2)
+    simulation = with_every_effect()
+    simulation.step([SetKey('cloths.c.effects.bend.stiffness', 0.5)])
+    assert (simulation.effects['bend'].data.compliance == 2.0).all()
+    simulation.step([SetKey('effects.contact.thickness', 0.02)])
+    assert simulation.effects['contact'].data.thickness[0] == 0.02
+    simulation.step([SetKey('colliders.table.friction', 0.125)])
+    assert simulation.effects['friction'].data.coefficient[0, 0] == 0.25    # √(0.5 · 0.125)
+    assert simulation.effects['friction'].data.contacts is simulation.effects['contact'].contacts
+
+
+@pytest.mark.parametrize('command', [Grasp('a', Pose(), 0.1), Release('a'), ReleaseAll(),
+                                     MovePin('a', Pose()), MoveCollider('b', Pose())])
+def test_what_the_scene_has_no_effect_for_is_refused(command):
+    frame = simulate((2, 2)).step([command])
+    assert frame.refused == ((command, f'{type(command).__name__}: the scene has no effect that '
+                              'does this'),)
+
+
+def test_commands_act_in_their_order():
+    simulation = with_every_effect()
+    there = Pose((1.0, 1.0, 0.0))
+    commands = [Grasp('b', there, 0.01), Release('b'), Grasp('c', there, 0.01),
+                Grasp('d', there, 0.01)]
+    frame = simulation.step(commands)
+    assert frame.applied == tuple(commands[:3])
+    assert [command for command, _ in frame.refused] == commands[3:]
+    assert list(frame.pins) == ['a', 'c']
+
+
+def test_frames_are_exact_in_time():
+    """V28; 29.97 frames per second, told in decimals, are exactly that."""
+    for rate, frame, seconds in ((60.0, 3 * 60, 3), (29.97, 2997, 100), (1.0, 7, 7)):
+        simulation = simulate((1, 1), rate=rate)
+        assert simulation.frame_rate == Fraction(str(rate))
+        assert simulation.time_ns(frame) == seconds * 10**9
+    simulation = simulate((1, 1), rate=60)
+    assert [simulation.step().time_ns for _ in range(3)] == [16666667, 33333333, 50000000]
+    assert simulation.index == simulation.frame().index == 3
+
+
+def test_a_frame_cannot_be_written_to():
+    frame = with_every_effect().step()
+    for array in (frame.x, frame.v, frame.inv_mass):
+        with pytest.raises(ValueError, match='read-only'):
+            array[0] = 1.0
+    for entries in (frame.pins, frame.colliders):
+        with pytest.raises(TypeError):
+            entries['new'] = None
+
+
+def test_compiling_moves_nothing():
+    simulation = with_every_effect()
+    before = simulation.hash()
+    simulation.compile()
+    assert simulation.hash() == before
+    assert simulation.index == 0
+
+
+@pytest.mark.parametrize('grid', [(1, 1), (2, 1), (1, 2), (1, 7), (7, 1), (2, 2)])
+def test_the_smallest_cloths_run_with_every_effect(grid):
+    """H22."""
+    simulation = with_every_effect(grid, substeps=3, pins={
+        'a': {'cloth': 'c', 'at': 'corner_00', 'target': [0.0, 0.0, 0.5]}})
+    frame = run(simulation, 60, [Grasp('hand', Pose((0.0, 0.0, 0.0)), 5.0)])
+    frame = run(simulation, 60, [ReleaseAll()])
+    assert np.isfinite(frame.x).all()
+    assert frame.x[:, 2].min() >= -1e-9
+    assert frame.inv_mass.min() > 0.0
+
+
+def tumble(**options):
+    """Return a free cloth of all cloth effects that spins and deforms."""
+    simulation = simulate((6, 5), (1.0, 0.7), effects=CLOTH, gravity=(0, 0, 0),
+                          scene_effects={'pin': {}, 'damping': {'rate': 0.0}}, **options)
+    rng = np.random.default_rng(4)
+    simulation.state.v[:] = (rng.normal(size=simulation.state.v.shape)
+                             + np.cross([1.0, 2.0, 3.0], simulation.state.x))
+    return simulation
+
+
+def test_a_free_cloth_keeps_its_momentum():
+    """V20: every gradient sums to zero."""
+    simulation = tumble(substeps=4, iterations=2)
+    before = momentum(simulation.state)
+    steps = 4 * 120
+    run(simulation, 120)
+    largest = (simulation.state.mass * np.linalg.norm(simulation.state.v, axis=1)).sum()
+    np.testing.assert_allclose(momentum(simulation.state), before, rtol=0.0,
+                               atol=1e-14 * steps * largest)
+
+
+def test_a_free_cloth_keeps_more_of_its_angular_momentum_the_shorter_the_substep():
+    """Backward Euler loses it in proportion to the substep (V4)."""
+    lost = []
+    for substeps in (32, 64, 128):
+        simulation = tumble(substeps=substeps)
+        before = angular_momentum(simulation.state)
+        run(simulation, 30)
+        lost.append(np.linalg.norm(angular_momentum(simulation.state) - before)
+                    / np.linalg.norm(before))
+    assert lost[0] < 0.2
+    assert lost[0] / lost[1] == pytest.approx(2.0, rel=0.1)
+    assert lost[1] / lost[2] == pytest.approx(2.0, rel=0.1)
+
+
+def hung(*, turn=None, offset=(0.0, 0.0, 0.0), length=1.0, mass=1.0, time=1.0):
+    """Return where a cloth is that hung by two corners for a second, in other units or places."""
+    turn = turn or Rotation.identity()
+    gravity = turn.apply([0.0, 0.0, -9.80665]) * length / time**2
+    simulation = simulate(
+        (6, 5), (1.0 * length, 0.7 * length), density=0.2 * mass / length**2,
+        effects={'bend': {'stiffness': 1e-3 * mass * length**2 / time**2},
+                 'shear': {'stiffness': 5.0 * mass / time**2},
+                 'stretch': {'warp': 50.0 * mass / time**2, 'weft': 40.0 * mass / time**2}},
+        gravity=gravity.tolist(), rate=60.0 / time, substeps=6,
+        pose={'position': list(offset), 'orientation': turn.as_quat().tolist()},
+        pins={'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}},
+        scene_effects={'damping': {'rate': 0.5 / time}})
+    frame = run(simulation, 60)
+    assert np.abs(frame.v).max() > 0.1 * length / time
+    return turn.inv().apply(frame.x - offset) / length
+
+
+def test_nothing_depends_on_where_the_scene_is_how_it_is_turned_or_the_units():
+    """V24: millimetres, grams and tenths of a second give the same cloth."""
+    plain = hung()
+    np.testing.assert_allclose(hung(turn=Rotation.random(random_state=1)), plain, atol=1e-9)
+    np.testing.assert_allclose(hung(length=1e3, mass=1e3), plain, atol=1e-9)
+    np.testing.assert_allclose(hung(time=10.0, length=1e-3), plain, atol=1e-9)
+    np.testing.assert_allclose(hung(offset=(3e3, -4e3, 20.0)), plain, atol=1e-7)
+
+
+def test_a_scale_of_two_to_the_power_of_n_changes_no_bit():
+    np.testing.assert_array_equal(hung(length=2.0**10, mass=2.0**-7), hung())
