@@ -30,7 +30,8 @@ from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import from_z_axis, multiply, rotate
-from xpbd_ros.sim.stages import prepare, project, stage
+from xpbd_ros.sim.stages import prepare, stage, touch
+from xpbd_ros.sim.state import lose_history
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
@@ -170,11 +171,11 @@ def find_candidates(contact, state, substep):
         moved = sqrt((p[0] - p0[0])**2 + (p[1] - p0[1])**2 + (p[2] - p0[2])**2)
         turned = sqrt((after[1][0] - before[1][0])**2 + (after[1][1] - before[1][1])**2
                       + (after[1][2] - before[1][2])**2 + (after[1][3] - before[1][3])**2)
-        for i in range(len(state.x)):
+        for i in range(len(state.inv_mass)):
             if state.inv_mass[i] == 0.0:
                 continue
-            x, y, z = state.x[i, 0], state.x[i, 1], state.x[i, 2]
-            x0, y0, z0 = state.x_prev[i, 0], state.x_prev[i, 1], state.x_prev[i, 2]
+            x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+            x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
             step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
             arm = sqrt((x - p[0])**2 + (y - p[1])**2 + (z - p[2])**2)
             near = thickness + 2.0 * (step + moved + 2.0 * turned * arm)
@@ -197,7 +198,7 @@ def find_candidates(contact, state, substep):
     contacts.count[0] = found
 
 
-@stage(project, Contact)
+@stage(touch, Contact)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal."""
@@ -208,7 +209,7 @@ def push_out(contact, state, substep):
         i, c = contacts.particle[k], contacts.collider[k]
         if c != last:
             last, pose = c, pose_at(colliders, c, substep.end)
-        lx, ly, lz = to_local(pose, state.x[i, 0], state.x[i, 1], state.x[i, 2])
+        lx, ly, lz = to_local(pose, state.x[0, i], state.x[1, i], state.x[2, i])
         phi, nx, ny, nz = signed_distance(colliders.shape[c], colliders.size[c], lx, ly, lz)
         before = contacts.push[k]
         push = max(contacts.gap[k] - phi, -before)
@@ -219,9 +220,10 @@ def push_out(contact, state, substep):
         contacts.push[k] = before + push
         still = min(contacts.overlap[k], contacts.push[k]) - min(contacts.overlap[k], before)
         for a in range(3):
-            state.x[i, a] += n[a] * push
-            state.x_prev[i, a] += n[a] * still
+            state.x[a, i] += n[a] * push
+            state.x_prev[a, i] += n[a] * still
             contacts.normal[k, a] = n[a]
+        lose_history(state.history, i)
 
 
 @dataclass(frozen=True)
@@ -240,7 +242,7 @@ class BuiltContact(Built):
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.entries: dict[str, Entry] = world.sections.get('colliders', {})
-        room, capacity = CANDIDATES * len(world.state.x), parameters.max_colliders
+        room, capacity = CANDIDATES * world.slots, parameters.max_colliders
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')

@@ -22,7 +22,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, surface_motion
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, project, stage
+from xpbd_ros.sim.stages import prepare, stage, touch
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Friction(NamedTuple):
 
     contacts: Contacts
     cloth: np.ndarray
-    """index of each particle's cloth, shape (particles,)"""
+    """index of each particle's cloth, shape (slots,)"""
     coefficient: np.ndarray
     """μ by cloth and collider, shape (cloths, capacity)"""
 
@@ -53,7 +53,7 @@ def prepare_friction(friction, state, substep):
             contacts.slip[k, a] = 0.0
 
 
-@stage(project, Friction)
+@stage(touch, Friction)
 @jit
 def resist(friction, state, substep):
     """Take back tangential motion, within the cone |s| ≤ μ d."""
@@ -62,7 +62,7 @@ def resist(friction, state, substep):
         if contacts.push[k] == 0.0:
             continue
         i = contacts.particle[k]
-        x, before, n, s = state.x[i], state.x_prev[i], contacts.normal[k], contacts.slip[k]
+        x, before, n, s = state.x[:, i], state.x_prev[:, i], contacts.normal[k], contacts.slip[k]
         ux, uy, uz = surface_motion(contacts, k, state, substep)
         px, py, pz = x[0] - before[0] - ux, x[1] - before[1] - uy, x[2] - before[2] - uz
         pn = px * n[0] + py * n[1] + pz * n[2]
@@ -86,12 +86,12 @@ class BuiltFriction(Built):
         super().__init__()
         contact = world.built['contact']
         coefficient = np.zeros((len(world.cloths), len(contact.colliders.friction)))
-        cloth_of = np.zeros(len(world.state.x), np.int64)
+        cloth_of = np.zeros(world.slots, np.int64)
         unknown = set(parameters.pairs) - {cloth.name for cloth in world.cloths}
         if unknown:
             raise InputError(f'effects.friction.pairs: unknown cloth {sorted(unknown)}')
         for k, cloth in enumerate(world.cloths):
-            cloth_of[cloth.particles] = k
+            cloth_of[cloth.slots] = k
             pairs = parameters.pairs.get(cloth.name, {})
             unknown = set(pairs) - set(contact.entries)
             if unknown:

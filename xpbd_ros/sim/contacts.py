@@ -40,7 +40,7 @@ def new_contacts(colliders: Colliders, room: int) -> Contacts:
 @jit
 def surface_motion(contacts, k, state, substep):
     """Return how far the collider's surface at contact k moves in this substep [m]."""
-    colliders, c, x = contacts.colliders, contacts.collider[k], state.x[contacts.particle[k]]
+    colliders, c, x = contacts.colliders, contacts.collider[k], state.x[:, contacts.particle[k]]
     after = pose_at(colliders, c, substep.end)
     if colliders.has_twist[c]:
         v, h, p = colliders.twist[c], substep.h, after[0]

@@ -14,7 +14,7 @@ from numba.extending import overload
 
 
 def force(effects, state, substep):
-    """Change velocities before the prediction."""
+    """Change velocities and mobilities before the prediction."""
 
 
 def prepare(effects, state, substep):
@@ -22,11 +22,19 @@ def prepare(effects, state, substep):
 
 
 def project(effects, state, substep):
-    """Move the particles towards the constraints' surface, once per iteration."""
+    """One Gauss-Seidel pass over an effect's constraints."""
 
 
-def finish(effects, state, substep):
-    """Once per substep, after the velocities are known."""
+def project_back(effects, state, substep):
+    """Do the same pass in exactly the reverse order."""
+
+
+def solve_lines(effects, state, substep):
+    """Solve whole lines of constraints at once, for an effect that has lines."""
+
+
+def touch(effects, state, substep):
+    """Contact and friction, after everything else of an iteration."""
 
 
 def react(effects, state, substep):
@@ -44,28 +52,48 @@ def stage(stub: Callable, kind: type) -> Callable:
     return register
 
 
+def kernel_of(stub: Callable, effect) -> Callable | None:
+    """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
+    return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+
+
+def nothing(effects, state, substep):
+    """Do nothing: where an effect takes no part."""
+
+
+def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
+    """
+    Let Numba compile ``stub`` for one effect, or for a tuple of effects in order.
+
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None.
+    """
+    @overload(stub)
+    def compile_stage(effects, state, substep):
+        if getattr(effects, 'instance_class', None) is not None:
+            kernel = choose(effects, state)
+            if kernel is None:
+                return nothing
+            return lambda effects, state, substep: kernel(effects, state, substep)
+        if not isinstance(effects, types.BaseTuple) or len(effects) == 0:
+            return nothing
+        if backwards:
+            def last_to_first(effects, state, substep):
+                stub(effects[1:], state, substep)
+                stub(effects[0], state, substep)
+            return last_to_first
+
+        def first_to_last(effects, state, substep):
+            stub(effects[0], state, substep)
+            stub(effects[1:], state, substep)
+        return first_to_last
+
+
 def _asks_for_forces(state) -> bool:
     """Tell whether a state, as Numba types it, has a place for forces."""
     return not isinstance(state[state.fields.index('reaction')], types.NoneType)
 
 
-def _walk(stub: Callable) -> None:
-    """Let Numba compile a stage for a tuple of effects, first to last, or for a single one."""
-    @overload(stub)
-    def compile_stage(effects, state, substep):
-        kind = getattr(effects, 'instance_class', None)
-        if kind is not None:
-            kernel = _KERNELS.get((stub, kind))
-            if kernel is None or (stub is react and not _asks_for_forces(state)):
-                return lambda effects, state, substep: None
-            return lambda effects, state, substep: kernel(effects, state, substep)
-        if isinstance(effects, types.BaseTuple) and len(effects) > 0:
-            def walk(effects, state, substep):
-                stub(effects[0], state, substep)
-                stub(effects[1:], state, substep)
-            return walk
-        return lambda effects, state, substep: None
-
-
-for _stub in (force, prepare, project, finish, react):
-    _walk(_stub)
+for _stub in (force, prepare, project, touch):
+    walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
+walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
+walk(react, lambda effect, state: kernel_of(react, effect) if _asks_for_forces(state) else None)
