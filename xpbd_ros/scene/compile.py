@@ -7,7 +7,7 @@ import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import DEFAULT_INTEGRATOR, resolve
+from xpbd_ros.scene.auto import INTEGRATOR, resolve
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import live_keys, Scene, with_key
 from xpbd_ros.sim.effect import Built, Cloth, World
@@ -55,7 +55,7 @@ def compile_scene(scene: Scene) -> Simulation:
 
 def integrator(scene: Scene) -> str:
     """Return the integrator that the scene says, or that its method goes with."""
-    return scene.top.solver.integrator or DEFAULT_INTEGRATOR[scene.top.solver.method]
+    return scene.top.solver.integrator or INTEGRATOR[scene.top.solver.method]
 
 
 def frame_rate(scene: Scene) -> Fraction:

@@ -57,35 +57,21 @@ def kernel_of(stub: Callable, effect) -> Callable | None:
     return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
 
 
-def nothing(effects, state, substep):
-    """Do nothing: where an effect takes no part."""
-
-
 def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
     """
-    Let Numba compile ``stub`` for one effect, or for a tuple of effects in order.
+    Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
 
-    ``choose(effect, state)`` returns the kernel for an effect's type, or None.
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are written
+    out in one function, since Numba optimises nested ones once per level.
     """
     @overload(stub)
     def compile_stage(effects, state, substep):
-        if getattr(effects, 'instance_class', None) is not None:
-            kernel = choose(effects, state)
-            if kernel is None:
-                return nothing
-            return lambda effects, state, substep: kernel(effects, state, substep)
-        if not isinstance(effects, types.BaseTuple) or len(effects) == 0:
-            return nothing
-        if backwards:
-            def last_to_first(effects, state, substep):
-                stub(effects[1:], state, substep)
-                stub(effects[0], state, substep)
-            return last_to_first
-
-        def first_to_last(effects, state, substep):
-            stub(effects[0], state, substep)
-            stub(effects[1:], state, substep)
-        return first_to_last
+        kernels = {k: choose(effect, state) for k, effect in enumerate(effects)}
+        kernels = {f'kernel_{k}': kernel for k, kernel in kernels.items() if kernel is not None}
+        names = list(kernels)[::-1] if backwards else list(kernels)
+        calls = [f'{name}(effects[{name[7:]}], state, substep)' for name in names] or ['pass']
+        exec('\n    '.join(['def compiled(effects, state, substep):', *calls]), kernels)
+        return kernels['compiled']
 
 
 def _asks_for_forces(state) -> bool:
