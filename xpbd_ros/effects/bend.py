@@ -25,6 +25,7 @@ import numpy as np
 
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot, length
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
@@ -215,7 +216,7 @@ class BuiltBend(Built):
                     np.zeros(count, np.int64), np.zeros(count, np.int64)) if world.pins else None
         self.data = Bend(runs, np.concatenate(weight).astype(dtype),
                          np.concatenate(compliance).astype(dtype),
-                         np.zeros((3, 3 * len(parameters) * world.slots), dtype), held)
+                         zeros((3, 3 * len(parameters) * world.slots), dtype), held)
         self.constraints = Hinges(self.data)
 
     def hold(self, inv_mass):

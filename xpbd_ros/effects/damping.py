@@ -18,6 +18,7 @@ import numpy as np
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import force, stage
+from xpbd_ros.sim.state import step_of
 from xpbd_ros.sim.vector import lanes, load, select, store
 
 
@@ -39,21 +40,18 @@ class Damping(NamedTuple):
 @jit
 def damp(damping, state, substep):
     """Slow every free particle, and what constraints may do to it."""
-    _damp(damping.rate, state, state.history, substep.h)
-
-
-@jit
-def _damp(rate, state, history, h):
-    w, mobility = state.inv_mass, state.mobility
-    for q in range(0, len(w), lanes(w)):
-        if history is None:
-            share = 1.0 / (1.0 + h * rate[0] + 0.0 * load(w, q))
-        else:
-            share = 1.0 / (1.0 + rate[0] * load(history.step, q))
-        store(mobility, q, load(mobility, q) * share)
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        step = step_of(state.history, w, q, substep.h)
+        share = 1.0 / (1.0 + damping.rate[0] * step)
+        free = load(w, q) > 0.0
+        store(state.mobility, q, load(state.mobility, q) * share)
         for k in range(3):
-            v = state.v[k]
-            store(v, q, select(load(w, q) > 0.0, load(v, q) * share, load(v, q)))
+            i = k * slots + q
+            before = load(v, i)
+            after = select(free, before * share, before)
+            store(v, i, after)
+            store(x, i, load(x, i) + step * (after - before))
 
 
 class BuiltDamping(Built):

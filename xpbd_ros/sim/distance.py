@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.runs import listed, Runs
 from xpbd_ros.sim.vector import both, first, fma, lanes, load, root, select, store
@@ -89,9 +90,9 @@ def distance_batch(runs: Runs, rest_length: np.ndarray, compliance: np.ndarray, 
         count = len(listed(runs)[1])
         held = Held(np.zeros(1, np.int64), np.zeros((count, 2), np.int64),
                     np.zeros(count, np.int64))
-    return Distance(runs, np.ascontiguousarray(rest_length, dtype).ravel(),
-                    np.ascontiguousarray(compliance, dtype).ravel(),
-                    np.zeros(np.size(rest_length), dtype),
+    numbers = [zeros(np.size(rest_length), dtype) for _ in range(3)]
+    numbers[0][:], numbers[1][:] = np.ravel(rest_length), np.ravel(compliance)
+    return Distance(runs, *numbers,
                     np.array([AXES[k % 3] for k in range(families)], dtype).reshape(-1, 3), held)
 
 

@@ -18,6 +18,10 @@ STRIDE = 4
 """columns apart; the widest constraint (a hinge across an edge) spans three columns"""
 
 
+LINE = 64
+"""bytes of a cache line, and of the widest vector"""
+
+
 @dataclass(frozen=True, eq=False)
 class Block:
     """Where one grid lies among all slots."""
@@ -72,3 +76,11 @@ def blocks(shapes: list[tuple[int, int]], dtype) -> tuple[list[Block], int]:
 
 def _round_up(number: int, unit: int) -> int:
     return -(-number // unit) * unit
+
+
+def zeros(shape, dtype) -> np.ndarray:
+    """Return zeros that begin on a cache line, so that no vector of a row straddles two."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    room = np.zeros(size + LINE, np.uint8)
+    start = -room.ctypes.data % LINE
+    return room[start:start + size].view(dtype).reshape(shape)

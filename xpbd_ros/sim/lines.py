@@ -19,7 +19,7 @@ import numpy as np
 
 from xpbd_ros.sim.distance import Distance
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import Block, STRIDE
+from xpbd_ros.sim.layout import Block, STRIDE, zeros
 from xpbd_ros.sim.vector import (
     fma, lane_count, lanes, larger, load, root, select, splat, store, transpose)
 
@@ -63,7 +63,7 @@ def grid_lines(blocks: list[Block], slots: int, dtype) -> Lines:
                  of(lambda b: b.part), 2 * grids * slots, (2 * grids + 1) * slots,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype),
                  64.0 * float(np.finfo(dtype).eps),
-                 np.zeros((7, padded * lanes_), dtype), np.zeros((5, longest * lanes_), dtype))
+                 zeros((7, padded * lanes_), dtype), zeros((5, longest * lanes_), dtype))
 
 
 @jit

@@ -14,7 +14,7 @@ from numba.extending import overload
 
 
 def force(effects, state, substep):
-    """Change velocities and mobilities before the prediction."""
+    """Change predicted velocities v by some Δv, positions x by H Δv, and mobilities."""
 
 
 def prepare(effects, state, substep):

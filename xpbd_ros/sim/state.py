@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
 
 
@@ -29,8 +30,6 @@ class History(NamedTuple):
     """v_{n-1} [m/s], shape (3, slots)"""
     fresh: np.ndarray
     """0: has a history; 1: has none, this substep; 2: touched in it; shape (slots,)"""
-    step: np.ndarray
-    """H of this substep [s], shape (slots,)"""
 
 
 class State(NamedTuple):
@@ -85,12 +84,15 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     dtype : of all numbers
 
     """
-    def zeros(*shape):
-        return np.zeros((*shape, slots), dtype)
+    def vectors():
+        return zeros((3, slots), dtype)
 
-    state = State(zeros(3), zeros(3), zeros(3), zeros(), zeros(), zeros(),
-                  np.array(gravity, dtype), zeros(3) if pins else None,
-                  History(zeros(3), zeros(3), zeros(), zeros()) if history else None)
+    def scalars():
+        return zeros(slots, dtype)
+
+    state = State(vectors(), vectors(), vectors(), scalars(), scalars(), scalars(),
+                  np.array(gravity, dtype), vectors() if pins else None,
+                  History(vectors(), vectors(), scalars()) if history else None)
     state.x[:, slot] = np.asarray(x).T
     state.x_prev[:] = state.x
     state.mass[slot] = mass
@@ -119,83 +121,86 @@ def lose_history(history, i):
 
 @jit
 def begin(state, substep):
-    """x_prev = x_n;  x = x̄;  v = v̄ + H g;  mobility = w H²."""
-    for k in range(3):
-        _begin(state.x[k], state.x_prev[k], state.v[k], state.gravity[k], state.inv_mass,
-               state.mobility, state.history, k, substep.h)
+    """x_prev = x_n;  v = v̄ + H g;  x = x̄ + H v;  mobility = w H²."""
+    if state.history is None:
+        _begin_euler(state, substep.h)
+    else:
+        _begin_bdf2(state, state.history, substep.h)
 
 
 @jit
-def _begin(x, x_prev, v, g, w, mobility, history, k, h):
-    """Do one axis."""
-    for q in range(0, len(w), lanes(w)):
-        free = load(w, q) > 0.0
-        xq, vq = load(x, q), load(v, q)
-        store(x_prev, q, xq)
-        if history is None:
-            store(v, q, select(free, vq + h * g, vq))
-            store(mobility, q, load(w, q) * (h * h))
-        else:
-            euler = load(history.fresh, q) > 0.5
-            step = select(euler, splat(w, h), splat(w, 2.0 / 3.0 * h))
-            x_before, v_before = history.x[k], history.v[k]
-            x_mean = select(euler, xq, (4.0 * xq - load(x_before, q)) / 3.0)
-            v_mean = select(euler, vq, (4.0 * vq - load(v_before, q)) / 3.0)
-            store(v_before, q, vq)
-            store(x, q, select(free, x_mean, xq))
-            store(v, q, select(free, v_mean + step * g, vq))
-            store(history.step, q, step)
-            store(mobility, q, load(w, q) * (step * step))
+def _begin_euler(state, h):
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        wq = load(w, q)
+        free = wq > 0.0
+        store(state.mobility, q, wq * (h * h))
+        for k in range(3):
+            i = k * slots + q
+            xi, vi = load(x, i), load(v, i)
+            vi = select(free, vi + h * state.gravity[k], vi)
+            store(state.x_prev, i, xi)
+            store(v, i, vi)
+            store(x, i, select(free, xi + h * vi, xi))
 
 
 @jit
-def move(state, substep):
-    """x += H v, for every particle that is free."""
-    for k in range(3):
-        _move(state.x[k], state.v[k], state.inv_mass, state.history, substep.h)
+def _begin_bdf2(state, history, h):
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        wq = load(w, q)
+        free = wq > 0.0
+        euler = load(history.fresh, q) > 0.5
+        past = select(euler, splat(w, 0.0), splat(w, 1.0 / 3.0))
+        step = select(euler, splat(w, h), splat(w, 2.0 / 3.0 * h))
+        store(state.mobility, q, wq * (step * step))
+        for k in range(3):
+            i = k * slots + q
+            xi, vi = load(x, i), load(v, i)
+            x_mean = xi + past * (xi - load(history.x, i))
+            v_mean = vi + past * (vi - load(history.v, i))
+            moved = v_mean + step * state.gravity[k]
+            store(state.x_prev, i, xi)
+            store(history.v, i, vi)
+            store(v, i, select(free, moved, vi))
+            store(x, i, select(free, x_mean + step * moved, xi))
 
 
 @jit
-def _move(x, v, w, history, h):
-    """Do one axis."""
-    for q in range(0, len(w), lanes(w)):
-        xq, vq = load(x, q), load(v, q)
-        if history is None:
-            moved = xq + h * vq
-        else:
-            moved = xq + load(history.step, q) * vq
-        store(x, q, select(load(w, q) > 0.0, moved, xq))
+def step_of(history, w, q, h):
+    """Return H of the particles from slot q on: a vector [s]."""
+    if history is None:
+        return splat(w, h)
+    return select(load(history.fresh, q) > 0.5, splat(w, h), splat(w, 2.0 / 3.0 * h))
 
 
 @jit
 def update_velocity(state, substep):
     """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
-    for k in range(3):
-        _velocity(state.x[k], state.x_prev[k], state.v[k], state.inv_mass, state.history, k,
-                  substep.h)
-    _age(state.history)
+    if state.history is None:
+        _velocity_euler(state, 1.0 / substep.h)
+    else:
+        _velocity_bdf2(state, state.history, 1.0 / substep.h)
 
 
 @jit
-def _velocity(x, x_prev, v, w, history, k, h):
-    """Do one axis."""
-    for q in range(0, len(w), lanes(w)):
-        xq, xp = load(x, q), load(x_prev, q)
-        slope = (xq - xp) / h
-        if history is not None:
-            x_before = history.x[k]
-            curve = (3.0 * xq - 4.0 * xp + load(x_before, q)) / (2.0 * h)
-            smooth = both(load(w, q) > 0.0, load(history.fresh, q) < 0.5)
-            slope = select(smooth, curve, slope)
-            store(x_before, q, xp)
-        store(v, q, slope)
+def _velocity_euler(state, per_h):
+    x, x_prev, v = state.x, state.x_prev, state.v
+    for i in range(0, x.size, lanes(x)):
+        store(v, i, (load(x, i) - load(x_prev, i)) * per_h)
 
 
 @jit
-def _age(history):
-    """A particle has a history after a substep in which nothing touched it."""
-    if history is not None:
-        fresh = history.fresh
-        for q in range(0, len(fresh), lanes(fresh)):
-            touched = load(fresh, q) > 1.5
-            store(fresh, q, select(touched, splat(fresh, 1.0), splat(fresh, 0.0)))
+def _velocity_bdf2(state, history, per_h):
+    w, slots = state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        fresh = load(history.fresh, q)
+        smooth = both(load(w, q) > 0.0, fresh < 0.5)
+        part = select(smooth, splat(w, 0.5), splat(w, 0.0))
+        store(history.fresh, q, select(fresh > 1.5, splat(w, 1.0), splat(w, 0.0)))
+        for k in range(3):
+            i = k * slots + q
+            xp = load(state.x_prev, i)
+            now, before = load(state.x, i) - xp, xp - load(history.x, i)
+            store(state.v, i, (now + part * (now - before)) * per_h)
+            store(history.x, i, xp)

@@ -7,7 +7,7 @@ Macklin et al., "Small steps in physics simulation", 2019.
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import force, prepare, react, touch
-from xpbd_ros.sim.state import begin, move, Substep, update_velocity
+from xpbd_ros.sim.state import begin, Substep, update_velocity
 from xpbd_ros.sim.sweeps import sweep
 
 
@@ -23,7 +23,6 @@ def advance(effects, state, method, frame_dt, substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
         begin(state, substep)
         force(effects, state, substep)
-        move(state, substep)
         prepare(effects, state, substep)
         for _ in range(method.iterations):
             sweep(method, effects, state, substep)
