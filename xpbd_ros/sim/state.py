@@ -122,10 +122,15 @@ def lose_history(history, i):
 @jit
 def begin(state, substep):
     """x_prev = x_n;  v = v̄ + H g;  x = x̄ + H v;  mobility = w H²."""
-    if state.history is None:
-        _begin_euler(state, substep.h)
+    _begin(state, state.history, substep.h)
+
+
+@jit
+def _begin(state, history, h):    # Numba prunes a branch on None where that is an argument
+    if history is None:
+        _begin_euler(state, h)
     else:
-        _begin_bdf2(state, state.history, substep.h)
+        _begin_bdf2(state, history, h)
 
 
 @jit
@@ -177,10 +182,15 @@ def step_of(history, w, q, h):
 @jit
 def update_velocity(state, substep):
     """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
-    if state.history is None:
-        _velocity_euler(state, 1.0 / substep.h)
+    _velocity(state, state.history, 1.0 / substep.h)
+
+
+@jit
+def _velocity(state, history, per_h):
+    if history is None:
+        _velocity_euler(state, per_h)
     else:
-        _velocity_bdf2(state, state.history, 1.0 / substep.h)
+        _velocity_bdf2(state, history, per_h)
 
 
 @jit
