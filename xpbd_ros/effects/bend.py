@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
@@ -215,7 +216,7 @@ class BuiltBend(Built):
         held = Held(np.zeros(1, np.int64), np.zeros((count, 4), np.int64),
                     np.zeros(count, np.int64), np.zeros(count, np.int64)) if world.pins else None
         self.data = Bend(runs, np.concatenate(weight).astype(dtype),
-                         np.concatenate(compliance).astype(dtype),
+                         np.minimum(np.concatenate(compliance), softest(dtype)).astype(dtype),
                          zeros((3, 3 * len(parameters) * world.slots), dtype), held)
         self.constraints = Hinges(self.data)
 

@@ -261,8 +261,9 @@ class BuiltContact(Built):
         self.commands = {MoveCollider: self.move}
         self.motions: dict[str, Motion] = {}
 
-    def reset(self, state):
-        self.motions = {name: self._motion(entry) for name, entry in self.entries.items()}
+    def reset(self, state, now_ns):
+        self.motions = {name: self._motion(entry, now_ns * 1e-9)
+                        for name, entry in self.entries.items()}
         self.colliders.has_twist[:] = False
         for c, motion in enumerate(self.motions.values()):
             pose = (*motion.pose.position, *motion.pose.orientation)
@@ -274,11 +275,11 @@ class BuiltContact(Built):
             ours[:] = theirs
 
     @staticmethod
-    def _motion(entry: Entry) -> Motion:
-        keyframes = None if entry.motion is None else monotone_cubic(entry.motion)
-        pose = entry.pose
-        if keyframes is not None:
-            pose = Pose(keyframes(0.0), pose.orientation)
+    def _motion(entry: Entry, now: float) -> Motion:
+        keyframes, pose = None, entry.pose
+        if entry.motion is not None:
+            keyframes = monotone_cubic(entry.motion, now)
+            pose = Pose(keyframes(now), pose.orientation)
         lever = shapes.reach(SHAPES[entry.shape], shape_size(entry))
         return Motion(pose, entry.max_speed, keyframes=keyframes,
                       lever=lever if lever > 0.0 else 1.0)

@@ -2,13 +2,15 @@
 Pin: a named set of particles held at a moving target, as a gripper holds cloth.
 
 A pinned particle has inv_mass 0, so no constraint moves it. Each substep it is put at
-x = p + R q, where p, R is the pin's pose, interpolated between the frame's start and end, and q its
-offset in the pin's axes, kept from the grasp. So it has a velocity, and turning the pin turns what
-it holds. A release gives the mass back.
+x = p + R q, where p, R is the pin's pose, interpolated between the frame's start and end, and q
+its offset in the pin's axes, kept from the grasp. So it has a velocity, and turning the pin turns
+what it holds. A release gives the mass back.
 
 The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, f being the
 constraint forces (mean over the frame) and a the acceleration that the pin forces on them; the
 torque is about the pin's pose, world axes.
+
+Limits: nothing stops a pin, neither cloth nor collider; its velocity changes where frames meet.
 """
 
 from dataclasses import dataclass, field
@@ -54,6 +56,8 @@ class Entry:
         """Refuse what has no meaning."""
         if (self.at is None) == (self.near is None):
             raise InputError("needs either 'at' or 'near', and only one of them")
+        if self.at is not None and not self.at:
+            raise InputError('at: must name at least one particle')
         if isinstance(self.at, str) and self.at not in PLACES:
             raise InputError(f"at: unknown place '{self.at}' (known: {', '.join(PLACES)}, or a "
                              'list of particle indices)')
@@ -153,17 +157,21 @@ class BuiltPin(Built):
         return {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
                 MovePin: self.move}
 
-    def reset(self, state):
+    def reset(self, state, now_ns):
         for name in list(self.held):
             self._let_go(name, state)
         self.states = {}
         self.free_slots.sort()
         for name, entry in self.entries.items():
             particles = self._chosen(name, entry, state.x)
+            particles = particles[state.inv_mass[particles] > 0.0]
+            if not len(particles):
+                raise InputError(f'pins.{name}: other pins hold all that it names')
             point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
-            keyframes = None if entry.motion is None else monotone_cubic(entry.motion)
-            if keyframes is not None:
-                point = keyframes(0.0)
+            keyframes = None
+            if entry.motion is not None:
+                keyframes = monotone_cubic(entry.motion, now_ns * 1e-9)
+                point = keyframes(now_ns * 1e-9)
             held = self._hold(name, particles, Pose(point), entry.max_speed, state, keyframes)
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)

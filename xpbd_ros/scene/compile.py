@@ -44,13 +44,12 @@ def compile_scene(scene: Scene) -> Simulation:
                       dtype=dtype)
     try:
         effects = _build(scene, tuple(cloths), state)
+        return Simulation(
+            cloths, state, effects, slot=slot, frame_rate=frame_rate(scene),
+            solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
+            retune=Retune(scene, tuple(cloths), state, effects))
     except InputError as error:
         raise InputError(f'{scene.where}: {error}') from None
-    simulation = Simulation(
-        cloths, state, effects, slot=slot, frame_rate=frame_rate(scene),
-        solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
-        retune=Retune(scene, tuple(cloths), state, effects))
-    return simulation
 
 
 def integrator(scene: Scene) -> str:

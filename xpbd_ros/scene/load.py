@@ -22,8 +22,11 @@ class _Loader(yaml.SafeLoader):
 def _mapping_once(loader, node, deep=False):
     seen = set()
     for key_node, _ in node.value:
+        if not isinstance(key_node, yaml.ScalarNode):
+            raise yaml.constructor.ConstructorError(
+                None, None, 'a key must be a name', key_node.start_mark)
         key = loader.construct_object(key_node, deep=True)
-        if isinstance(key, list | dict) or key in seen:
+        if key in seen:
             raise yaml.constructor.ConstructorError(
                 None, None, f"key '{key}' stands twice", key_node.start_mark)
         seen.add(key)
@@ -36,10 +39,10 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping
 def find_scene(name: str) -> Path:
     """Return the file that a path or the name of a shipped scene means."""
     path = Path(name)
-    if path.suffix in ('.yaml', '.yml') or path.exists():
-        if not path.is_file():
-            raise InputError(f'{name}: no such file')
+    if path.is_file():
         return path
+    if path.suffix in ('.yaml', '.yml'):
+        raise InputError(f'{name}: ' + ('is a folder' if path.is_dir() else 'no such file'))
     folder = share_folder() / 'scenes'
     shipped = {file.stem: file for file in sorted(folder.glob('*.yaml'))}
     if name not in shipped:

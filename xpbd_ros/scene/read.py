@@ -4,6 +4,7 @@ from dataclasses import fields, is_dataclass, MISSING
 from difflib import get_close_matches
 from math import isfinite, sqrt
 import re
+import reprlib
 import types
 from typing import Any, get_args, get_origin, get_type_hints, Union
 
@@ -120,7 +121,10 @@ def _number(kind: type, value: Any, path: str, metadata) -> float | int:
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f'{path}: must be a number{unit} (got {_short(value)})')
-    if isinstance(value, int) and abs(value) > 2**63 or not isfinite(value):
+    if isinstance(value, int) and abs(value) > 2**63:
+        raise InputError(f'{path}: must be finite{unit} (got a number of {value.bit_length()} '
+                         'bits)')
+    if not isfinite(value):
         raise InputError(f'{path}: must be finite{unit} (got {value})')
     if kind is int and value != int(value):
         raise InputError(f'{path}: must be a whole number (got {value})')
@@ -139,5 +143,5 @@ def _join(path: str, key: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    text = repr(value)
+    text = reprlib.repr(value)    # repr of a few lines of aliases could take for ever
     return text if len(text) <= 40 else text[:37] + '...'

@@ -70,6 +70,11 @@ class Edges:
         return float((0.5 * self.residual(x)[elastic]**2 / self.compliance[elastic]).sum())
 
 
+def softest(dtype) -> float:
+    """Return the largest compliance: finite, so that times no force it is nothing."""
+    return float(np.sqrt(np.finfo(dtype).max))
+
+
 def distance_batch(runs: Runs, rest_length: np.ndarray, compliance: np.ndarray, *, pins: bool,
                    dtype) -> Distance:
     """
@@ -91,7 +96,8 @@ def distance_batch(runs: Runs, rest_length: np.ndarray, compliance: np.ndarray, 
         held = Held(np.zeros(1, np.int64), np.zeros((count, 2), np.int64),
                     np.zeros(count, np.int64))
     numbers = [zeros(np.size(rest_length), dtype) for _ in range(3)]
-    numbers[0][:], numbers[1][:] = np.ravel(rest_length), np.ravel(compliance)
+    numbers[0][:] = np.ravel(rest_length)
+    numbers[1][:] = np.minimum(np.ravel(compliance), softest(dtype))
     return Distance(runs, *numbers,
                     np.array([AXES[k % 3] for k in range(families)], dtype).reshape(-1, 3), held)
 

@@ -110,8 +110,8 @@ class Built:
     def end(self, clock: Clock, state: State) -> None:
         """Look at a frame that is done."""
 
-    def reset(self, state: State) -> None:
-        """Go to the scene's start."""
+    def reset(self, state: State, now_ns: int) -> None:
+        """Go to the scene's start, at this simulation time [ns]."""
 
     def adopt(self, old: 'Built') -> None:
         """Go on from where the same effect was before a live key changed."""

@@ -103,12 +103,16 @@ def check_motion(points) -> None:
         raise InputError(f'motion: times must rise (got {times})')
 
 
-def monotone_cubic(points):
-    """Join points (t, x, y, z) by monotone cubics, held at the ends: a function of time [s]."""
+def monotone_cubic(points, begin: float = 0.0):
+    """
+    Join points (t, x, y, z) by monotone cubics, held at the ends: a function of time [s].
+
+    The points' own time starts at ``begin`` [s].
+    """
     from scipy.interpolate import PchipInterpolator
 
     table = np.array(points, float)
     if len(table) == 1:
         return lambda t: tuple(table[0, 1:].tolist())
     curve = PchipInterpolator(table[:, 0], table[:, 1:])
-    return lambda t: tuple(curve(min(max(t, table[0, 0]), table[-1, 0])).tolist())
+    return lambda t: tuple(curve(min(max(t - begin, table[0, 0]), table[-1, 0])).tolist())

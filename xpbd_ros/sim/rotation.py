@@ -29,12 +29,15 @@ def interpolate(p, q, s):
 
 
 def from_z_axis(normal) -> tuple[float, float, float, float]:
-    """Return the shortest rotation that takes z to a direction (not zero)."""
-    n = sqrt(sum(c * c for c in normal))
-    x, y, z = (c / n for c in normal)
-    if z < -1.0 + 1e-15:
+    """Return the shortest rotation that takes z to a direction (not zero, of any length)."""
+    largest = max(abs(c) for c in normal)
+    x, y, z = (c / largest for c in normal)
+    n = sqrt(x * x + y * y + z * z)
+    x, y, z = x / n, y / n, z / n
+    square = x * x + y * y
+    if z < 0.0 and square < 1e-200:
         return 1.0, 0.0, 0.0, 0.0
-    w = sqrt(0.5 * (1.0 + z))
+    w = sqrt(0.5 * (1.0 + z if z >= 0.0 else square / (1.0 - z)))
     return -0.5 * y / w, 0.5 * x / w, 0.0, w
 
 

@@ -79,7 +79,7 @@ class Simulation:
         self._step = step.compiled(tuple(effects))
         self._tuple = ()
         for built in effects.values():
-            built.reset(state)
+            built.reset(state, 0)
         self._collect()
 
     @property
@@ -166,7 +166,7 @@ class Simulation:
         self.state.inv_mass[self.slot] = 1.0 / self.state.mass[self.slot]
         forget(self.state)
         for built in self.effects.values():
-            built.reset(self.state)
+            built.reset(self.state, self.time_ns(self.index))
 
     def _set(self, command: SetKey) -> str | None:
         if self._retune is None:
