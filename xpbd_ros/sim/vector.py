@@ -164,6 +164,21 @@ def both(typing, a, b):
 
 
 @intrinsic
+def either(typing, a, b):
+    """Return the mask that is true where one of them is."""
+    return a(a, b), lambda context, builder, signature, arguments: builder.or_(*arguments)
+
+
+@intrinsic
+def any_lane(typing, mask):
+    """Tell whether a mask is true in some lane."""
+    def generate(context, builder, signature, arguments):
+        bits = ir.IntType(signature.args[0].count)
+        return builder.icmp_unsigned('!=', builder.bitcast(arguments[0], bits), bits(0))
+    return types.boolean(mask), generate
+
+
+@intrinsic
 def root(typing, a):
     """Return the square root of every lane."""
     return a(a), lambda context, builder, signature, arguments: _intrinsic(
