@@ -1,7 +1,8 @@
 // Isometric bending on a regular grid with alternating diagonals: each hinge a linear vector
 // constraint C = Σ k x with a vector multiplier; any weights, masses and compliance.
 //
-// The order: the warp edges' hinges, the weft edges', the diagonals'; each in runs (see sheet.hpp).
+// The order: the warp edges' hinges, the weft edges', the diagonals'; each in runs (see
+// sheet.hpp).
 
 #pragma once
 
@@ -104,8 +105,8 @@ public:
 
 private:
     void add(const int (&i)[4], const int (&j)[4]) {
-        const int column = *std::min_element(j, j + 4), width = *std::max_element(j, j + 4) - column;
-        const int count = sheet.count(column, width), chunks = (count + N - 1) / N;
+        const auto [left, right] = std::minmax_element(j, j + 4);
+        const int count = sheet.count(*left, *right - *left), chunks = (count + N - 1) / N;
         if (count == 0) return;
         Run run{{}, count, static_cast<int>(data.size())};
         for (int k = 0; k < 4; ++k) run.p[k] = sheet.at(i[k], j[k]);

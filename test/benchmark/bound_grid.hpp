@@ -1,10 +1,10 @@
 // Gauss–Seidel on a regular grid: edges to the next particle, to the diagonal one and to the next
-// but one, in one pass over memory per substep. As few instructions as we know how; no multipliers,
-// which a single iteration does not need.
+// but one, in one pass over memory per substep. As few instructions as we know how; no
+// multipliers, which a single iteration does not need.
 //
-// The order: strips of rows from first to last. A strip is predicted, its edges are projected kind
-// by kind, each kind in two halves that share no particle, and rows that no later strip touches get
-// their velocities. With one strip as high as the sheet this is plain colouring.
+// The order: strips of rows from first to last. A strip is predicted, its edges are projected
+// kind by kind, each kind in two halves that share no particle, and rows that no later strip
+// touches get their velocities. With one strip as high as the sheet this is plain colouring.
 
 #pragma once
 
@@ -35,11 +35,11 @@ class GridOf final : public Grid {
     T gravity;                        // along z
 
 public:
-    GridOf(int n, int strip, const double *inv_mass, const double *rest_, const double *compliance_,
-           double gravity)
+    GridOf(int n, int strip, const double *inv_mass, const double *rest_length,
+           const double *compliances, double gravity)
         : sheet(n, FIELDS), strip(strip), gravity(T(gravity)) {
-        std::copy(rest_, rest_ + 3, rest);
-        std::copy(compliance_, compliance_ + 3, compliance);
+        std::copy(rest_length, rest_length + 3, rest);
+        std::copy(compliances, compliances + 3, compliance);
         for (int i = 0; i < n; ++i)
             for (int j = 0; j < n; ++j) sheet.at(i, j)[W * sheet.field] = T(inv_mass[i * n + j]);
     }

@@ -1,14 +1,15 @@
-// The line solve on a grid: every row, or every column, of distance constraints as one tridiagonal
-// system (J W Jᵀ + α) Δλ = -(C + α λ), then x += W Jᵀ Δλ; one line per lane, Thomas's algorithm.
+// The line solve on a grid: every row, or every column, of distance constraints as one
+// tridiagonal system (J W Jᵀ + α) Δλ = -(C + α λ), then x += W Jᵀ Δλ; one line per lane, Thomas's
+// algorithm.
 //
 // With edge k from particle k - 1 to k, u_k its direction and α already over h²:
 //     a_k = w_{k-1} + w_k + α_k,  b_k = w_{k-1} u_{k-1}·u_k  (minus the off-diagonal),
 //     d_k = 1 / (a_k - b_k² d_{k-1}),  r_k = (rhs_k + b_k r_{k-1}) d_k,          forward
 //     Δλ_k = r_k + b_{k+1} d_k Δλ_{k+1}.                                         backward
 //
-// Particles are row-major, a component apart. Across rows the lanes are neighbouring columns. Along
-// rows they are neighbouring rows: tiles are transposed in registers on the way in and on the way
-// out. Each edge has a rest length and a compliance of its own.
+// Particles are row-major, a component apart. Across rows the lanes are neighbouring columns.
+// Along rows they are neighbouring rows: tiles are transposed in registers on the way in and on
+// the way out. Each edge has a rest length and a compliance of its own.
 
 #pragma once
 

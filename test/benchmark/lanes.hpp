@@ -1,8 +1,8 @@
 // One SIMD register of floats or doubles: AVX-512 where the CPU has it, else AVX2.
 //
-// fma(a, b, c) = a b + c; fnma(a, b, c) = c - a b, rounded once. The compiler has + - * / for these
-// types already. rsqrt and rcp are the CPU's estimates, refined to the last bit or two; the rest is
-// IEEE. transpose(r) takes `count` registers as the rows of a square tile.
+// fma(a, b, c) = a b + c; fnma(a, b, c) = c - a b, rounded once. The compiler has + - * / for
+// these types already. rsqrt and rcp are the CPU's estimates, refined to the last bit or two; the
+// rest is IEEE. transpose(r) takes `count` registers as the rows of a square tile.
 
 #pragma once
 

@@ -1,10 +1,10 @@
 // Storage of a sheet of n × n particles for SIMD, in which nothing needs to be shuffled.
 //
-// Row after row; within a row field after field; within a field the columns j = 0, 4, 8, … side by
-// side, then j = 1, 5, …, then 2, 6, … and 3, 7, …. A constraint that joins columns j and j + d is
-// then, for every fourth j, a run of unit stride, and for d < 4 no two lanes of it share a particle.
-// Padding has inverse mass 0. No lane idles where n / 4 is a whole number of registers (64, 128, …);
-// elsewhere this is no lower bound.
+// Row after row; within a row field after field; within a field the columns j = 0, 4, 8, … side
+// by side, then j = 1, 5, …, then 2, 6, … and 3, 7, …. A constraint that joins columns j and j +
+// d is then, for every fourth j, a run of unit stride, and for d < 4 no two lanes of it share a
+// particle. Padding has inverse mass 0. No lane idles where n / 4 is a whole number of registers
+// (64, 128, …); elsewhere this is no lower bound.
 
 #pragma once
 

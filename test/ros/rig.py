@@ -302,21 +302,6 @@ class Cloth:
         """Send markers to ~/pins; they have arrived on return."""
         self.peer.say(f'{self.name}/pins', MarkerArray(markers=list(markers)))
 
-    def refuses(self, topic: str, message, *texts: str, kind=None) -> str:
-        """Send what has to be refused until the node has said so; return what it said."""
-        start = len(self.node.lines)
-        words = f'/cloth/{topic}: refused: ', *texts
-
-        def said():
-            return next((line for line in self.node.lines[start:]
-                         if all(word in line for word in words)), None)
-        deadline = time.monotonic() + PATIENCE
-        while not said():
-            assert time.monotonic() < deadline, (texts, self.node.lines[start:])
-            self.peer.say(f'{self.name}/{topic}', message, kind)
-            self.peer.spin(0.3)
-        return said()
-
     def aim(self, **places) -> None:
         """Send named targets to ~/pin_targets."""
         self.peer.say(f'{self.name}/pin_targets', targets(**places))

@@ -24,14 +24,16 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import colliders as shapes
-from xpbd_ros.sim.colliders import Colliders, pose_at, signed_distance, to_local
+from xpbd_ros.sim.colliders import Colliders, signed_distance, to_local
 from xpbd_ros.sim.commands import MoveCollider, Pose
-from xpbd_ros.sim.contacts import Contacts, new_contacts, surface_motion
+from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, surface_motion
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import from_z_axis, multiply, rotate
-from xpbd_ros.sim.stages import finish, prepare, project, stage
+from xpbd_ros.sim.stages import finish, prepare, stage, touch
+from xpbd_ros.sim.state import lose_history
+from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
@@ -158,87 +160,99 @@ class Contact(NamedTuple):
 @jit
 def find_candidates(contact, state, substep):
     """List the pairs that may touch in this substep, and the gap that each has to keep."""
-    contacts, thickness = contact.contacts, contact.thickness[0]
-    colliders = contacts.colliders
+    contacts, thickness, w = contact.contacts, contact.thickness[0], state.inv_mass
     if substep.begin == 0.0:
         contacts.count[1] = 0
-    found = 0
-    for c in range(colliders.count[0]):
-        before, after = pose_at(colliders, c, substep.begin), pose_at(colliders, c, substep.end)
-        shape, size = colliders.shape[c], colliders.size[c]
-        bound = shapes.reach(shape, size)
-        p, p0 = after[0], before[0]
-        moved = sqrt((p[0] - p0[0])**2 + (p[1] - p0[1])**2 + (p[2] - p0[2])**2)
-        turned = sqrt((after[1][0] - before[1][0])**2 + (after[1][1] - before[1][1])**2
-                      + (after[1][2] - before[1][2])**2 + (after[1][3] - before[1][3])**2)
-        for i in range(len(state.x)):
-            if state.inv_mass[i] == 0.0:
-                continue
-            x, y, z = state.x[i, 0], state.x[i, 1], state.x[i, 2]
-            x0, y0, z0 = state.x_prev[i, 0], state.x_prev[i, 1], state.x_prev[i, 2]
-            step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
-            arm = sqrt((x - p[0])**2 + (y - p[1])**2 + (z - p[2])**2)
-            near = thickness + 2.0 * (step + moved + 2.0 * turned * arm)
-            if bound >= 0.0 and arm > bound + near:
-                continue
-            lx, ly, lz = to_local(after, x, y, z)
-            if signed_distance(shape, size, lx, ly, lz)[0] > near:
-                continue
-            if found == len(contacts.particle):
-                contacts.count[1] += 1
-                continue
-            lx, ly, lz = to_local(before, x0, y0, z0)
-            gap = signed_distance(shape, size, lx, ly, lz)[0]
-            contacts.particle[found] = i
-            contacts.collider[found] = c
-            contacts.gap[found] = min(thickness, gap + DEPENETRATION * substep.h)
-            contacts.overlap[found] = max(0.0, contacts.gap[found] - gap)
-            contacts.push[found] = 0.0
-            found += 1
-    contacts.count[0] = found
+    contacts.count[0] = 0
+    move_colliders(contacts, substep)
+    slots = len(w)
+    for q in range(0, slots, lanes(w)):
+        free = load(w, q) > 0.0
+        if not any_lane(free):
+            continue
+        x, y, z = load(state.x, q), load(state.x, slots + q), load(state.x, 2 * slots + q)
+        dx, dy = x - load(state.x_prev, q), y - load(state.x_prev, slots + q)
+        dz = z - load(state.x_prev, 2 * slots + q)
+        step = root(dx * dx + dy * dy + dz * dz)
+        for c in range(contacts.colliders.count[0]):
+            bound, p, up = contacts.colliders.reach[c], contacts.after, contacts.up
+            ax, ay, az = x - p[c, 0], y - p[c, 1], z - p[c, 2]
+            arm = root(ax * ax + ay * ay + az * az)
+            near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
+            if bound >= 0.0:
+                close = arm < bound + near
+            else:
+                close = ax * up[c, 0] + ay * up[c, 1] + az * up[c, 2] < near
+            if any_lane(both(free, close)):
+                for i in range(q, q + lanes(w)):
+                    if w[i] > 0.0:
+                        consider(contacts, state, i, c, thickness, substep)
 
 
-@stage(project, Contact)
+@jit(inline=True)
+def consider(contacts, state, i, c, thickness, substep):
+    """Make a pair a candidate if it is within twice what both may move in this substep."""
+    p = contacts.after
+    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+    x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
+    step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
+    arm = sqrt((x - p[c, 0])**2 + (y - p[c, 1])**2 + (z - p[c, 2])**2)
+    near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
+    lx, ly, lz = to_local(p, c, x, y, z)
+    if signed_distance(contacts.colliders, c, lx, ly, lz)[0] > near:
+        return
+    k = contacts.count[0]
+    if k == len(contacts.particle):
+        contacts.count[1] += 1
+        return
+    lx, ly, lz = to_local(contacts.before, c, x0, y0, z0)
+    gap = signed_distance(contacts.colliders, c, lx, ly, lz)[0]
+    contacts.particle[k] = i
+    contacts.collider[k] = c
+    contacts.gap[k] = min(thickness, gap + DEPENETRATION * substep.h)
+    contacts.overlap[k] = max(0.0, contacts.gap[k] - gap)
+    contacts.push[k] = 0.0
+    contacts.count[0] = k + 1
+
+
+@stage(touch, Contact)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal."""
-    contacts = contact.contacts
-    colliders = contacts.colliders
-    last, pose = -1, pose_at(colliders, 0, substep.end)
+    contacts, poses = contact.contacts, contact.contacts.after
     for k in range(contacts.count[0]):
         i, c = contacts.particle[k], contacts.collider[k]
-        if c != last:
-            last, pose = c, pose_at(colliders, c, substep.end)
-        lx, ly, lz = to_local(pose, state.x[i, 0], state.x[i, 1], state.x[i, 2])
-        phi, nx, ny, nz = signed_distance(colliders.shape[c], colliders.size[c], lx, ly, lz)
+        lx, ly, lz = to_local(poses, c, state.x[0, i], state.x[1, i], state.x[2, i])
+        phi, nx, ny, nz = signed_distance(contacts.colliders, c, lx, ly, lz)
         before = contacts.push[k]
         push = max(contacts.gap[k] - phi, -before)
         if push == 0.0:
             continue
-        q = pose[1]
-        n = rotate(q[0], q[1], q[2], q[3], nx, ny, nz)
+        n = rotate(poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6], nx, ny, nz)
         contacts.push[k] = before + push
         for a in range(3):
-            state.x[i, a] += n[a] * push
+            state.x[a, i] += n[a] * push
             contacts.normal[k, a] = n[a]
+        lose_history(state.history, i)
 
 
 @stage(finish, Contact)
 @jit
 def calm(contact, state, substep):
     """Take back the velocity that came from undoing an old overlap, down to the surface's own."""
-    contacts, h = contact.contacts, substep.h
+    contacts, v, n, h = contact.contacts, state.v, contact.contacts.normal, substep.h
     for k in range(contacts.count[0]):
         still = min(contacts.overlap[k], contacts.push[k])
         if still == 0.0:
             continue
-        v, n = state.v[contacts.particle[k]], contacts.normal[k]
+        i = contacts.particle[k]
         ux, uy, uz = surface_motion(contacts, k, state, substep)
-        away = (v[0] - ux / h) * n[0] + (v[1] - uy / h) * n[1] + (v[2] - uz / h) * n[2]
+        away = ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
+                + (v[2, i] - uz / h) * n[k, 2])
         excess = min(away, still / h)
         if excess > 0.0:
             for a in range(3):
-                v[a] -= excess * n[a]
+                v[a, i] -= excess * n[k, a]
 
 
 @dataclass(frozen=True)
@@ -257,18 +271,20 @@ class BuiltContact(Built):
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.entries: dict[str, Entry] = world.sections.get('colliders', {})
-        room, capacity = CANDIDATES * len(world.state.x), parameters.max_colliders
+        room, capacity = CANDIDATES * world.slots, parameters.max_colliders
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
         poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
         colliders = Colliders(
             np.array([len(self.entries)]), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
-            poses.copy(), poses.copy(), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_),
+            np.zeros(capacity),
+            poses.copy(), poses.copy(), np.zeros(capacity, np.bool_), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_),
             np.zeros(capacity))
         for c, entry in enumerate(self.entries.values()):
             colliders.shape[c] = SHAPES[entry.shape]
             colliders.size[c] = shape_size(entry)
+            colliders.reach[c] = shapes.reach(colliders.shape[c], colliders.size[c])
             colliders.friction[c] = entry.friction
         self.colliders = colliders
         self.contacts = new_contacts(colliders, room)
@@ -286,7 +302,7 @@ class BuiltContact(Built):
 
     def adopt(self, old):
         self.motions = old.motions
-        for ours, theirs in zip(self.colliders[3:7], old.colliders[3:7]):
+        for ours, theirs in zip(self.colliders[4:9], old.colliders[4:9]):
             ours[:] = theirs
 
     @staticmethod
@@ -319,6 +335,7 @@ class BuiltContact(Built):
             start, pose = motion.start, motion.pose
             self.colliders.start[c] = (*start.position, *start.orientation)
             self.colliders.goal[c] = (*pose.position, *pose.orientation)
+            self.colliders.moving[c] = start != pose
 
     def states(self, dt: float) -> dict[str, ColliderState]:
         """Return where the colliders are now."""

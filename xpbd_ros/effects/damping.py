@@ -1,15 +1,16 @@
 """
-Damping: every velocity decays as exp(-rate t), as in a resisting medium.
+Damping: a drag on every particle in proportion to its mass and velocity, as in a resisting medium.
 
-v <- v exp(-rate h), on the velocity before this substep's gravity, so that a constant force still
-gives its full acceleration. The factor comes from exact decimal arithmetic: libraries differ in
-the last bit of exp.
+The force -rate m v is taken at the end of the substep, in closed form: with v = v̄ + H (g - rate v),
 
-Limits: it also damps the motion as a whole, so a cloth falls at most at g / rate.
+    v <- (v̄ + H g) / (1 + H rate),   mobility <- mobility / (1 + H rate),
+
+so it is of the integrator's own order, stable at any rate, and a cloth falls at most at g / rate.
+
+Limits: it also damps the motion as a whole.
 """
 
 from dataclasses import dataclass
-from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ import numpy as np
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import force, stage
+from xpbd_ros.sim.state import step_of
+from xpbd_ros.sim.vector import lanes, load, select, store
 
 
 @dataclass(frozen=True)
@@ -29,32 +32,34 @@ class Parameters:
 class Damping(NamedTuple):
     """Data of the kernel."""
 
-    factor: np.ndarray
-    """exp(-rate h), shape (1,)"""
+    rate: np.ndarray
+    """[1/s], shape (1,)"""
 
 
 @stage(force, Damping)
 @jit
 def damp(damping, state, substep):
-    """Scale every free velocity."""
-    factor = damping.factor[0]
-    for i in range(len(state.v)):
-        if state.inv_mass[i] > 0.0:
-            for k in range(3):
-                state.v[i, k] *= factor
+    """Slow every free particle, and what constraints may do to it."""
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        step = step_of(state.history, w, q, substep.h)
+        share = 1.0 / (1.0 + damping.rate[0] * step)
+        free = load(w, q) > 0.0
+        store(state.mobility, q, load(state.mobility, q) * share)
+        for k in range(3):
+            i = k * slots + q
+            before = load(v, i)
+            after = select(free, before * share, before)
+            store(v, i, after)
+            store(x, i, load(x, i) + step * (after - before))
 
 
 class BuiltDamping(Built):
-    """Knows the rate; the factor follows the substep."""
+    """Knows the rate."""
 
-    def __init__(self, rate: float):
+    def __init__(self, parameters, world):
         super().__init__()
-        self.rate = rate
-        self.data = Damping(np.ones(1))
-
-    def begin(self, clock, state):
-        exponent = -Decimal(self.rate) * Decimal(clock.dt) / clock.substeps
-        self.data.factor[0] = float(max(exponent, Decimal(-700)).exp())
+        self.data = Damping(np.array([parameters.rate], world.state.x.dtype))
 
 
-EFFECT = Effect('damping', Parameters, lambda parameters, world: BuiltDamping(parameters.rate))
+EFFECT = Effect('damping', Parameters, BuiltDamping)

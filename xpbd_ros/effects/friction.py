@@ -25,7 +25,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, surface_motion
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, project, stage
+from xpbd_ros.sim.stages import prepare, stage, touch
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Friction(NamedTuple):
 
     contacts: Contacts
     cloth: np.ndarray
-    """index of each particle's cloth, shape (particles,)"""
+    """index of each particle's cloth, shape (slots,)"""
     coefficient: np.ndarray
     """μ by cloth and collider, shape (cloths, capacity)"""
 
@@ -56,31 +56,32 @@ def prepare_friction(friction, state, substep):
             contacts.slip[k, a] = 0.0
 
 
-@stage(project, Friction)
+@stage(touch, Friction)
 @jit
 def resist(friction, state, substep):
     """Take back tangential motion, within the cone |s| ≤ μ d."""
-    contacts = friction.contacts
+    contacts, x, before = friction.contacts, state.x, state.x_prev
+    n, s = contacts.normal, contacts.slip
     for k in range(contacts.count[0]):
-        s = contacts.slip[k]
-        if contacts.push[k] == 0.0 and s[0] == 0.0 and s[1] == 0.0 and s[2] == 0.0:
+        if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
             continue
         i = contacts.particle[k]
-        x, before, n = state.x[i], state.x_prev[i], contacts.normal[k]
         ux, uy, uz = surface_motion(contacts, k, state, substep)
-        px, py, pz = x[0] - before[0] - ux, x[1] - before[1] - uy, x[2] - before[2] - uz
-        pn = px * n[0] + py * n[1] + pz * n[2]
-        sx, sy, sz = s[0] - (px - pn * n[0]), s[1] - (py - pn * n[1]), s[2] - (pz - pn * n[2])
+        px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
+        pz = x[2, i] - before[2, i] - uz
+        pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
+        sx, sy = s[k, 0] - (px - pn * n[k, 0]), s[k, 1] - (py - pn * n[k, 1])
+        sz = s[k, 2] - (pz - pn * n[k, 2])
         l = sqrt(sx * sx + sy * sy + sz * sz)
         load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
         limit = friction.coefficient[friction.cloth[i], contacts.collider[k]] * load
         if l > limit:
             f = limit / l
             sx, sy, sz = f * sx, f * sy, f * sz
-        x[0] += sx - s[0]
-        x[1] += sy - s[1]
-        x[2] += sz - s[2]
-        s[0], s[1], s[2] = sx, sy, sz
+        x[0, i] += sx - s[k, 0]
+        x[1, i] += sy - s[k, 1]
+        x[2, i] += sz - s[k, 2]
+        s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
 
 
 class BuiltFriction(Built):
@@ -90,12 +91,12 @@ class BuiltFriction(Built):
         super().__init__()
         contact = world.built['contact']
         coefficient = np.zeros((len(world.cloths), len(contact.colliders.friction)))
-        cloth_of = np.zeros(len(world.state.x), np.int64)
+        cloth_of = np.zeros(world.slots, np.int64)
         unknown = set(parameters.pairs) - {cloth.name for cloth in world.cloths}
         if unknown:
             raise InputError(f'effects.friction.pairs: unknown cloth {sorted(unknown)}')
         for k, cloth in enumerate(world.cloths):
-            cloth_of[cloth.particles] = k
+            cloth_of[cloth.slots] = k
             pairs = parameters.pairs.get(cloth.name, {})
             unknown = set(pairs) - set(contact.entries)
             if unknown:

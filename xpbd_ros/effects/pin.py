@@ -26,6 +26,7 @@ from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
 from xpbd_ros.sim.stages import prepare, stage
+from xpbd_ros.sim.state import forget, places
 
 PLACES = ('corner_00', 'corner_01', 'corner_10', 'corner_11',
           'edge_0x', 'edge_1x', 'edge_x0', 'edge_x1')
@@ -71,7 +72,7 @@ class Pin(NamedTuple):
     count: np.ndarray
     """pinned particles, shape (1,)"""
     particle: np.ndarray
-    """shape (particles,)"""
+    """slots, shape (slots,)"""
     slot: np.ndarray
     """which pin holds it, shape (particles,)"""
     offset: np.ndarray
@@ -93,9 +94,9 @@ def move_pinned(pin, state, substep):
         q = pin.offset[k]
         rx, ry, rz = rotate(qx, qy, qz, qw, q[0], q[1], q[2])
         i = pin.particle[k]
-        state.x[i, 0] = a[0] + s * (b[0] - a[0]) + rx
-        state.x[i, 1] = a[1] + s * (b[1] - a[1]) + ry
-        state.x[i, 2] = a[2] + s * (b[2] - a[2]) + rz
+        state.x[0, i] = a[0] + s * (b[0] - a[0]) + rx
+        state.x[1, i] = a[1] + s * (b[1] - a[1]) + ry
+        state.x[2, i] = a[2] + s * (b[2] - a[2]) + rz
 
 
 @dataclass
@@ -105,7 +106,7 @@ class Held:
     slot: int
     motion: Motion
     particles: np.ndarray
-    """shape (k,)"""
+    """slots, shape (k,)"""
     offsets: np.ndarray
     """[m], in the pin's axes, shape (k, 3)"""
     expires_ns: int | None = None
@@ -133,7 +134,7 @@ class BuiltPin(Built):
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
-        count = len(world.state.x)
+        count = len(world.state.mass)
         slots = parameters.max_pins
         self.entries: dict[str, Entry] = world.sections.get('pins', {})
         if len(self.entries) > slots:
@@ -166,7 +167,7 @@ class BuiltPin(Built):
             particles = particles[state.inv_mass[particles] > 0.0]
             if not len(particles):
                 raise InputError(f'pins.{name}: other pins hold all that it names')
-            point = entry.near or tuple(state.x[particles].mean(0).tolist())
+            point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
             keyframes = None
             if entry.motion is not None:
                 keyframes = monotone_cubic(entry.motion, now_ns * 1e-9)
@@ -182,31 +183,33 @@ class BuiltPin(Built):
                              f'(known: {", ".join(self.cloths)})')
         cloth = self.cloths[entry.cloth]
         if entry.near is not None:
-            there = np.arange(cloth.particles.start, cloth.particles.stop)
-            near = there[length(x[there] - entry.near) <= entry.radius]
+            there = cloth.slots
+            distance = length(places(x, there) - entry.near)
+            near = there[distance <= entry.radius]
             if not len(near):
-                gap = length(x[there] - entry.near).min()
+                gap = distance.min()
                 raise InputError(f'pins.{name}: no particle within {entry.radius:g} m of '
                                  f'{list(entry.near)}; the nearest is {gap:.3g} m away')
             return near
         if isinstance(entry.at, str):
             rows, columns = (-1 if c == '1' else 0 if c == '0' else slice(None)
                              for c in entry.at.split('_')[1])
-            return np.unique(cloth.grid[rows, columns])
-        count = cloth.grid.size
+            return cloth.block.slots[rows, columns].ravel()
+        count = len(cloth.slots)
         if not all(0 <= i < count for i in entry.at):
             raise InputError(f'pins.{name}.at: indices must be from 0 to {count - 1} '
                              f'(got {list(entry.at)})')
-        return np.unique(np.array(entry.at, np.int64)) + cloth.first
+        return cloth.slots[np.unique(np.array(entry.at, np.int64))]
 
     def _hold(self, name, particles, pose, max_speed, state, keyframes=None) -> Held:
-        offset = state.x[particles] - pose.position
+        offset = places(state.x, particles) - pose.position
         inverse = conjugate(pose.orientation)
         offset = np.array([rotate.py_func(*inverse, *q) for q in offset.tolist()])
         lever = max(float(length(offset).max()), 1e-6)
         held = Held(self.free_slots.pop(0),
                     Motion(pose, max_speed, keyframes=keyframes, lever=lever), particles, offset)
         state.inv_mass[particles] = 0.0
+        forget(state, particles)
         self.held[name] = held
         self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
                                                                   *pose.orientation)
@@ -234,7 +237,7 @@ class BuiltPin(Built):
             return None
         if not self.free_slots:
             return f'all {len(self.data.start)} pins are in use (effects.pin.max_pins)'
-        distance = length(state.x - command.pose.position)
+        distance = length(places(state.x) - command.pose.position)
         distance[state.inv_mass == 0.0] = np.inf
         near = np.flatnonzero(distance <= command.radius)
         if not len(near):
@@ -265,6 +268,7 @@ class BuiltPin(Built):
         held = self.held.pop(name)
         self.free_slots.insert(0, held.slot)
         state.inv_mass[held.particles] = 1.0 / state.mass[held.particles]
+        forget(state, held.particles)
         self._changed()
 
     def move(self, command, clock, state) -> str | None:
@@ -286,18 +290,19 @@ class BuiltPin(Built):
             self.data.start[held.slot] = (*start.position, *start.orientation)
             self.data.goal[held.slot] = (*pose.position, *pose.orientation)
         pinned = self.data.particle[:self.data.count[0]]
-        state.reaction[pinned] = 0.0
-        self._v_before = state.v[pinned].copy()
+        state.reaction[:, pinned] = 0.0
+        self._v_before = places(state.v, pinned)
 
     def end(self, clock, state):
         self.states = {}
         k = 0
         for name, held in self.held.items():
             i = held.particles
-            acceleration = (state.v[i] - self._v_before[k:k + len(i)]) / clock.dt
+            acceleration = (places(state.v, i) - self._v_before[k:k + len(i)]) / clock.dt
             k += len(i)
-            force = state.reaction[i] + state.mass[i, None] * (state.gravity - acceleration)
-            arm = state.x[i] - held.motion.pose.position
+            force = (places(state.reaction, i)
+                     + state.mass[i, None] * (state.gravity - acceleration))
+            arm = places(state.x, i) - held.motion.pose.position
             linear = (np.subtract(held.motion.pose.position, held.motion.start.position)
                       / clock.dt)
             self.states[name] = PinState(held.motion.pose, linear, force.sum(0),

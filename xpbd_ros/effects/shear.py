@@ -14,9 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim import distance
-from xpbd_ros.sim.effect import Constraints, Effect, quantity
+from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, project, react, stage
+from xpbd_ros.sim.runs import grid_runs, join, Shape
+from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,14 @@ def prepare_shear(shear, state, substep):
 @jit
 def project_shear(shear, state, substep):
     """One pass over all diagonals."""
-    distance.project_edges(shear.edges, state, substep)
+    distance.project_edges(shear.edges, state, False)
+
+
+@stage(project_back, Shear)
+@jit
+def project_shear_back(shear, state, substep):
+    """Do the same pass in reverse."""
+    distance.project_edges(shear.edges, state, True)
 
 
 @stage(react, Shear)
@@ -53,25 +61,31 @@ def react_shear(shear, state, substep):
     distance.react_edges(shear.edges, state, substep)
 
 
-def build(parameters, world) -> Constraints:
-    """Lay out the rising diagonals of every cloth that shears, then the falling ones."""
-    edges, rest, compliance = [], [], []
-    for cloth, chosen in parameters.items():
-        grid, (dx, dy) = cloth.grid, cloth.mesh.spacing
-        square = dx * dx + dy * dy
-        for start, end in ((grid[:-1, :-1], grid[1:, 1:]), (grid[:-1, 1:], grid[1:, :-1])):
-            edges.append(np.column_stack([start.ravel(), end.ravel()]))
-            rest.append(np.full(start.size, np.sqrt(square)))
-            compliance.append(np.full(
-                start.size,
-                world.compliance_scale * 2.0 * dx * dy / (chosen.stiffness * square)))
-    batch = distance.distance_batch(np.concatenate(edges), np.concatenate(rest),
-                                    np.concatenate(compliance), len(world.state.x),
-                                    pins=world.pins)
-    return Constraints(Shear(batch), batch)
+class BuiltShear(Built):
+    """The rising and the falling diagonals of every cloth that shears."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        runs, rest, compliance = [], [], []
+        for number, (cloth, chosen) in enumerate(parameters.items()):
+            block, (dx, dy) = cloth.block, cloth.mesh.spacing
+            rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
+            runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
+                                          Shape(((0, 1), (1, 0)), rows, columns, 1)],
+                                  world.slots, families=2 * number,
+                                  shapes_before=2 * number))
+            square = dx * dx + dy * dy
+            alpha = world.compliance_scale * 2.0 * dx * dy / (chosen.stiffness * square)
+            rest.append(np.full((2, world.slots), np.sqrt(square)))
+            compliance.append(np.full((2, world.slots), alpha))
+        batch = distance.distance_batch(
+            join(runs), np.concatenate(rest), np.concatenate(compliance), pins=world.pins,
+            dtype=world.state.x.dtype)
+        self.data = Shear(batch)
+        self.constraints = distance.Edges(batch)
+
+    def hold(self, inv_mass):
+        distance.hold(self.data.edges.held, self.constraints, inv_mass)
 
 
-EFFECT = Effect(
-    'shear', Parameters, build,
-    residual=lambda data, x: distance.residual(data.edges, x),
-    energy=lambda data, x: distance.energy(data.edges, x))
+EFFECT = Effect('shear', Parameters, BuiltShear)

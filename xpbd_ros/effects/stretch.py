@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import distance
-from xpbd_ros.sim.effect import Constraints, Effect, quantity
+from xpbd_ros.sim import distance, lines
+from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import length
-from xpbd_ros.sim.stages import prepare, project, react, stage
+from xpbd_ros.sim.runs import grid_runs, join, Shape
+from xpbd_ros.sim.stages import prepare, project, project_back, react, solve_lines, stage
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Stretch(NamedTuple):
     """Data of the kernels."""
 
     edges: distance.Distance
+    lines: lines.Lines
 
 
 @stage(prepare, Stretch)
@@ -60,7 +61,21 @@ def prepare_stretch(stretch, state, substep):
 @jit
 def project_stretch(stretch, state, substep):
     """One pass over all edges."""
-    distance.project_edges(stretch.edges, state, substep)
+    distance.project_edges(stretch.edges, state, False)
+
+
+@stage(project_back, Stretch)
+@jit
+def project_stretch_back(stretch, state, substep):
+    """Do the same pass in reverse."""
+    distance.project_edges(stretch.edges, state, True)
+
+
+@stage(solve_lines, Stretch)
+@jit
+def solve_stretch(stretch, state, substep):
+    """Solve every warp line, then every weft line."""
+    lines.solve_edges(stretch.edges, stretch.lines, state)
 
 
 @stage(react, Stretch)
@@ -70,31 +85,39 @@ def react_stretch(stretch, state, substep):
     distance.react_edges(stretch.edges, state, substep)
 
 
-def build(parameters, world) -> Constraints:
-    """Lay out the edges of every cloth that stretches, weft lines after warp lines."""
-    edges, rest, compliance = [], [], []
-    for cloth, chosen in parameters.items():
-        grid, (dx, dy) = cloth.grid, cloth.mesh.spacing
-        for lines, modulus, along, across in ((grid, chosen.warp, dx, dy),
-                                              (grid.T, chosen.weft, dy, dx)):
-            pairs = np.stack([lines[:, :-1], lines[:, 1:]], -1)
-            width = np.full(pairs.shape[:2], across)
-            if len(lines) > 1:
-                width[[0, -1]] *= 0.5
-            alpha = (np.full(width.shape, chosen.compliance) if chosen.compliance is not None
-                     else along / (modulus * width))
-            edges.append(pairs.reshape(-1, 2))
-            compliance.append(alpha.ravel() * world.compliance_scale)
-            local = pairs.reshape(-1, 2) - cloth.first
-            rest.append(length(cloth.mesh.positions[local[:, 0]]
-                               - cloth.mesh.positions[local[:, 1]]))
-    batch = distance.distance_batch(np.concatenate(edges), np.concatenate(rest),
-                                    np.concatenate(compliance), len(world.state.x),
-                                    pins=world.pins)
-    return Constraints(Stretch(batch), batch)
+class BuiltStretch(Built):
+    """The edges of every cloth that stretches, warp then weft."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        runs, rest, compliance = [], [], []
+        for number, (cloth, chosen) in enumerate(parameters.items()):
+            block, (dx, dy) = cloth.block, cloth.mesh.spacing
+            rows, columns = range(block.rows), range(block.columns)
+            runs.append(grid_runs(block, [Shape(((0, 0), (0, 1)), rows, columns[:-1], 0),
+                                          Shape(((0, 0), (1, 0)), rows[:-1], columns, 1)],
+                                  world.slots, families=2 * number,
+                                  shapes_before=2 * number))
+            for modulus, along, across, axis in ((chosen.warp, dx, dy, 0),
+                                                 (chosen.weft, dy, dx, 1)):
+                width = np.full((block.rows, block.columns), across)
+                rim = width if axis == 0 else width.T
+                if len(rim) > 1:
+                    rim[[0, -1]] *= 0.5
+                alpha = (np.full(width.shape, chosen.compliance)
+                         if chosen.compliance is not None else along / (modulus * width))
+                rest.append(np.zeros(world.slots))
+                compliance.append(np.zeros(world.slots))
+                rest[-1][block.slots] = along
+                compliance[-1][block.slots] = alpha * world.compliance_scale
+        batch = distance.distance_batch(join(runs), np.array(rest), np.array(compliance),
+                                        pins=world.pins, dtype=world.state.x.dtype)
+        self.data = Stretch(batch, lines.grid_lines([c.block for c in parameters], world.slots,
+                                                    world.state.x.dtype))
+        self.constraints = distance.Edges(batch)
+
+    def hold(self, inv_mass):
+        distance.hold(self.data.edges.held, self.constraints, inv_mass)
 
 
-EFFECT = Effect(
-    'stretch', Parameters, build,
-    residual=lambda data, x: distance.residual(data.edges, x),
-    energy=lambda data, x: distance.energy(data.edges, x))
+EFFECT = Effect('stretch', Parameters, BuiltStretch)

@@ -111,7 +111,7 @@ class ClothNode(LifecycleNode):
         changed = self._declare_live(live)
         simulation.check(changed)
         self._publish_every = every(self.value('publish_rate'), simulation)
-        log.info(f"scene '{scene.name}': {len(simulation.state.x)} particles, effects "
+        log.info(f"scene '{scene.name}': {len(simulation.slot)} particles, effects "
                  f'{", ".join(scene.effect_names)}; {simulation.solver.reason}')
         log.info('compiling for this scene; the first time takes some seconds')
         begin = time.perf_counter()

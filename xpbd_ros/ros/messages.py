@@ -46,7 +46,7 @@ class Cloud:
         names = names.split()
         message = PointCloud2()
         message.header.frame_id = frame_id
-        message.height, message.width = cloth.grid.shape
+        message.height, message.width = cloth.mesh.grid.shape
         size = np.dtype(dtype).itemsize
         kind = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
         message.fields = [PointField(name=name, offset=size * k, datatype=kind, count=1)

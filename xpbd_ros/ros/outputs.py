@@ -65,7 +65,7 @@ class Outputs:
 
     def start(self) -> dict[str, bytes]:
         """Return the latched messages: the scene, and each cloth's mesh at the start."""
-        x = self.simulation.state.x
+        x = self.simulation.frame().x
         found = {'scene': self.scene(self.scene_text)}
         for topic, cloud in self._clouds.items():
             mesh = messages.mesh_message(cloud.cloth, x)

@@ -5,47 +5,65 @@ from math import ceil, sqrt
 from xpbd_ros.scene.model import SolverKeys
 from xpbd_ros.sim.simulation import Solver
 
-NS = {'particle': 8.0, 'edge': 14.0, 'hinge': 18.0}
-"""cost of one substep, per particle, edge and hinge [ns]; measured on one core of a 2.6 GHz CPU"""
-SOFTNESS = 0.1
-"""stretch that an unresolved substep may add, relative to the stretch asked for"""
+INTEGRATOR = {'auto': 'bdf2', 'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2',
+              'gauss_seidel': 'backward_euler'}
+"""what goes with each method: BDF2 wants a sweep that is symmetric"""
+NS = {'gauss_seidel': {'slot': 2.0, 'edge': 3.0, 'hinge': 8.0},
+      'gauss_seidel_symmetric': {'slot': 3.0, 'edge': 6.0, 'hinge': 16.0},
+      'line': {'slot': 3.0, 'edge': 7.0, 'hinge': 16.0}}
+"""cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
+RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'line': 0.25}
+"""substeps that a method wants, for each that an explicit one would need"""
+LEAST = 4
 
 
 def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     """
-    Choose what the scene leaves open.
+    Choose what the scene leaves open: method, integrator, substeps.
 
-    A substep of h makes an edge softer, as by an extra compliance of (w1 + w2) h² / 2 per
-    iteration (NUMERICS 0.2). Substeps are chosen so that this is at most SOFTNESS of the
-    compliance asked for, as far as ``budget_ms`` allows.
+    An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over the
+    edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of them
+    for a millimetre on a metre (NUMERICS 5.8); Gauss-Seidel needs all, to be as stiff as asked.
+    ``budget_ms`` bounds the substeps by the cost table above.
     """
-    if keys.substeps is not None:
-        return Solver('gauss_seidel', keys.integrator, keys.substeps, keys.iterations,
-                      keys.precision, keys.threads, 'substeps: given')
-    ratio, cost = 0.0, NS['particle'] * len(state.x)
+    method = 'line' if keys.method == 'auto' else keys.method
+    integrator = keys.integrator or INTEGRATOR[method]
+    table = NS[method]
+    cost = table['slot'] * len(state.mass)
+    rate = 0.0
     for built in effects.values():
-        if built.particles is None:
+        if built.constraints is None:
             continue
-        edges = built.particles.shape[1] == 2
-        cost += keys.iterations * NS['edge' if edges else 'hinge'] * len(built.particles)
-        if edges and len(built.particles):
-            w = (1.0 / state.mass)[built.particles].sum(1)
-            alpha = built.batch.compliance
-            extra = 0.5 * w * frame_dt**2 / keys.iterations
-            ratio = max(ratio, float((extra / alpha).max()) if (alpha > 0.0).all()
-                        else float('inf'))
+        particles = built.constraints.particles
+        if particles.shape[1] == 2:
+            cost += keys.iterations * table['edge'] * len(particles)
+            rate += largest_rate(built.constraints, state.mass)
+        else:
+            cost += keys.iterations * table['hinge'] * len(particles)
+    chosen = dict(method=method, integrator=integrator, iterations=keys.iterations,
+                  precision=keys.precision, threads=keys.threads)
+    if keys.substeps is not None:
+        return Solver(substeps=keys.substeps, reason=f'{method}, {integrator}, '
+                      f'{keys.substeps} substeps as given', **chosen)
     affordable = max(1, int(keys.budget_ms * 1e6 / cost))
-    rigid = ratio > 1e12
-    wanted = affordable if rigid else ceil(sqrt(ratio / SOFTNESS))
-    substeps = max(min(wanted, affordable), min(4, affordable))
-    if rigid:
-        reason = (f'{substeps} substeps fill the budget of {keys.budget_ms:g} ms; no number of '
-                  'them makes an edge rigid')
-    elif wanted <= affordable:
-        reason = (f'{substeps} substeps keep the added softness within {SOFTNESS:.0%}; about '
-                  f'{substeps * cost * 1e-6:.1f} ms per frame')
+    wanted = RESOLVE[method] * frame_dt * sqrt(rate) if rate < 1e20 else float('inf')
+    substeps = int(max(min(ceil(min(wanted, 1e9)), affordable), min(LEAST, affordable)))
+    reason = f'auto: {method}, {integrator}, {substeps} substeps'
+    if wanted <= affordable:
+        reason += ' resolve the stretch'
+    elif wanted < 1e9:
+        reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
-        reason = (f'{substeps} substeps fill the budget of {keys.budget_ms:g} ms; '
-                  f'{wanted} would keep the added softness within {SOFTNESS:.0%}')
-    return Solver('gauss_seidel', keys.integrator, substeps, keys.iterations, keys.precision,
-                  keys.threads, f'auto: {reason}')
+        reason += f' fill the budget of {keys.budget_ms:g} ms; rigid edges take what they get'
+    return Solver(substeps=substeps, reason=f'{reason}, about {substeps * cost * 1e-6:.2g} ms '
+                  'per frame', **chosen)
+
+
+def largest_rate(edges, mass) -> float:
+    """Return the largest (1/m1 + 1/m2) / (2 α) of some edges [1/s²]; inf where one is rigid."""
+    if not len(edges.particles):
+        return 0.0
+    if (edges.compliance == 0.0).any():
+        return float('inf')
+    w = 1.0 / mass[edges.particles].astype(float)
+    return float((0.5 * w.sum(1) / edges.compliance).max())

@@ -1,15 +1,17 @@
 """``Scene`` -> ``Simulation``: meshes, masses, one built effect per effect that is called for."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import resolve
+from xpbd_ros.scene.auto import INTEGRATOR, resolve
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import live_keys, Scene, with_key
 from xpbd_ros.sim.effect import Built, Cloth, World
+from xpbd_ros.sim.layout import blocks
 from xpbd_ros.sim.mesh import grid_mesh
 from xpbd_ros.sim.rotation import rotate
 from xpbd_ros.sim.simulation import Change, Simulation
@@ -19,10 +21,14 @@ from xpbd_ros.sim.state import new_state, State
 def compile_scene(scene: Scene) -> Simulation:
     """Return a simulation at the scene's start; nothing is compiled to machine code yet."""
     cloths, x, mass = [], [], []
+    solver = scene.top.solver
+    dtype = np.dtype(solver.precision)
+    shapes = [keys.grid.resolution[::-1] for keys in scene.cloths.values()]
+    places, slots = blocks(shapes, dtype)
     first = 0
-    for name, keys in scene.cloths.items():
+    for (name, keys), block in zip(scene.cloths.items(), places):
         mesh = grid_mesh(keys.grid.size, keys.grid.resolution)
-        cloths.append(Cloth(name, mesh, first, keys.friction))
+        cloths.append(Cloth(name, mesh, block, first, keys.friction))
         q, p = keys.pose.orientation, keys.pose.position
         x.append(np.stack(rotate.py_func(*q, *mesh.positions.T), 1) + p)
         mass.append(mesh.area * keys.density)
@@ -32,15 +38,23 @@ def compile_scene(scene: Scene) -> Simulation:
         if not (np.isfinite(1.0 / mass).all() and np.isfinite(mass).all()):
             raise InputError(f'{scene.where}: cloths: a particle would weigh {mass.min():.3g} kg; '
                              'size, density and resolution do not fit together')
-    state = new_state(np.concatenate(x), mass, scene.top.gravity, pins='pin' in scene.effects)
+    slot = np.concatenate([cloth.slots for cloth in cloths])
+    state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
+                      pins='pin' in scene.effects, history=integrator(scene) == 'bdf2',
+                      dtype=dtype)
     try:
         effects = _build(scene, tuple(cloths), state)
         return Simulation(
-            cloths, state, effects, frame_rate=frame_rate(scene),
+            cloths, state, effects, slot=slot, frame_rate=frame_rate(scene),
             solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
             retune=Retune(scene, tuple(cloths), state, effects))
     except InputError as error:
         raise InputError(f'{scene.where}: {error}') from None
+
+
+def integrator(scene: Scene) -> str:
+    """Return the integrator that the scene says, or that its method goes with."""
+    return scene.top.solver.integrator or INTEGRATOR[scene.top.solver.method]
 
 
 def frame_rate(scene: Scene) -> Fraction:
@@ -74,7 +88,7 @@ class Retune:
     def __call__(self, key: str, value) -> Change:
         """Return the change, or raise InputError; nothing has happened yet."""
         scene = self.check({key: value})
-        cloths = tuple(Cloth(c.name, c.mesh, c.first, scene.cloths[c.name].friction)
+        cloths = tuple(replace(c, friction=scene.cloths[c.name].friction)
                        for c in self.cloths)
         effects = _build(scene, cloths, self.state)
         for name, built in effects.items():

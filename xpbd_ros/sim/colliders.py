@@ -26,10 +26,14 @@ class Colliders(NamedTuple):
     """PLANE …, shape (capacity,)"""
     size: np.ndarray
     """[m]: radius, half length along z, –; or half extents of a box; shape (capacity, 3)"""
+    reach: np.ndarray
+    """radius of a ball around the position that holds the shape [m]; -1: unbounded"""
     start: np.ndarray
     """pose at the frame's start: x y z, qx qy qz qw; shape (capacity, 7)"""
     goal: np.ndarray
     """pose at the frame's end, shape (capacity, 7)"""
+    moving: np.ndarray
+    """whether the two poses differ, shape (capacity,)"""
     twist: np.ndarray
     """surface velocity, linear [m/s] and angular [rad/s], where given; shape (capacity, 6)"""
     has_twist: np.ndarray
@@ -39,26 +43,31 @@ class Colliders(NamedTuple):
 
 
 @jit
-def pose_at(colliders, c, s):
-    """Return position and orientation of collider c a fraction s into the frame."""
-    a, b = colliders.start[c], colliders.goal[c]
-    return ((a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])),
-            interpolate((a[3], a[4], a[5], a[6]), (b[3], b[4], b[5], b[6]), s))
+def write_pose(colliders, c, s, poses):
+    """Write the pose of collider c a fraction s into the frame."""
+    a, b = colliders.start, colliders.goal
+    for k in range(3):
+        poses[c, k] = a[c, k] + s * (b[c, k] - a[c, k])
+    if colliders.moving[c]:
+        q = interpolate((a[c, 3], a[c, 4], a[c, 5], a[c, 6]),
+                        (b[c, 3], b[c, 4], b[c, 5], b[c, 6]), s)
+        poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6] = q
+    else:
+        for k in range(3, 7):
+            poses[c, k] = a[c, k]
 
 
-@jit
-def to_local(pose, x, y, z):
-    """World point to the collider's axes."""
-    p, q = pose
-    return rotate(-q[0], -q[1], -q[2], q[3], x - p[0], y - p[1], z - p[2])
+@jit(inline=True)
+def to_local(p, c, x, y, z):
+    """Bring a point of the world into the axes of collider c, whose pose is p[c]."""
+    return rotate(-p[c, 3], -p[c, 4], -p[c, 5], p[c, 6], x - p[c, 0], y - p[c, 1], z - p[c, 2])
 
 
-@jit
-def to_world(pose, x, y, z):
-    """Point in the collider's axes to the world."""
-    p, q = pose
-    rx, ry, rz = rotate(q[0], q[1], q[2], q[3], x, y, z)
-    return p[0] + rx, p[1] + ry, p[2] + rz
+@jit(inline=True)
+def to_world(p, c, x, y, z):
+    """Bring a point in the axes of collider c into the world."""
+    rx, ry, rz = rotate(p[c, 3], p[c, 4], p[c, 5], p[c, 6], x, y, z)
+    return p[c, 0] + rx, p[c, 1] + ry, p[c, 2] + rz
 
 
 @jit
@@ -75,21 +84,28 @@ def reach(shape, size):
     return -1.0
 
 
-@jit
-def signed_distance(shape, size, x, y, z):
-    """Return φ [m] and the unit normal at a point in the collider's axes."""
+@jit(inline=True)
+def signed_distance(colliders, c, x, y, z):
+    """Return φ [m] and the unit normal at a point in the axes of collider c."""
+    return shape_distance(colliders.shape[c], colliders.size[c, 0], colliders.size[c, 1],
+                          colliders.size[c, 2], x, y, z)
+
+
+@jit(inline=True)
+def shape_distance(shape, a, b, c, x, y, z):
+    """Return φ [m] and the unit normal for a shape and its three sizes (``Colliders.size``)."""
     if shape == PLANE:
         return z, 0.0, 0.0, 1.0
     if shape == SPHERE:
-        return _round(x, y, z, size[0])
+        return _round(x, y, z, a)
     if shape == CAPSULE:
-        return _round(x, y, z - min(max(z, -size[1]), size[1]), size[0])
+        return _round(x, y, z - min(max(z, -b), b), a)
     if shape == CYLINDER:
-        return _cylinder(x, y, z, size[0], size[1])
-    return _box(x, y, z, size)
+        return _cylinder(x, y, z, a, b)
+    return _box(x, y, z, a, b, c)
 
 
-@jit
+@jit(inline=True)
 def _round(x, y, z, radius):
     """Return the distance to a ball around the origin."""
     l = sqrt(x * x + y * y + z * z)
@@ -98,7 +114,7 @@ def _round(x, y, z, radius):
     return -radius, 0.0, 0.0, 1.0
 
 
-@jit
+@jit(inline=True)
 def _cylinder(x, y, z, radius, half):
     """Return the distance to a cylinder along z, closed by discs."""
     r = sqrt(x * x + y * y)
@@ -113,13 +129,13 @@ def _cylinder(x, y, z, radius, half):
     return cap, 0.0, 0.0, up
 
 
-@jit
-def _box(x, y, z, half):
-    """Return the distance to a box of the given half extents."""
+@jit(inline=True)
+def _box(x, y, z, a, b, c):
+    """Return the distance to a box of half extents a, b, c."""
     sx = 1.0 if x >= 0.0 else -1.0
     sy = 1.0 if y >= 0.0 else -1.0
     sz = 1.0 if z >= 0.0 else -1.0
-    qx, qy, qz = abs(x) - half[0], abs(y) - half[1], abs(z) - half[2]
+    qx, qy, qz = abs(x) - a, abs(y) - b, abs(z) - c
     ox, oy, oz = max(qx, 0.0), max(qy, 0.0), max(qz, 0.0)
     l = sqrt(ox * ox + oy * oy + oz * oz)
     if l > 0.0:

@@ -1,17 +1,29 @@
 """Contacts: the pairs of particle and collider that may touch in a substep, and how they do."""
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.colliders import Colliders, pose_at, to_local, to_world
+from xpbd_ros.sim.colliders import Colliders, to_local, to_world, write_pose
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.rotation import rotate
 
 
 class Contacts(NamedTuple):
     """The candidates of this substep; those with a push > 0 touch."""
 
     colliders: Colliders
+    before: np.ndarray
+    """poses at the substep's start, shape (capacity, 7)"""
+    after: np.ndarray
+    """poses at its end, shape (capacity, 7)"""
+    moved: np.ndarray
+    """how far each moves in the substep [m], shape (capacity,)"""
+    turned: np.ndarray
+    """how far its quaternion moves, about half the angle [rad], shape (capacity,)"""
+    up: np.ndarray
+    """its z axis, the normal of a plane; shape (capacity, 3)"""
     count: np.ndarray
     """candidates, and how many found no room in this frame; shape (2,)"""
     particle: np.ndarray
@@ -32,21 +44,43 @@ class Contacts(NamedTuple):
 
 def new_contacts(colliders: Colliders, room: int) -> Contacts:
     """Return room for that many candidates, none of them in use."""
-    return Contacts(colliders, np.zeros(2, np.int64), np.zeros(room, np.int64),
+    capacity = len(colliders.shape)
+    return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
+                    np.zeros(capacity), np.zeros(capacity), np.zeros((capacity, 3)),
+                    np.zeros(2, np.int64), np.zeros(room, np.int64),
                     np.zeros(room, np.int64), np.zeros(room), np.zeros(room), np.zeros(room),
                     np.zeros((room, 3)), np.zeros((room, 3)))
 
 
-@jit
+@jit(inline=True)
 def surface_motion(contacts, k, state, substep):
     """Return how far the collider's surface at contact k moves in this substep [m]."""
-    colliders, c, x = contacts.colliders, contacts.collider[k], state.x[contacts.particle[k]]
-    after = pose_at(colliders, c, substep.end)
+    colliders, c, i, p = (contacts.colliders, contacts.collider[k], contacts.particle[k],
+                          contacts.after)
+    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
     if colliders.has_twist[c]:
-        v, h, p = colliders.twist[c], substep.h, after[0]
-        rx, ry, rz = x[0] - p[0], x[1] - p[1], x[2] - p[2]
-        return ((v[0] + v[4] * rz - v[5] * ry) * h, (v[1] + v[5] * rx - v[3] * rz) * h,
-                (v[2] + v[3] * ry - v[4] * rx) * h)
-    lx, ly, lz = to_local(after, x[0], x[1], x[2])
-    bx, by, bz = to_world(pose_at(colliders, c, substep.begin), lx, ly, lz)
-    return x[0] - bx, x[1] - by, x[2] - bz
+        v, h = colliders.twist, substep.h
+        rx, ry, rz = x - p[c, 0], y - p[c, 1], z - p[c, 2]
+        return ((v[c, 0] + v[c, 4] * rz - v[c, 5] * ry) * h,
+                (v[c, 1] + v[c, 5] * rx - v[c, 3] * rz) * h,
+                (v[c, 2] + v[c, 3] * ry - v[c, 4] * rx) * h)
+    if not colliders.moving[c]:
+        return 0.0, 0.0, 0.0
+    lx, ly, lz = to_local(p, c, x, y, z)
+    bx, by, bz = to_world(contacts.before, c, lx, ly, lz)
+    return x - bx, y - by, z - bz
+
+
+@jit
+def move_colliders(contacts, substep):
+    """Put every collider where it is at the substep's start and end, and say how far that is."""
+    for c in range(contacts.colliders.count[0]):
+        write_pose(contacts.colliders, c, substep.begin, contacts.before)
+        write_pose(contacts.colliders, c, substep.end, contacts.after)
+        a, b = contacts.before, contacts.after
+        contacts.moved[c] = sqrt((b[c, 0] - a[c, 0])**2 + (b[c, 1] - a[c, 1])**2
+                                 + (b[c, 2] - a[c, 2])**2)
+        contacts.turned[c] = sqrt((b[c, 3] - a[c, 3])**2 + (b[c, 4] - a[c, 4])**2
+                                  + (b[c, 5] - a[c, 5])**2 + (b[c, 6] - a[c, 6])**2)
+        up = rotate(b[c, 3], b[c, 4], b[c, 5], b[c, 6], 0.0, 0.0, 1.0)
+        contacts.up[c, 0], contacts.up[c, 1], contacts.up[c, 2] = up

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.sim.batch import hold
 from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.layout import Block
 from xpbd_ros.sim.mesh import Mesh
 from xpbd_ros.sim.state import State
 
@@ -36,20 +36,21 @@ class Cloth:
 
     name: str
     mesh: Mesh
+    block: Block
     first: int
-    """index of its first particle"""
+    """number of its first particle, among those of all cloths in natural order"""
     friction: float
     """coefficient μ of its surface"""
 
     @property
-    def grid(self) -> np.ndarray:
-        """Scene-wide particle indices, shape (rows, columns)."""
-        return self.mesh.grid + self.first
+    def particles(self) -> slice:
+        """Its particles in natural order: row after row."""
+        return slice(self.first, self.first + len(self.mesh.positions))
 
     @property
-    def particles(self) -> slice:
-        """Its particles."""
-        return slice(self.first, self.first + len(self.mesh.positions))
+    def slots(self) -> np.ndarray:
+        """Its particles' slots in natural order, shape (particles,)."""
+        return self.block.slots.ravel()
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,11 @@ class World:
     """whether the scene has pins, so that somebody will ask for forces"""
     compliance_scale: float = 1.0
 
+    @property
+    def slots(self) -> int:
+        """How many slots all particles take, padding included."""
+        return self.state.x.shape[1]
+
 
 class Built:
     """
@@ -91,8 +97,9 @@ class Built:
     """
 
     data: tuple
-    particles: np.ndarray | None = None
-    """particles of each constraint, where the effect has constraints"""
+    constraints: Any = None
+    """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
+    ``energy(x)``; None where the effect has none"""
 
     def __init__(self):
         self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
@@ -117,20 +124,6 @@ class Built:
         return {}
 
 
-class Constraints(Built):
-    """An effect that is a batch of constraints and nothing else."""
-
-    def __init__(self, data, batch):
-        """Take the effect's data and, inside it, what has ``particles`` and ``held``."""
-        super().__init__()
-        self.data = data
-        self.batch = batch
-        self.particles = batch.particles
-
-    def hold(self, inv_mass):
-        hold(self.particles, inv_mass, self.batch.held)
-
-
 @dataclass(frozen=True)
 class Effect:
     """What one effect's file registers."""
@@ -140,10 +133,6 @@ class Effect:
     """frozen dataclass of ``quantity`` fields"""
     build: Callable[[Any, World], Built]
     """gets the parameters (for an effect of cloths: a dict by cloth) and the world"""
-    residual: Callable | None = None
-    """(data, x) -> C, in NumPy, straight from the definition"""
-    energy: Callable | None = None
-    """(data, x) -> stored energy [J], in NumPy"""
     entry: type | None = None
     """the dataclass of one entry of the scene section that belongs to it, such as ``pins``"""
     needs: tuple[str, ...] = ()

@@ -44,9 +44,12 @@ def _cache_folder() -> Path:
 CACHE_FOLDER = _cache_folder()
 
 
-def jit(function=None, *, cache_name: str = 'kernels'):
+def jit(function=None, *, inline: bool = False, cache_name: str = 'kernels'):
     """
     Compile a module-level kernel, GIL released, cached on disk.
+
+    ``inline`` writes the function out where it is called: Numba hands over a NamedTuple by copying
+    all that it holds, which costs more than a small kernel for one particle.
 
     ``cache_name`` separates the caches of functions whose signatures hold other scenes' types:
     reading such a cache would import effects that this scene does not name.
@@ -55,7 +58,7 @@ def jit(function=None, *, cache_name: str = 'kernels'):
         before = config.CACHE_DIR
         config.CACHE_DIR = str(CACHE_FOLDER / cache_name)
         try:
-            return njit(cache=True, **FLAGS)(function)
+            return njit(cache=True, forceinline=inline, **FLAGS)(function)
         finally:
             config.CACHE_DIR = before
     return compile_ if function is None else compile_(function)

@@ -3,35 +3,44 @@
 import numpy as np
 
 from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.state import places
 
 
 def momentum(state) -> np.ndarray:
     """Return Σ m v [kg m/s], shape (3,)."""
-    return (state.mass[:, None] * state.v).sum(0)
+    return (state.mass[:, None] * places(state.v)).sum(0)
 
 
 def angular_momentum(state) -> np.ndarray:
     """Return Σ m x × v about the origin [kg m²/s], shape (3,)."""
-    return cross(state.x, state.mass[:, None] * state.v).sum(0)
+    return cross(places(state.x), state.mass[:, None] * places(state.v)).sum(0)
 
 
 def kinetic_energy(state) -> float:
     """Return Σ m v² / 2 [J]."""
-    return float(0.5 * (state.mass * (state.v**2).sum(1)).sum())
+    return float(0.5 * (state.mass * (places(state.v)**2).sum(1)).sum())
 
 
 def potential_energy(state) -> float:
     """Return -Σ m g·x [J]."""
-    return float(-(state.mass * (state.x * state.gravity).sum(1)).sum())
+    return float(-(state.mass * (places(state.x) * state.gravity).sum(1)).sum())
+
+
+def elastic_energy(simulation) -> float:
+    """Return what all constraints store [J]."""
+    return sum(built.constraints.energy(simulation.state.x)
+               for built in simulation.effects.values() if built.constraints is not None)
 
 
 def largest_strain(simulation) -> float:
     """Return the largest |l - L| / L over the grid edges of all cloths."""
     worst = 0.0
-    x = simulation.state.x
     for cloth in simulation.cloths:
-        for lines, rest in zip((cloth.grid, cloth.grid.T), cloth.mesh.spacing):
+        slots = cloth.block.slots
+        for lines, rest in zip((slots, slots.T), cloth.mesh.spacing):
             if lines.shape[1] > 1:
-                edges = length(x[lines[:, 1:]] - x[lines[:, :-1]])
+                ends = [places(simulation.state.x, part.ravel())
+                        for part in (lines[:, 1:], lines[:, :-1])]
+                edges = length(ends[0] - ends[1])
                 worst = max(worst, float(np.abs(edges / rest - 1.0).max()))
     return worst

@@ -5,7 +5,7 @@ from math import sqrt
 from xpbd_ros.sim.jit import jit
 
 
-@jit
+@jit(inline=True)
 def rotate(qx, qy, qz, qw, x, y, z):
     """Rotate a vector: v + 2 w (q × v) + 2 q × (q × v)."""
     tx = 2.0 * (qy * z - qz * y)

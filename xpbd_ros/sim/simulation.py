@@ -12,7 +12,8 @@ import numpy as np
 from xpbd_ros.sim import step
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.effect import Built, Clock, Cloth
-from xpbd_ros.sim.state import State
+from xpbd_ros.sim.state import forget, places, State
+from xpbd_ros.sim.sweeps import METHODS
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Solver:
 
 @dataclass(frozen=True)
 class Frame:
-    """What the world sees after one frame: arrays are read-only views, valid until the next."""
+    """What the world sees after one frame; particles in natural order."""
 
     index: int
     """0 is the start"""
@@ -62,11 +63,13 @@ class Simulation:
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
-                 frame_rate: Fraction, solver: Solver,
+                 slot: np.ndarray, frame_rate: Fraction, solver: Solver,
                  retune: Callable[[str, Any], 'Change'] | None = None):
         self.cloths = tuple(cloths)
         self.state = state
         self.effects = effects
+        self.slot = slot
+        """where each particle is, in natural order: cloth after cloth, row after row"""
         self.frame_rate = frame_rate
         """frames per second of simulation time, exact"""
         self.solver = solver
@@ -104,7 +107,7 @@ class Simulation:
 
     def compile(self) -> None:
         """Compile the step for this scene, or read it from the cache; nothing moves."""
-        self._step(self._tuple, self.state, self.frame_dt, 0, self.solver.iterations)
+        self._step(self._tuple, self.state, self._method(), self.frame_dt, 0)
 
     def step(self, commands: Sequence[Command] = ()) -> Frame:
         """Apply commands, in order, and advance by one frame."""
@@ -123,8 +126,8 @@ class Simulation:
         pin = self.effects.get('pin')
         if pin is not None and pin.changed:
             self._hold()
-        self._step(self._tuple, self.state, self.frame_dt, self.solver.substeps,
-                   self.solver.iterations)
+        self._step(self._tuple, self.state, self._method(), self.frame_dt,
+                   self.solver.substeps)
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
@@ -133,10 +136,17 @@ class Simulation:
     def frame(self) -> Frame:
         """Return the present frame."""
         pin, contact = self.effects.get('pin'), self.effects.get('contact')
-        return Frame(self.index, self.time_ns(self.index), _view(self.state.x),
-                     _view(self.state.v), _view(self.state.inv_mass),
+        return Frame(self.index, self.time_ns(self.index), self.natural(self.state.x),
+                     self.natural(self.state.v), self.state.inv_mass[self.slot],
                      MappingProxyType(dict(pin.states) if pin else {}),
                      MappingProxyType(contact.states(self.frame_dt) if contact else {}))
+
+    def natural(self, array: np.ndarray) -> np.ndarray:
+        """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
+        return places(array, self.slot)
+
+    def _method(self):
+        return METHODS[self.solver.method](self.solver.iterations)
 
     def _apply(self, command: Command, clock: Clock) -> str | None:
         if isinstance(command, Reset):
@@ -153,7 +163,8 @@ class Simulation:
         self.state.x[:] = self._start
         self.state.x_prev[:] = self._start
         self.state.v[:] = 0.0
-        self.state.inv_mass[:] = 1.0 / self.state.mass
+        self.state.inv_mass[self.slot] = 1.0 / self.state.mass[self.slot]
+        forget(self.state)
         for built in self.effects.values():
             built.reset(self.state, self.time_ns(self.index))
 
@@ -179,8 +190,10 @@ class Simulation:
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
         digest = hashlib.blake2b(digest_size=8)
-        for array in (self.state.x, self.state.v, self.state.inv_mass):
-            digest.update(array)
+        state, history = self.state, self.state.history
+        remembered = () if history is None else (history.x, history.v, history.fresh)
+        for array in (state.x, state.v, state.inv_mass, *remembered):
+            digest.update(np.ascontiguousarray(array[..., self.slot]))
         return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:
@@ -196,9 +209,3 @@ class Change:
     effects: dict[str, Built]
     solver: Solver | None = None
     gravity: tuple[float, float, float] | None = None
-
-
-def _view(array: np.ndarray) -> np.ndarray:
-    view = array.view()
-    view.flags.writeable = False
-    return view

@@ -2,9 +2,9 @@
 The stages of a substep: stubs that each effect fills in for its own type.
 
 An effect's data is a NamedTuple; its file registers a kernel with ``@stage(project, Stretch)``.
-A stage called with a scene's tuple of effects is resolved while Numba compiles, by their types,
-into one call per kernel. An effect that takes no part in a stage, or is not in the scene at all,
-leaves no trace in the machine code.
+A stage called with a scene's tuple of effects walks the tuple while Numba compiles, and picks each
+kernel by type. An effect that takes no part in a stage, or is not in the scene at all, leaves no
+trace in the machine code.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from numba.extending import overload
 
 
 def force(effects, state, substep):
-    """Change velocities before the prediction."""
+    """Change predicted velocities v by some Δv, positions x by H Δv, and mobilities."""
 
 
 def prepare(effects, state, substep):
@@ -22,7 +22,19 @@ def prepare(effects, state, substep):
 
 
 def project(effects, state, substep):
-    """Move the particles towards the constraints' surface, once per iteration."""
+    """One Gauss-Seidel pass over an effect's constraints."""
+
+
+def project_back(effects, state, substep):
+    """Do the same pass in exactly the reverse order."""
+
+
+def solve_lines(effects, state, substep):
+    """Solve whole lines of constraints at once, for an effect that has lines."""
+
+
+def touch(effects, state, substep):
+    """Contact and friction, after everything else of an iteration."""
 
 
 def finish(effects, state, substep):
@@ -44,30 +56,34 @@ def stage(stub: Callable, kind: type) -> Callable:
     return register
 
 
+def kernel_of(stub: Callable, effect) -> Callable | None:
+    """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
+    return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+
+
+def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
+    """
+    Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
+
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are written
+    out in one function, since Numba optimises nested ones once per level.
+    """
+    @overload(stub)
+    def compile_stage(effects, state, substep):
+        kernels = {k: choose(effect, state) for k, effect in enumerate(effects)}
+        kernels = {f'kernel_{k}': kernel for k, kernel in kernels.items() if kernel is not None}
+        names = list(kernels)[::-1] if backwards else list(kernels)
+        calls = [f'{name}(effects[{name[7:]}], state, substep)' for name in names] or ['pass']
+        exec('\n    '.join(['def compiled(effects, state, substep):', *calls]), kernels)
+        return kernels['compiled']
+
+
 def _asks_for_forces(state) -> bool:
     """Tell whether a state, as Numba types it, has a place for forces."""
     return not isinstance(state[state.fields.index('reaction')], types.NoneType)
 
 
-def _walk(stub: Callable) -> None:
-    """
-    Let Numba compile a stage for a tuple of effects: their kernels, first to last.
-
-    The calls are written out flat, one line each: a walk that splits the tuple recursively is a
-    function per effect and stage, which took half of the cold compile time.
-    """
-    @overload(stub)
-    def compile_stage(effects, state, substep):
-        kinds = [getattr(effect, 'instance_class', None) for effect in effects]
-        kernels = {k: _KERNELS[stub, kind] for k, kind in enumerate(kinds)
-                   if (stub, kind) in _KERNELS}
-        if stub is react and not _asks_for_forces(state):
-            kernels = {}
-        calls = [f'    kernel_{k}(effects[{k}], state, substep)' for k in kernels]
-        names = {f'kernel_{k}': kernel for k, kernel in kernels.items()}
-        exec('\n'.join(['def walk(effects, state, substep):', *calls, '    return']), names)
-        return names['walk']
-
-
-for _stub in (force, prepare, project, finish, react):
-    _walk(_stub)
+for _stub in (force, prepare, project, touch, finish):
+    walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
+walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
+walk(react, lambda effect, state: kernel_of(react, effect) if _asks_for_forces(state) else None)

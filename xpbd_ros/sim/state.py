@@ -1,30 +1,59 @@
-"""Particle state, and the two kernels that integrate it (Macklin et al. 2016, algorithm 1)."""
+"""
+Particle state, and the kernels that integrate it.
+
+Both integrators read (NUMERICS 2.14; Macklin et al. 2016, algorithm 1 for backward Euler)
+
+    x = x̄ + H v,   v = v̄ + H (g + forces / m),   then projections with mobilities w H²
+
+    backward Euler   H = h       x̄ = x_n                      v̄ = v_n
+    BDF2             H = 2h/3    x̄ = (4 x_n - x_{n-1}) / 3    v̄ = (4 v_n - v_{n-1}) / 3
+
+and end with v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h). A particle without a history (at
+the start, after a contact, a grasp, a release or a reset) takes a backward Euler step.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
+
+
+class History(NamedTuple):
+    """What BDF2 remembers of the substep before."""
+
+    x: np.ndarray
+    """x_{n-1} [m], shape (3, slots)"""
+    v: np.ndarray
+    """v_{n-1} [m/s], shape (3, slots)"""
+    fresh: np.ndarray
+    """0: has a history; 1: has none, this substep; 2: touched in it; shape (slots,)"""
 
 
 class State(NamedTuple):
-    """All particles of a scene, cloth after cloth."""
+    """All particles of a scene, by slot (``layout``)."""
 
     x: np.ndarray
-    """positions [m], shape (particles, 3)"""
+    """positions [m], shape (3, slots)"""
     x_prev: np.ndarray
-    """positions at the substep's start [m], shape (particles, 3)"""
+    """positions at the substep's start [m], shape (3, slots)"""
     v: np.ndarray
-    """velocities [m/s], shape (particles, 3)"""
+    """velocities [m/s], shape (3, slots)"""
     mass: np.ndarray
-    """[kg], shape (particles,); constant"""
+    """[kg], shape (slots,); constant; 0 in the padding"""
     inv_mass: np.ndarray
-    """[1/kg], shape (particles,); 0 while pinned"""
+    """w [1/kg], shape (slots,); 0 while pinned, and in the padding"""
+    mobility: np.ndarray
+    """w H² of this substep [m/N], shape (slots,)"""
     gravity: np.ndarray
     """[m/s²], shape (3,)"""
     reaction: np.ndarray | None
-    """constraint force on each pinned particle, mean over the frame [N], shape (particles, 3);
+    """constraint force on each pinned particle, mean over the frame [N], shape (3, slots);
     None in a scene without pins"""
+    history: History | None
+    """None with backward Euler"""
 
 
 class Substep(NamedTuple):
@@ -38,7 +67,8 @@ class Substep(NamedTuple):
     """fraction of the frame at its end"""
 
 
-def new_state(x: np.ndarray, mass: np.ndarray, gravity, *, pins: bool = False) -> State:
+def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,
+              pins: bool = False, history: bool = False, dtype=np.float64) -> State:
     """
     Return particles at rest.
 
@@ -47,30 +77,140 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, *, pins: bool = False) -
     x : positions [m], shape (particles, 3)
     mass : [kg], shape (particles,), > 0
     gravity : [m/s²], 3 numbers
+    slot : where each particle goes, shape (particles,)
+    slots : how many there are
     pins : whether forces on pinned particles will be asked for
+    history : whether the integrator remembers a substep
+    dtype : of all numbers
 
     """
-    x = np.array(x, float, order='C')
-    mass = np.array(mass, float)
-    return State(x, x.copy(), np.zeros_like(x), mass, 1.0 / mass, np.array(gravity, float),
-                 np.zeros_like(x) if pins else None)
+    def vectors():
+        return zeros((3, slots), dtype)
+
+    def scalars():
+        return zeros(slots, dtype)
+
+    state = State(vectors(), vectors(), vectors(), scalars(), scalars(), scalars(),
+                  np.array(gravity, dtype), vectors() if pins else None,
+                  History(vectors(), vectors(), scalars()) if history else None)
+    state.x[:, slot] = np.asarray(x).T
+    state.x_prev[:] = state.x
+    state.mass[slot] = mass
+    state.inv_mass[slot] = 1.0 / state.mass[slot]
+    forget(state)
+    return state
+
+
+def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
+    """Return rows x, y, z of some slots, in float64; shape (slots, 3)."""
+    return array[:, slots].T.astype(float)
+
+
+def forget(state: State, particles=slice(None)) -> None:
+    """Let particles start anew: their next substep is one of backward Euler."""
+    if state.history is not None:
+        state.history.fresh[particles] = 1.0
 
 
 @jit
-def predict(state, substep):
-    """x_prev = x;  v += h g;  x += h v, for every particle that is free."""
-    h = substep.h
-    for i in range(len(state.x)):
+def lose_history(history, i):
+    """Mark a particle as touched in this substep: it ends it with backward Euler."""
+    if history is not None:
+        history.fresh[i] = 2.0
+
+
+@jit
+def begin(state, substep):
+    """x_prev = x_n;  v = v̄ + H g;  x = x̄ + H v;  mobility = w H²."""
+    _begin(state, state.history, substep.h)
+
+
+@jit
+def _begin(state, history, h):    # Numba prunes a branch on None where that is an argument
+    if history is None:
+        _begin_euler(state, h)
+    else:
+        _begin_bdf2(state, history, h)
+
+
+@jit
+def _begin_euler(state, h):
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        wq = load(w, q)
+        free = wq > 0.0
+        store(state.mobility, q, wq * (h * h))
         for k in range(3):
-            state.x_prev[i, k] = state.x[i, k]
-            if state.inv_mass[i] > 0.0:
-                state.v[i, k] += h * state.gravity[k]
-                state.x[i, k] += h * state.v[i, k]
+            i = k * slots + q
+            xi, vi = load(x, i), load(v, i)
+            vi = select(free, vi + h * state.gravity[k], vi)
+            store(state.x_prev, i, xi)
+            store(v, i, vi)
+            store(x, i, select(free, xi + h * vi, xi))
+
+
+@jit
+def _begin_bdf2(state, history, h):
+    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        wq = load(w, q)
+        free = wq > 0.0
+        euler = load(history.fresh, q) > 0.5
+        past = select(euler, splat(w, 0.0), splat(w, 1.0 / 3.0))
+        step = select(euler, splat(w, h), splat(w, 2.0 / 3.0 * h))
+        store(state.mobility, q, wq * (step * step))
+        for k in range(3):
+            i = k * slots + q
+            xi, vi = load(x, i), load(v, i)
+            x_mean = xi + past * (xi - load(history.x, i))
+            v_mean = vi + past * (vi - load(history.v, i))
+            moved = v_mean + step * state.gravity[k]
+            store(state.x_prev, i, xi)
+            store(history.v, i, vi)
+            store(v, i, select(free, moved, vi))
+            store(x, i, select(free, x_mean + step * moved, xi))
+
+
+@jit
+def step_of(history, w, q, h):
+    """Return H of the particles from slot q on: a vector [s]."""
+    if history is None:
+        return splat(w, h)
+    return select(load(history.fresh, q) > 0.5, splat(w, h), splat(w, 2.0 / 3.0 * h))
 
 
 @jit
 def update_velocity(state, substep):
-    """v = (x - x_prev) / h."""
-    for i in range(len(state.x)):
+    """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
+    _velocity(state, state.history, 1.0 / substep.h)
+
+
+@jit
+def _velocity(state, history, per_h):
+    if history is None:
+        _velocity_euler(state, per_h)
+    else:
+        _velocity_bdf2(state, history, per_h)
+
+
+@jit
+def _velocity_euler(state, per_h):
+    x, x_prev, v = state.x, state.x_prev, state.v
+    for i in range(0, x.size, lanes(x)):
+        store(v, i, (load(x, i) - load(x_prev, i)) * per_h)
+
+
+@jit
+def _velocity_bdf2(state, history, per_h):
+    w, slots = state.inv_mass, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        fresh = load(history.fresh, q)
+        smooth = both(load(w, q) > 0.0, fresh < 0.5)
+        part = select(smooth, splat(w, 0.5), splat(w, 0.0))
+        store(history.fresh, q, select(fresh > 1.5, splat(w, 1.0), splat(w, 0.0)))
         for k in range(3):
-            state.v[i, k] = (state.x[i, k] - state.x_prev[i, k]) / substep.h
+            i = k * slots + q
+            xp = load(state.x_prev, i)
+            now, before = load(state.x, i) - xp, xp - load(history.x, i)
+            store(state.v, i, (now + part * (now - before)) * per_h)
+            store(history.x, i, xp)

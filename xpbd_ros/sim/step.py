@@ -6,24 +6,27 @@ Macklin et al., "Small steps in physics simulation", 2019.
 """
 
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import finish, force, prepare, project, react
-from xpbd_ros.sim.state import predict, Substep, update_velocity
+from xpbd_ros.sim.stages import finish, force, prepare, react, touch
+from xpbd_ros.sim.state import begin, Substep, update_velocity
+from xpbd_ros.sim.sweeps import sweep
 
 
-def advance(effects, state, frame_dt, substeps, iterations):
+def advance(effects, state, method, frame_dt, substeps):
     """
     Advance all particles by one frame.
 
-    ``effects`` is a tuple of NamedTuples, one per effect that the scene calls for.
+    ``effects`` is a tuple of NamedTuples, one per effect that the scene calls for; ``method`` says
+    how they are swept (``sweeps``).
     """
     h = frame_dt / substeps
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
+        begin(state, substep)
         force(effects, state, substep)
-        predict(state, substep)
         prepare(effects, state, substep)
-        for _ in range(iterations):
-            project(effects, state, substep)
+        for _ in range(method.iterations):
+            sweep(method, effects, state, substep)
+            touch(effects, state, substep)
         update_velocity(state, substep)
         finish(effects, state, substep)
         react(effects, state, substep)

@@ -1,0 +1,177 @@
+"""
+Whole lines of distance constraints, solved at once (NUMERICS 2.14; Deul et al. 2018).
+
+The edges of a line, linearised where it lies, couple only to their neighbours:
+
+    (J W Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
+
+with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination, one
+back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
+off-diagonal is at most m_k; only a rigid straight line between two pins is singular, where the pivot
+is kept above a rounding error. Lines of one family share no particle, so a vector takes one line per
+lane. Weft lines run across rows as they lie in memory; warp lines run along rows, so as many rows as
+there are lanes are transposed into a scratch, solved there in the same way, and transposed back.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.distance import Distance
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import Block, STRIDE, zeros
+from xpbd_ros.sim.vector import (
+    fma, lane_count, lanes, larger, load, root, select, splat, store, transpose)
+
+
+class Lines(NamedTuple):
+    """The warp and weft lines of all grids."""
+
+    first: np.ndarray
+    """slot of each grid's first particle, shape (grids,)"""
+    rows: np.ndarray
+    """shape (grids,)"""
+    columns: np.ndarray
+    """shape (grids,)"""
+    part: np.ndarray
+    """slots of one part of a row, shape (grids,)"""
+    warp: np.ndarray
+    """where each grid's warp edges keep their numbers, shape (grids,)"""
+    weft: np.ndarray
+    """where each grid's weft edges keep their numbers, shape (grids,)"""
+    axis: np.ndarray
+    """where two particles coincide, along warp and weft; shape (2, 3)"""
+    floor: float
+    """smallest pivot, relative to the diagonal"""
+    tile: np.ndarray
+    """scratch: transposed rows: x y z mobility, rest, α, f; shape (7, columns * lanes)"""
+    work: np.ndarray
+    """scratch of the elimination: u, off-diagonal / pivot, Δf; shape (5, edges * lanes)"""
+
+
+def grid_lines(blocks: list[Block], slots: int, dtype) -> Lines:
+    """Return the lines of some grids, whose edges are families 2 g (warp) and 2 g + 1 (weft)."""
+    lanes_ = lane_count(dtype)
+    padded = max(STRIDE * b.part for b in blocks)
+    longest = max(padded, *(b.rows for b in blocks)) if blocks else 1
+
+    def of(value):
+        return np.array([value(b) for b in blocks], np.int64)
+
+    grids = np.arange(len(blocks))
+    return Lines(of(lambda b: b.first), of(lambda b: b.rows), of(lambda b: b.columns),
+                 of(lambda b: b.part), 2 * grids * slots, (2 * grids + 1) * slots,
+                 np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype),
+                 64.0 * float(np.finfo(dtype).eps),
+                 zeros((7, padded * lanes_), dtype), zeros((5, longest * lanes_), dtype))
+
+
+@jit
+def solve_edges(edges: Distance, lines, state):
+    """Solve every warp line, then every weft line."""
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    rest, alpha, force, work = edges.rest_length, edges.compliance, edges.force, lines.work
+    tile = lines.tile
+    count = lanes(x)
+    for g in range(len(lines.first)):
+        first, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
+        part = lines.part[g]
+        stride = STRIDE * part
+        if columns > 1:
+            base = lines.warp[g]
+            for row in range(0, rows, count):
+                top = first + row * stride
+                _gather(x, top, part, stride, tile[0])
+                _gather(y, top, part, stride, tile[1])
+                _gather(z, top, part, stride, tile[2])
+                _gather(m, top, part, stride, tile[3])
+                _gather(rest, base + top, part, stride, tile[4])
+                _gather(alpha, base + top, part, stride, tile[5])
+                _gather(force, base + top, part, stride, tile[6])
+                _solve(tile[0], tile[1], tile[2], tile[3], tile[4], tile[5], tile[6],
+                       0, 0, count, columns, work, lines.axis[0], lines.floor)
+                _scatter(tile[0], x, top, part, stride)
+                _scatter(tile[1], y, top, part, stride)
+                _scatter(tile[2], z, top, part, stride)
+                _scatter(tile[6], force, base + top, part, stride)
+        if rows > 1:
+            for q in range(first, first + stride, count):
+                _solve(x, y, z, m, rest, alpha, force, q, lines.weft[g] + q, stride, rows, work,
+                       lines.axis[1], lines.floor)
+
+
+@jit
+def _gather(source, top, part, stride, tile):
+    """Transpose as many rows as there are lanes: column c of them becomes the vector c."""
+    count = lanes(source)
+    for k in range(STRIDE):
+        for p in range(0, part, count):
+            transpose(source, top + k * part + p, stride, tile, (STRIDE * p + k) * count,
+                      STRIDE * count)
+
+
+@jit
+def _scatter(tile, target, top, part, stride):
+    """Transpose back."""
+    count = lanes(target)
+    for k in range(STRIDE):
+        for p in range(0, part, count):
+            transpose(tile, (STRIDE * p + k) * count, STRIDE * count, target,
+                      top + k * part + p, stride)
+
+
+@jit
+def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axis, floor):
+    """
+    Solve one line per lane.
+
+    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its numbers at
+    edge + k stride.
+    """
+    n = lanes(x)
+    ux, uy, uz, ratio, step = work[0], work[1], work[2], work[3], work[4]
+    zero = splat(x, 0.0)
+    xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
+    vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
+    for k in range(nodes - 1):
+        i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
+        xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
+        a, f = load(alpha, c), load(force, c)
+        dx, dy, dz = xb - xa, yb - ya, zb - za
+        l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
+        apart = l > 0.0
+        inverse = 1.0 / select(apart, l, 1.0)
+        dx = select(apart, dx * inverse, axis[0])
+        dy = select(apart, dy * inverse, axis[1])
+        dz = select(apart, dz * inverse, axis[2])
+        off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
+        diagonal = ma + mb + a
+        link = off * pivot
+        bottom = larger(fma(-link, off, diagonal), floor * diagonal)
+        pivot = 1.0 / select(bottom > 0.0, bottom, 1.0)
+        right = select(bottom > 0.0,
+                       (-fma(a, f, l - load(rest, c)) - off * right) * pivot, 0.0)
+        store(ux, o, dx)
+        store(uy, o, dy)
+        store(uz, o, dz)
+        store(ratio, o, link)
+        store(step, o, right)
+        vx, vy, vz = dx, dy, dz
+        xa, ya, za, ma = xb, yb, zb, mb
+    # right is now Δf of the last edge; going back, Δf_k = right_k - (off_{k+1} pivot_k) Δf_{k+1}
+    df, above, wx, wy, wz = zero, zero, zero, zero, zero
+    for k in range(nodes - 2, -1, -1):
+        i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
+        df = load(step, o) - above * df
+        store(force, c, load(force, c) + df)
+        gx, gy, gz = df * load(ux, o), df * load(uy, o), df * load(uz, o)
+        mb = load(m, i)
+        store(x, i, fma(mb, gx - wx, load(x, i)))
+        store(y, i, fma(mb, gy - wy, load(y, i)))
+        store(z, i, fma(mb, gz - wz, load(z, i)))
+        above = load(ratio, o)
+        wx, wy, wz = gx, gy, gz
+    mb = load(m, start)
+    store(x, start, load(x, start) - mb * wx)
+    store(y, start, load(y, start) - mb * wy)
+    store(z, start, load(z, start) - mb * wz)

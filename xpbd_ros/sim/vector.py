@@ -1,0 +1,293 @@
+"""
+SIMD lanes for Numba: one vector type, its operators, and ways to and from memory.
+
+    for q in range(0, count, lanes(x)):
+        store(y, q, load(x, q) * a + load(y, q))
+
+A kernel is written once, with lanes as its step. ``load`` and ``store`` take flat indices into
+C-contiguous float arrays and check no bounds. A scalar that meets a vector is cast to its lanes'
+type, so a literal never turns float32 into float64. There are no fast-math flags: every operation
+is IEEE, so results do not depend on the width of the registers.
+
+The width is that of the machine's registers; XPBD_ROS_VECTOR_BITS = 128, 256 or 512 overrides it.
+Built on Numba's public extension API and on llvmlite's IR builder.
+"""
+
+import operator
+import os
+
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+
+import numpy as np
+
+_FEATURES = binding.get_host_cpu_features()
+BITS = int(os.environ.get('XPBD_ROS_VECTOR_BITS') or (
+    512 if _FEATURES.get('avx512f') else 256 if _FEATURES.get('avx') else 128))
+"""width of a vector"""
+
+
+def lane_count(dtype) -> int:
+    """Return how many numbers of a dtype a vector holds."""
+    return BITS // (8 * np.dtype(dtype).itemsize)
+
+
+class Vector(types.Type):
+    """A vector of floats, or of truth values."""
+
+    def __init__(self, lane, count):
+        self.lane = lane
+        self.count = count
+        super().__init__(name=f'Vector({lane} x {count})')
+
+    @property
+    def llvm(self):
+        """The type in LLVM."""
+        if self.lane == types.boolean:
+            return ir.VectorType(ir.IntType(1), self.count)
+        element = ir.FloatType() if self.lane.bitwidth == 32 else ir.DoubleType()
+        return ir.VectorType(element, self.count)
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, kind.llvm)
+
+
+def _vector_of(array) -> Vector:
+    """Return the vector type that belongs to an array's type."""
+    assert isinstance(array, types.Array) and array.layout == 'C', f'not C-contiguous: {array}'
+    return Vector(array.dtype, BITS // array.dtype.bitwidth)
+
+
+def _pointer(context, builder, array_type, array, index, kind):
+    data = cgutils.create_struct_proxy(array_type)(context, builder, value=array).data
+    return builder.bitcast(builder.gep(data, [index], inbounds=True), kind.as_pointer())
+
+
+def _splat(builder, scalar, kind):
+    single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar,
+                                    ir.Constant(ir.IntType(32), 0))
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
+    return builder.shuffle_vector(single, ir.Constant(kind, ir.Undefined), zeros)
+
+
+def _widen(context, builder, value, kind, vector):
+    """Return a value as a vector: itself, or a scalar in every lane."""
+    if isinstance(kind, Vector):
+        return value
+    return _splat(builder, context.cast(builder, value, kind, vector.lane), vector.llvm)
+
+
+def _intrinsic(builder, name, vector, arguments):
+    suffix = f'v{vector.count}f{vector.lane.bitwidth}'
+    kind = ir.FunctionType(vector.llvm, [a.type for a in arguments])
+    function = builder.module.declare_intrinsic(f'llvm.{name}.{suffix}', (), kind)
+    return builder.call(function, arguments)
+
+
+@intrinsic
+def lanes(typing, array):
+    """Return how many lanes a vector of the array's dtype has; known at compile time."""
+    count = _vector_of(array).count
+    return types.intp(array), lambda context, *_: context.get_constant(types.intp, count)
+
+
+@intrinsic
+def load(typing, array, index):
+    """Return the vector that starts at a flat index."""
+    vector = _vector_of(array)
+
+    def generate(context, builder, signature, arguments):
+        pointer = _pointer(context, builder, signature.args[0], *arguments, vector.llvm)
+        return builder.load(pointer, align=vector.lane.bitwidth // 8)
+    return vector(array, types.intp), generate
+
+
+@intrinsic
+def store(typing, array, index, value):
+    """Write a vector, or a scalar in every lane, from a flat index on."""
+    vector = _vector_of(array)
+
+    def generate(context, builder, signature, arguments):
+        array_, index_, value_ = arguments
+        pointer = _pointer(context, builder, signature.args[0], array_, index_, vector.llvm)
+        builder.store(_widen(context, builder, value_, signature.args[2], vector), pointer,
+                      align=vector.lane.bitwidth // 8)
+        return context.get_dummy_value()
+    return types.void(array, types.intp, value), generate
+
+
+@intrinsic
+def splat(typing, array, scalar):
+    """Return a vector of the array's kind with a scalar in every lane."""
+    vector = _vector_of(array)
+
+    def generate(context, builder, signature, arguments):
+        return _widen(context, builder, arguments[1], signature.args[1], vector)
+    return vector(array, scalar), generate
+
+
+@intrinsic
+def first(typing, array, count):
+    """Return a mask that is true in the first ``count`` lanes."""
+    vector = _vector_of(array)
+    mask = Vector(types.boolean, vector.count)
+
+    def generate(context, builder, signature, arguments):
+        kind = ir.VectorType(ir.IntType(32), vector.count)
+        numbers = ir.Constant(kind, list(range(vector.count)))
+        return builder.icmp_signed('<', numbers, _splat(
+            builder, builder.trunc(arguments[1], kind.element), kind))
+    return mask(array, types.intp), generate
+
+
+@intrinsic
+def select(typing, mask, yes, no):
+    """Return ``yes`` where the mask is true, else ``no``; one of them may be a scalar."""
+    vector = yes if isinstance(yes, Vector) else no
+
+    def generate(context, builder, signature, arguments):
+        yes_, no_ = (_widen(context, builder, a, k, vector)
+                     for a, k in zip(arguments[1:], signature.args[1:]))
+        return builder.select(arguments[0], yes_, no_)
+    return vector(mask, yes, no), generate
+
+
+@intrinsic
+def both(typing, a, b):
+    """Return the mask that is true where both are."""
+    return a(a, b), lambda context, builder, signature, arguments: builder.and_(*arguments)
+
+
+@intrinsic
+def either(typing, a, b):
+    """Return the mask that is true where one of them is."""
+    return a(a, b), lambda context, builder, signature, arguments: builder.or_(*arguments)
+
+
+@intrinsic
+def any_lane(typing, mask):
+    """Tell whether a mask is true in some lane."""
+    def generate(context, builder, signature, arguments):
+        bits = ir.IntType(signature.args[0].count)
+        return builder.icmp_unsigned('!=', builder.bitcast(arguments[0], bits), bits(0))
+    return types.boolean(mask), generate
+
+
+@intrinsic
+def root(typing, a):
+    """Return the square root of every lane."""
+    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+        builder, 'sqrt', signature.return_type, arguments)
+
+
+@intrinsic
+def larger(typing, a, b):
+    """Return the larger of two vectors, lane by lane; one may be a scalar."""
+    vector = a if isinstance(a, Vector) else b
+
+    def generate(context, builder, signature, arguments):
+        a_, b_ = (_widen(context, builder, v, k, vector)
+                  for v, k in zip(arguments, signature.args))
+        return builder.select(builder.fcmp_ordered('>', a_, b_), a_, b_)
+    return vector(a, b), generate
+
+
+@intrinsic
+def fma(typing, a, b, c):
+    """Return a b + c, rounded once."""
+    vector = next(v for v in (a, b, c) if isinstance(v, Vector))
+
+    def generate(context, builder, signature, arguments):
+        return _intrinsic(builder, 'fma', vector, [
+            _widen(context, builder, v, k, vector)
+            for v, k in zip(arguments, signature.args)])
+    return vector(a, b, c), generate
+
+
+@intrinsic
+def transpose(typing, source, start, row_stride, target, target_start, target_stride):
+    """Copy a square tile: target[start + q stride + r] = source[start + r stride + q]."""
+    vector = _vector_of(source)
+
+    def generate(context, builder, signature, arguments):
+        source_, start_, stride_, target_, target_start_, target_stride_ = arguments
+        count, kind, align = vector.count, vector.llvm, vector.lane.bitwidth // 8
+        integer = start_.type
+
+        def at(array_type, array, begin, stride, k):
+            index = builder.add(begin, builder.mul(stride, integer(k)))
+            return _pointer(context, builder, array_type, array, index, kind)
+
+        rows = [builder.load(at(signature.args[0], source_, start_, stride_, k), align=align)
+                for k in range(count)]
+        half = count // 2
+        while half:    # swap blocks off the diagonal, half as large each time
+            low = [count + q - half if q & half else q for q in range(count)]
+            high = [count + q if q & half else q + half for q in range(count)]
+            masks = [ir.Constant(ir.VectorType(ir.IntType(32), count), m) for m in (low, high)]
+            for k in range(count):
+                if not k & half:
+                    a, b = rows[k], rows[k + half]
+                    rows[k], rows[k + half] = (builder.shuffle_vector(a, b, m) for m in masks)
+            half //= 2
+        for k in range(count):
+            builder.store(rows[k], at(signature.args[3], target_, target_start_, target_stride_,
+                                      k), align=align)
+        return context.get_dummy_value()
+    return types.void(source, types.intp, types.intp, target, types.intp, types.intp), generate
+
+
+def _arithmetic(operation, name):
+    def typer(typing):
+        def result(a, b):
+            if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
+                return a
+            if isinstance(b, Vector) and isinstance(a, types.Number):
+                return b
+        return result
+
+    def lower(context, builder, signature, arguments):
+        return getattr(builder, name)(*(
+            _widen(context, builder, v, k, signature.return_type)
+            for v, k in zip(arguments, signature.args)))
+
+    for operator_ in (operation, getattr(operator, 'i' + operation.__name__)):
+        type_callable(operator_)(typer)
+        for kinds in ((Vector, Vector), (Vector, types.Number), (types.Number, Vector)):
+            lower_builtin(operator_, *kinds)(lower)
+
+
+for _operation, _name in ((operator.add, 'fadd'), (operator.sub, 'fsub'),
+                          (operator.mul, 'fmul'), (operator.truediv, 'fdiv')):
+    _arithmetic(_operation, _name)
+
+
+def _comparison(operation, sign):
+    def typer(typing):
+        def result(a, b):
+            if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
+                return Vector(types.boolean, a.count)
+        return result
+
+    def lower(context, builder, signature, arguments):
+        vector = signature.args[0]
+        return builder.fcmp_ordered(sign, arguments[0], _widen(
+            context, builder, arguments[1], signature.args[1], vector))
+
+    type_callable(operation)(typer)
+    for kind in (Vector, types.Number):
+        lower_builtin(operation, Vector, kind)(lower)
+
+
+for _operation, _sign in ((operator.lt, '<'), (operator.gt, '>'),
+                          (operator.le, '<='), (operator.ge, '>=')):
+    _comparison(_operation, _sign)
+
+type_callable(operator.neg)(lambda typing: lambda a: a if isinstance(a, Vector) else None)
+lower_builtin(operator.neg, Vector)(
+    lambda context, builder, signature, arguments: builder.fneg(arguments[0]))
