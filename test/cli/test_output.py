@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from xpbd_ros.cli.output import fresh_folder, write_json
+from xpbd_ros.cli.output import write_json
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
 
 
 def test_numpy_paths_and_numbers_that_are_not_finite_are_written(tmp_path, monkeypatch):

@@ -12,9 +12,10 @@ import subprocess
 import sys
 import time
 
-from xpbd_ros.cli.output import add_json_argument, fresh_folder, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros demo --output my_demo'
 SCENE = 'demo'

@@ -1,8 +1,6 @@
-"""What every verb writes: its numbers as JSON, and a folder of its own where none was named."""
+"""What every verb writes: its numbers as JSON."""
 
 import argparse
-from datetime import datetime
-import itertools
 import json
 import os
 from pathlib import Path
@@ -69,14 +67,3 @@ def plain(value: object) -> str:
     if isinstance(value, Path):
         return str(value.absolute())
     raise TypeError(f'{type(value).__name__} has no form in JSON')
-
-
-def fresh_folder(verb: str) -> Path:
-    """
-    Return the path of a folder that does not exist yet, such as ``xpbd_ros_run_20261121_093000``.
-
-    It lies in the working directory and is not made here.
-    """
-    stem = f'xpbd_ros_{verb}_{datetime.now():%Y%m%d_%H%M%S}'
-    names = itertools.chain([stem], (f'{stem}_{number}' for number in itertools.count(2)))
-    return next(path for path in map(Path.cwd().joinpath, names) if not os.path.lexists(path))

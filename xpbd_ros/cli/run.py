@@ -9,10 +9,11 @@ from pathlib import Path
 import time
 
 from xpbd_ros import __version__
-from xpbd_ros.cli.output import add_json_argument, fresh_folder, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 

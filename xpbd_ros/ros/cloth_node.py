@@ -455,7 +455,7 @@ class ClothNode(LifecycleNode):
                 return folder.absolute()
             if self.recorder is not None:
                 raise InputError(f'already recording to {self.recorder.folder.absolute()}')
-            from xpbd_ros.cli.output import fresh_folder
+            from xpbd_ros.log.folder import fresh_folder
             path = self.value('record.path')
             folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
             self._start_recording(folder)

@@ -21,6 +21,7 @@ from xpbd_ros.sim.simulation import Frame, Simulation
 LATCHED = Qos(durability='transient_local', depth=1)
 STREAM = Qos(depth=5)
 STATE_FIELDS = 'x y z vx vy vz'
+HISTORY_FIELDS = ' x_before y_before z_before vx_before vy_before vz_before fresh'
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,14 @@ class Outputs:
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
         several = len(simulation.cloths) > 1
+        fields = STATE_FIELDS + (HISTORY_FIELDS if simulation.state.history else '')
         for index, cloth in enumerate(simulation.cloths):
             base = f'cloth/{cloth.name}/' if several else ''
             self._add(Output(f'{base}particles', PointCloud2, STREAM))
             self._add(Output(f'{base}mesh', Mesh, LATCHED))
             self._add(Output(f'{base}state', PointCloud2, STREAM, log_only=True))
             self._clouds[f'{base}particles'] = messages.Cloud(cloth, frame_id)
-            self._states[f'{base}state'] = messages.Cloud(cloth, frame_id, STATE_FIELDS,
-                                                          np.float64)
+            self._states[f'{base}state'] = messages.Cloud(cloth, frame_id, fields, np.float64)
             self._surfaces.append(messages.Surface(cloth, index, frame_id))
         self._add(Output('markers', MarkerArray, STREAM, view_only=True))
         if 'pin' in simulation.effects:
@@ -78,9 +79,13 @@ class Outputs:
         return serialize_message(messages.text(text))
 
     def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
-        """Return the state whole, in float64, from which a run can go on."""
-        return {topic: cloud.bytes(np.hstack([frame.x[cloud.cloth.particles],
-                                              frame.v[cloud.cloth.particles]]), time_ns)
+        """Return the state whole, in float64, with what the integrator remembers."""
+        columns, history = [frame.x, frame.v], self.simulation.state.history
+        if history is not None:
+            columns += [self.simulation.natural(history.x), self.simulation.natural(history.v),
+                        history.fresh[self.simulation.slot][:, None]]
+        table = np.hstack(columns)
+        return {topic: cloud.bytes(table[cloud.cloth.particles], time_ns)
                 for topic, cloud in self._states.items()}
 
     def frame(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
