@@ -1,5 +1,6 @@
 // Isometric bending on a regular grid with alternating diagonals: each hinge a linear vector
-// constraint C = Σ k x with a vector multiplier; any weights, masses and compliance.
+// constraint C = Σ k x with a vector multiplier; any masses, one compliance, and the weights k that
+// the four kinds of hinge have on a grid.
 //
 // The order: the warp edges' hinges, the weft edges', the diagonals'; each in runs (see
 // sheet.hpp).
@@ -27,17 +28,17 @@ class BendOf final : public Bend {
     using V = typename L::V;
     static constexpr int N = L::count;
     enum { X, Y, Z, W, FIELDS };
-    enum { K0, K1, K2, K3, LX, LY, LZ, REGISTERS };    // of each N hinges
 
     struct Run {
-        T *p[4];      // edge start, edge end, opposite, opposite
-        int count;    // hinges
-        int first;    // in `data`
+        T *p[4];       // edge start, edge end, opposite, opposite
+        T k[4];
+        int count;     // hinges
+        int lambda;    // where their multipliers stand: x, y, z of each N
     };
 
     Sheet<T> sheet;
     std::vector<Run> runs;
-    std::vector<T> data;
+    std::vector<T> lambda;
     T alpha = 0;
 
 public:
@@ -85,51 +86,50 @@ public:
         return hinges;
     }
 
-    // Take the weights, in that order, and the compliance over h².
+    // Take the weights of the hinges, in that order, and their compliance over h².
     void weigh(const double *k, double compliance) override {
         alpha = T(compliance);
-        for (const Run &run : runs)
-            for (int q = 0; q < run.count; ++q)
-                for (int i = K0; i <= K3; ++i)
-                    data[run.first + q / N * REGISTERS * N + i * N + q % N] = T(*k++);
+        for (Run &run : runs) {
+            std::copy(k, k + 4, run.k);
+            k += 4 * run.count;
+        }
     }
 
     void project(int passes) override {
-        for (std::size_t k = 0; k < data.size(); k += REGISTERS * N)
-            std::fill_n(&data[k + LX * N], 3 * N, T(0));
+        std::fill(lambda.begin(), lambda.end(), T(0));
         for (int pass = 0; pass < passes; ++pass)
             for (const Run &run : runs)
                 for (int q = 0; q < run.count; q += N)
-                    project(run, q, &data[run.first + q * REGISTERS]);
+                    project(run, q, L::first(run.count - q), &lambda[run.lambda + 3 * q]);
     }
 
 private:
     void add(const int (&i)[4], const int (&j)[4]) {
         const auto [left, right] = std::minmax_element(j, j + 4);
-        const int count = sheet.count(*left, *right - *left), chunks = (count + N - 1) / N;
+        const int count = sheet.count(*left, *right - *left);
         if (count == 0) return;
-        Run run{{}, count, static_cast<int>(data.size())};
+        Run run{{}, {}, count, static_cast<int>(lambda.size())};
         for (int k = 0; k < 4; ++k) run.p[k] = sheet.at(i[k], j[k]);
         runs.push_back(run);
-        data.resize(data.size() + chunks * REGISTERS * N);
+        lambda.resize(lambda.size() + 3 * ((count + N - 1) / N * N));
     }
 
-    void project(const Run &run, int q, T *d) const {
+    void project(const Run &run, int q, typename L::Mask mask, T *l) const {
         V k[4], wk[4], sum = L::all(alpha);
         for (int i = 0; i < 4; ++i) {
-            k[i] = L::load(d + i * N);
+            k[i] = L::all(run.k[i]);
             wk[i] = L::load(run.p[i] + q + W * sheet.field) * k[i];
             sum = L::fma(k[i], wk[i], sum);
         }
-        const V per_sum = L::all(-1) / sum;
-        for (int axis = 0; axis < 3; ++axis) {
-            V x[4], lambda = L::load(d + (LX + axis) * N), c = L::all(alpha) * lambda;
+        const V per_sum = L::keep(mask, L::all(-1) / sum);
+        for (int axis = 0; axis < 3; ++axis, l += N) {
+            V x[4], c = L::all(alpha) * L::load(l);
             for (int i = 0; i < 4; ++i) {
                 x[i] = L::load(run.p[i] + q + axis * sheet.field);
                 c = L::fma(k[i], x[i], c);
             }
             const V change = c * per_sum;
-            L::store(d + (LX + axis) * N, lambda + change);
+            L::store(l, L::load(l) + change);
             for (int i = 0; i < 4; ++i)
                 L::store(run.p[i] + q + axis * sheet.field, L::fma(wk[i], change, x[i]));
         }

@@ -7,23 +7,28 @@ run, or raises NotAvailableError with the reason, which the table then prints in
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from native import NotAvailableError
 from numba import njit
 import numpy as np
-from works import FRAME_DT, LineWork, SUBSTEPS, Work
+from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 
-from xpbd_ros.effects.bend import Bend
+from xpbd_ros.effects.bend import Bend, grid_hinges, isometric_weights
 from xpbd_ros.effects.stretch import Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.batch import colour_order
 from xpbd_ros.sim.distance import distance_batch
+from xpbd_ros.sim.layout import Block, blocks, zeros
+from xpbd_ros.sim.lines import grid_lines, solve_edges
+from xpbd_ros.sim.runs import grid_runs, Shape
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stages import prepare, project
-from xpbd_ros.sim.state import new_state, State, Substep
+from xpbd_ros.sim.state import new_state, places, Substep
 from xpbd_ros.sim.step import compiled
+from xpbd_ros.sim.sweeps import METHODS
+from xpbd_ros.study.reference import Problem
 
 
 @dataclass
@@ -34,8 +39,8 @@ class Candidate:
     """does so many frames, or passes"""
     reset: Callable[[], None]
     """goes back to the work's start"""
-    positions: Callable[[], np.ndarray]
-    """[m], shape (particles, 3), in the work's own numbering"""
+    state: Callable[[], Any]
+    """positions [m], shape (particles, 3), in the work's own numbering"""
 
 
 # Kernels
@@ -45,43 +50,74 @@ STEPS = ('gauss_seidel',)
 
 
 def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Candidate:
-    """Return whole frames of 10 × 1 on any list of edges: the rows ``grid`` and ``irregular``."""
-    _only_float64(precision, threads)
-    if method != 'gauss_seidel':
-        raise NotAvailableError(f'method {method}')
-    state = _state(work)
-    edges = work.edges
-    effects = (Stretch(distance_batch(edges.particles, edges.rest_length, edges.compliance,
-                                      len(work.x), pins=False)),)
-    step = compiled(('stretch',))
+    """Return whole frames of 10 × 1 on a list of edges: the rows ``grid`` and ``irregular``."""
+    if threads != 1:
+        raise NotAvailableError(f'{threads} threads')
+    if not work.kinds:
+        raise NotAvailableError('meshes that are no grid')
+    sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision)
+    shapes, rest, compliance, first = [], [], [], 0
+    for family, (_, a, b) in enumerate(FAMILIES):
+        rows, columns = (work.n - max(ends) for ends in zip(a, b))
+        shapes.append(Shape((a, b), range(rows), range(columns), family))
+        chosen = slice(first, first + rows * columns)
+        first = chosen.stop
+        for table, numbers in ((rest, work.edges.rest_length),
+                               (compliance, work.edges.compliance)):
+            table.append(sheet.by_slot(numbers[chosen].reshape(rows, columns)))
+    effects = (sheet.stretch(shapes, rest, compliance),)
+    step, how = compiled(('stretch',)), METHODS[method](1)
 
     def run(frames):
-        step(effects, state, frames * FRAME_DT, frames * SUBSTEPS, 1)
+        step(effects, sheet.state, how, frames * FRAME_DT, frames * SUBSTEPS)
 
-    return Candidate(run, lambda: _restart(state, work), lambda: state.x.copy())
+    return Candidate(run, sheet.reset, sheet.positions)
 
 
-def line_passes(work: LineWork, *, precision: str) -> Candidate:
+def line_passes(warp: LineWork, weft: LineWork, *, precision: str) -> Candidate:
     """
-    Return line solves in one direction (``work.along``): the rows ``line``.
+    Return solves of all warp lines, then of all weft lines: the rows ``line``.
 
-    Its ``positions`` is to return x, shape (n, n, 3), and the multipliers [N s²], (n, n).
+    Its ``state`` is x, shape (n, n, 3), and the multipliers [N s²] of warp and weft, (n, n).
     """
-    raise NotAvailableError('no line solve yet')
+    n, h = warp.n, warp.h
+    sheet = _Sheet(n, warp.x.reshape(-1, 3), warp.inv_mass.ravel(), np.zeros(3), precision)
+    shapes = [Shape(((0, 0), (0, 1)), range(n), range(n - 1), 0),
+              Shape(((0, 0), (1, 0)), range(n - 1), range(n), 1)]
+    stretch = sheet.stretch(shapes, *([sheet.by_slot(getattr(work, name)) for work in (warp, weft)]
+                                      for name in ('rest_length', 'compliance')))
+    sheet.state.mobility[:] = sheet.state.inv_mass * h**2
+
+    def state():
+        force = stretch.edges.force.reshape(2, -1)[:, sheet.block.slots]
+        return (sheet.positions().reshape(n, n, 3), *(force.astype(float) * h**2))
+
+    return Candidate(lambda count: _solve_lines(stretch, sheet.state, count), sheet.reset, state)
+
+
+@njit(nogil=True)
+def _solve_lines(stretch, state, count):
+    stretch.edges.force[:] = 0.0
+    for _ in range(count):
+        solve_edges(stretch.edges, stretch.lines, state)
 
 
 def bend_passes(work: Work, *, precision: str) -> Candidate:
     """Return projections of isometric hinges, multipliers kept from pass to pass: ``bend``."""
-    _only_float64(precision, 1)
-    state = _state(work)
-    hinges = work.hinges
-    order, colours = colour_order(hinges.particles, len(work.x))
-    effects = (Bend(np.ascontiguousarray(hinges.particles[order], np.int64),
-                    hinges.weight[order], hinges.compliance[order], np.zeros((len(order), 3)),
-                    np.zeros(1, np.int64), colours),)
+    n, dtype = work.n, np.dtype(precision)
+    sheet = _Sheet(n, work.x, work.inv_mass, np.zeros(3), precision)
+    shapes = grid_hinges(n, n)
+    corners = np.zeros((len(shapes), 4, 3))
+    corners[:, :, :2] = [[(j / (n - 1), i / (n - 1)) for i, j in shape.particles]
+                         for shape in shapes]
+    compliance = np.full(len(shapes), work.hinges.compliance[0], dtype)
+    effects = (Bend(grid_runs(sheet.block, shapes, sheet.slots),
+                    isometric_weights(corners).astype(dtype), compliance,
+                    zeros((3, 3 * sheet.slots), dtype), None),)
     substep = Substep(FRAME_DT / SUBSTEPS, 0.0, 1.0)
-    return Candidate(lambda count: _passes(effects, state, substep, count),
-                     lambda: _restart(state, work), lambda: state.x.copy())
+    sheet.state.mobility[:] = sheet.state.inv_mass * substep.h**2
+    return Candidate(lambda count: _passes(effects, sheet.state, substep, count), sheet.reset,
+                     sheet.positions)
 
 
 @njit(nogil=True)
@@ -91,23 +127,40 @@ def _passes(effects, state, substep, count):
         project(effects, state, substep)
 
 
-def _state(work: Work) -> State:
-    held = work.inv_mass == 0.0
-    state = new_state(work.x, 1.0 / np.where(held, 1.0, work.inv_mass), work.gravity)
-    state.inv_mass[held] = 0.0
-    return state
+class _Sheet:
+    """The particles of a work as the simulation lays them out."""
 
+    def __init__(self, n, x, inv_mass, gravity, precision):
+        self.block: Block
+        (self.block,), self.slots = blocks([(n, n)], np.dtype(precision))
+        self.slot, self.x = self.block.slots.ravel(), x
+        held = inv_mass == 0.0
+        self.state = new_state(x, 1.0 / np.where(held, 1.0, inv_mass), gravity, self.slot,
+                               self.slots, dtype=np.dtype(precision))
+        self.state.inv_mass[self.slot[held]] = 0.0
 
-def _restart(state: State, work: Work) -> None:
-    state.x[:] = work.x
-    state.v[:] = 0.0
+    def by_slot(self, numbers: np.ndarray) -> np.ndarray:
+        """Return numbers of cells (rows, columns) by anchor, shape (slots,)."""
+        found = np.zeros(self.slots)
+        found[self.block.slots[:numbers.shape[0], :numbers.shape[1]]] = numbers
+        return found
 
+    def stretch(self, shapes, rest_length, compliance) -> Stretch:
+        """Return edges; the first two families are warp and weft."""
+        dtype = self.state.x.dtype
+        return Stretch(
+            distance_batch(grid_runs(self.block, shapes, self.slots), np.array(rest_length),
+                           np.array(compliance), pins=False, dtype=dtype),
+            grid_lines([self.block], self.slots, dtype))
 
-def _only_float64(precision: str, threads: int) -> None:
-    if precision != 'float64':
-        raise NotAvailableError(f'precision {precision}')
-    if threads != 1:
-        raise NotAvailableError(f'{threads} threads')
+    def reset(self) -> None:
+        """Go back to the start."""
+        self.state.x[:, self.slot] = self.x.T
+        self.state.v[:] = 0.0
+
+    def positions(self) -> np.ndarray:
+        """Return x [m], shape (particles, 3)."""
+        return places(self.state.x, self.slot)
 
 
 # Scenes
@@ -156,3 +209,16 @@ def swing(n: int, stiffness: float, *, method: str, integrator: str | None,
         raise NotAvailableError(str(error).rpartition('solver.')[2]) from error
     simulation.compile()
     return simulation
+
+
+def problem_of(simulation: Simulation) -> Problem:
+    """Return the masses, edges and pins of the compiled swing, as the reference wants them."""
+    state, slot = simulation.state, simulation.slot
+    number = np.empty(len(state.mass), np.int64)
+    number[slot] = np.arange(len(slot))
+    lists = [simulation.effects[name].constraints for name in ('shear', 'stretch')]
+    edges, rest, compliance = (np.concatenate([getattr(edges, name) for edges in lists])
+                               for name in ('particles', 'rest_length', 'compliance'))
+    return Problem(x=simulation.frame().x, mass=state.mass[slot],
+                   pinned=state.inv_mass[slot] == 0.0, gravity=state.gravity,
+                   edges=number[edges], rest_length=rest, stiffness=1.0 / compliance)

@@ -1,6 +1,6 @@
 """Whether a kernel computes what it should, before it is timed: a wrong one must not win."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from native import BendBound, GridBound, LinesBound, Native, Textbook
@@ -42,52 +42,57 @@ def check_bend_bound(native: Native, work: Work, precision: str, bound: BendBoun
     _near('bend bound', bound.positions(), textbook.positions(), ROUNDING[precision])
 
 
-def check_lines(work: LineWork, precision: str, name: str,
-                solve: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> None:
+def check_lines(works: Sequence[LineWork], precision: str, name: str,
+                solve: Callable[[int], tuple[np.ndarray, ...]]) -> None:
     """
     Compare two passes with SciPy's banded solver; the second starts from the first's multipliers.
 
     Parameters
     ----------
-    solve : does so many passes from the work's start; returns x [m], shape (n, n, 3), and the
-        multipliers [N s²], shape (n, n)
+    works : the directions that a pass solves, one after another; they share their particles
+    solve : does so many passes from the works' start; returns x [m], shape (n, n, 3), and the
+        multipliers [N s²] of each direction, shape (n, n)
 
     """
-    x, multiplier = solve(2)
-    expected_x, expected = solved_lines(work, passes=2)
+    x, *multipliers = solve(2)
+    expected_x = works[0].x
+    expected = [np.zeros((work.n, work.n)) for work in works]
+    for _ in range(2):
+        for k, work in enumerate(works):
+            expected_x, expected[k] = solved_lines(work, expected_x, expected[k])
     _near(name, x, expected_x, ROUNDING[precision])
-    last = (slice(None), -1) if work.along else -1    # stands for no edge
-    multiplier = multiplier.copy()
-    multiplier[last] = 0.0
-    scale = np.abs(expected).max()
-    _near(f"{name}'s multipliers", multiplier / scale, expected / scale, 50 * ROUNDING[precision])
+    for work, got, wanted in zip(works, multipliers, expected):
+        last = (slice(None), -1) if work.along else -1    # stands for no edge
+        got = got.copy()
+        got[last] = 0.0
+        scale = np.abs(wanted).max()
+        _near(f"{name}'s multipliers", got / scale, wanted / scale, 50 * ROUNDING[precision])
 
 
-def solved_lines(work: LineWork, passes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x [m] and multipliers [N s²] as ``LineWork`` stores them, by SciPy."""
+def solved_lines(work: LineWork, x: np.ndarray,
+                 multiplier: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return x [m] and multipliers [N s²] after one pass, as ``LineWork`` has them, by SciPy."""
     from scipy.linalg import solveh_banded
 
     def by_line(array):
         return array if work.along else np.swapaxes(array, 0, 1)
 
-    x, w, rest = by_line(work.x).copy(), by_line(work.inv_mass), by_line(work.rest_length)[:, :-1]
+    x, multiplier = by_line(x).copy(), by_line(multiplier).copy()
+    w, rest = by_line(work.inv_mass), by_line(work.rest_length)[:, :-1]
     alpha = by_line(work.compliance)[:, :-1] / work.h**2
-    multiplier = np.zeros((work.n, work.n))
-    for _ in range(passes):
-        d = np.diff(x, axis=1)
-        l = np.linalg.norm(d, axis=2)
-        u = d / l[..., None]
-        diagonal = w[:, 1:] + w[:, :-1] + alpha
-        beside = -w[:, 1:-1] * (u[:, 1:] * u[:, :-1]).sum(2)
-        change = np.empty_like(l)
-        residual = l - rest + alpha * multiplier[:, :-1]
-        for line in range(work.n):
-            change[line] = solveh_banded([np.append(0.0, beside[line]), diagonal[line]],
-                                         -residual[line])
-        multiplier[:, :-1] += change
-        impulse = change[..., None] * u
-        x[:, 1:] += w[:, 1:, None] * impulse
-        x[:, :-1] -= w[:, :-1, None] * impulse
+    d = np.diff(x, axis=1)
+    l = np.linalg.norm(d, axis=2)
+    u = d / l[..., None]
+    diagonal = w[:, 1:] + w[:, :-1] + alpha
+    beside = -w[:, 1:-1] * (u[:, 1:] * u[:, :-1]).sum(2)
+    residual = l - rest + alpha * multiplier[:, :-1]
+    change = np.stack([
+        solveh_banded([np.append(0.0, beside[line]), diagonal[line]], -residual[line])
+        for line in range(work.n)])
+    multiplier[:, :-1] += change
+    impulse = change[..., None] * u
+    x[:, 1:] += w[:, 1:, None] * impulse
+    x[:, :-1] -= w[:, :-1, None] * impulse
     return by_line(x), by_line(multiplier)
 
 
@@ -98,7 +103,7 @@ def check_lines_bound(work: LineWork, precision: str, bound: LinesBound) -> None
         bound.solve(passes)
         return bound.state()
 
-    check_lines(work, precision, f'line bound {"along" if work.along else "across"}', solve)
+    check_lines([work], precision, f'line bound {"along" if work.along else "across"}', solve)
 
 
 def check_steps(native: Native, work: Work, precision: str, name: str,

@@ -57,15 +57,15 @@ def irregular(report: Report, n: int) -> None:
 
 def line(report: Report, n: int) -> None:
     """Line solves, and the textbook's Gauss-Seidel on the same edges."""
+    warp, weft = line_work(n, along=True), line_work(n, along=False)
     for precision in PRECISIONS:
         table = Table(report, 'line', n, precision)
-        for along, direction in ((False, 'across'), (True, 'along')):
-            work = line_work(n, along=along)
+        for work, direction in ((weft, 'across'), (warp, 'along')):
             table.add('textbook', _textbook_passes, work.as_work(), work.h, direction=direction)
             for estimate, arithmetic in ARITHMETIC.items():
                 table.add(f'bound, {arithmetic}', _bound_lines, work, estimate,
                           direction=direction)
-            table.add('line', _our_lines, work, direction=direction)
+        table.add('line', _our_lines, warp, weft)
         table.measure()
 
 
@@ -102,7 +102,7 @@ def _our_steps(table: Table, work: Work, method: str, threads: int) -> Timed:
     def positions_after(work, frames):
         ours = make(work)
         ours.run(frames)
-        return ours.positions()
+        return ours.state()
 
     ours = make(work)
     if table.report.native.textbook:
@@ -128,16 +128,16 @@ def _bound_lines(table: Table, work: LineWork, estimate: bool) -> Timed:
     return Timed(bound.solve, work.projections, bound.reset)
 
 
-def _our_lines(table: Table, work: LineWork) -> Timed:
-    ours = candidates.line_passes(work, precision=table.precision)
+def _our_lines(table: Table, warp: LineWork, weft: LineWork) -> Timed:
+    ours = candidates.line_passes(warp, weft, precision=table.precision)
 
     def solve(passes):
         ours.reset()
         ours.run(passes)
-        return ours.positions()
+        return ours.state()
 
-    check_lines(work, table.precision, 'line', solve)
-    return Timed(ours.run, work.projections, ours.reset)
+    check_lines((warp, weft), table.precision, 'line', solve)
+    return Timed(ours.run, warp.projections + weft.projections, ours.reset)
 
 
 def _bound_bend(table: Table, work: Work) -> Timed:
@@ -150,7 +150,7 @@ def _our_bend(table: Table, work: Work) -> Timed:
     def positions_after(work, passes):
         ours = candidates.bend_passes(work, precision=table.precision)
         ours.run(passes)
-        return ours.positions()
+        return ours.state()
 
     ours = candidates.bend_passes(work, precision=table.precision)
     if table.report.native.textbook:

@@ -51,7 +51,7 @@ class Table:
     """
     The candidates for one work, which take turns.
 
-    A candidate may stand for one direction of two; then the mean of both is a row of its own.
+    A candidate may take one direction of two; then the mean of both is a row of its own.
     """
 
     def __init__(self, report: Report, what: str, n: int, precision: str):

@@ -62,25 +62,30 @@ class Work:
 
 
 GRAVITY = (0.0, 0.0, -9.81)
+FAMILIES = ((0, (0, 0), (0, 1)), (0, (0, 0), (1, 0)), (1, (0, 0), (1, 1)), (1, (0, 1), (1, 0)),
+            (2, (0, 0), (0, 2)), (2, (0, 0), (2, 0)))
+"""edges of the grid work, in its order: kind, (row, column) of both particles from a cell"""
 
 
 def grid_work(n: int) -> Work:
     """
     Return the list of MEASURED.md: structural, both diagonals, and next but one.
 
-    1 m², 0.2 kg spread evenly, two corners pinned, let go from the horizontal.
+    1 m², 0.2 kg spread evenly, two corners pinned, let go from the horizontal. Family by family,
+    each by rising cell.
     """
     d = 1 / (n - 1)
     kinds = ((d, 1e-6), (2**0.5 * d, 1e-5), (2 * d, 1e-2))
     grid = np.arange(n * n).reshape(n, n)
-    families = ((0, grid[:, :-1], grid[:, 1:]), (0, grid[:-1], grid[1:]),
-                (1, grid[:-1, :-1], grid[1:, 1:]), (1, grid[:-1, 1:], grid[1:, :-1]),
-                (2, grid[:, :-2], grid[:, 2:]), (2, grid[:-2], grid[2:]))
-    pairs = [np.column_stack([a.ravel(), b.ravel()]) for _, a, b in families]
-    rest, compliance = (np.concatenate([np.full(a.size, kinds[kind][k])
-                                        for kind, a, _ in families]) for k in (0, 1))
+    pairs, rest, compliance = [], [], []
+    for kind, a, b in FAMILIES:
+        rows, columns = (n - max(ends) for ends in zip(a, b))
+        ends = [grid[i:i + rows, j:j + columns].ravel() for i, j in (a, b)]
+        pairs.append(np.stack(ends, 1))
+        rest.append(np.full(rows * columns, kinds[kind][0]))
+        compliance.append(np.full(rows * columns, kinds[kind][1]))
     return Work(n, _flat(n), _even_mass(n), GRAVITY,
-                Edges(np.concatenate(pairs), rest, compliance), kinds=kinds)
+                Edges(*map(np.concatenate, (pairs, rest, compliance))), kinds=kinds)
 
 
 def irregular_work(n: int) -> Work:
@@ -149,14 +154,11 @@ def line_work(n: int, *, along: bool) -> LineWork:
 
 
 def bend_work(n: int) -> Work:
-    """Return the hinges of a grid with alternating diagonals, its particles and masses uneven."""
+    """Return the hinges of a grid with alternating diagonals, crumpled, its masses uneven."""
     random = np.random.default_rng(2)
     d = 1 / (n - 1)
-    rest = _flat(n)
-    rest[:, :2] += 0.05 * d * random.standard_normal((n * n, 2))
-    particles = hinges_of_grid(n)
-    x = rest.copy()
-    x[:, 2] += 0.1 * d * random.standard_normal(n * n)
+    rest, particles = _flat(n), hinges_of_grid(n)
+    x = rest + 0.1 * d * random.standard_normal((n * n, 3))
     inv_mass = random.uniform(0.5, 2.0, n * n) / (0.2 * d * d)
     inv_mass[[0, n - 1]] = 0.0
     return Work(n, x, inv_mass, GRAVITY, hinges=Hinges(
@@ -185,7 +187,11 @@ def hinges_of_grid(n: int) -> np.ndarray:
 
 
 def isometric_weights(rest: np.ndarray, hinges: np.ndarray) -> np.ndarray:
-    """Return the K / sqrt(A0 + A1) of Bergou et al. 2006 for each hinge, shape (hinges, 4)."""
+    """
+    Return the K / sqrt(A0 + A1) of Bergou et al. 2006 [1/m], shape (hinges, 4).
+
+    A grid's diagonals weigh half in the energy, so that it bends alike about both axes.
+    """
     x0, x1, x2, x3 = rest[hinges].transpose(1, 0, 2)
     e = x1 - x0
 
@@ -198,7 +204,8 @@ def isometric_weights(rest: np.ndarray, hinges: np.ndarray) -> np.ndarray:
                   + np.linalg.norm(np.cross(e, x3 - x0), axis=1))
     k = np.stack([sum(at_end), sum(at_start), -at_start[0] - at_end[0],
                   -at_start[1] - at_end[1]], 1)
-    return k / np.sqrt(area)[:, None]
+    diagonal = (e[:, 0] != 0.0) & (e[:, 1] != 0.0)
+    return k * np.sqrt(np.where(diagonal, 0.5, 1.0) / area)[:, None]
 
 
 def scene_work(problem, n: int) -> Work:

@@ -28,7 +28,9 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
              scene_effects: dict | None = None, pins: dict | None = None,
              colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
-             substeps: int = 1, iterations: int = 1, scale: float = 1.0) -> Simulation:
+             substeps: int = 1, iterations: int = 1, scale: float = 1.0,
+             method: str = 'gauss_seidel', integrator: str = 'backward_euler',
+             precision: str = 'float64') -> Simulation:
     """
     Return the simulation of one cloth, ``c``.
 
@@ -37,7 +39,9 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
     """
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
-        'solver': {'substeps': substeps, 'iterations': iterations, 'compliance_scale': scale},
+        'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
+                   'iterations': iterations, 'precision': precision,
+                   'compliance_scale': scale},
         'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
                          'density': density, 'friction': friction, 'pose': pose or {},
                          'effects': effects or {}}},

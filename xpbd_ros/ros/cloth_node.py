@@ -6,6 +6,7 @@ executor's thread and fill the inbox; the stepper's thread owns the simulation a
 """
 
 from concurrent import futures
+from dataclasses import replace
 from pathlib import Path
 import signal
 import sys
@@ -273,6 +274,7 @@ class ClothNode(LifecycleNode):
     def _step(self) -> None:
         if not self._begun:
             self._begin()
+        substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
         frame = self.simulation.step(self.inbox.drain())
         now = time.perf_counter()
@@ -285,6 +287,8 @@ class ClothNode(LifecycleNode):
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
             encoded['scene'] = self._changed(keys)
+            frame = with_chosen_substeps(frame, keys.get('solver.substeps', substeps),
+                                         self.simulation.solver.substeps)
         if '/clock' in self._outlets:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(self._stamp_ns(frame), 10**9)
@@ -514,6 +518,17 @@ def every(rate: float, simulation) -> int:
         raise InputError(f'publish_rate: must divide the frame rate of '
                          f'{float(simulation.frame_rate):g} Hz (got {rate:g} Hz)')
     return round(count)
+
+
+def with_chosen_substeps(frame, asked: int, chosen: int):
+    """
+    Return a frame that also says what ``auto`` made of a changed key.
+
+    The log's scene has ``auto`` resolved, so whoever repeats the run would not choose again.
+    """
+    if chosen == asked:
+        return frame
+    return replace(frame, applied=(*frame.applied, SetKey('solver.substeps', chosen)))
 
 
 def refusal(reason: str) -> SetParametersResult:
