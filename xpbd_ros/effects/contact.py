@@ -1,5 +1,7 @@
 """
-Contact of particles with colliders: C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
+Contact: particles stay outside moving planes, spheres, capsules, cylinders and boxes.
+
+C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
 
 Once per substep, after the prediction, pairs that might touch become candidates. Then, in each
 iteration, a candidate that is too deep is pushed out along the normal n (Müller et al. 2006, 3.4):

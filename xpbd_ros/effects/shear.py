@@ -1,5 +1,7 @@
 """
-Shear: elastic edges along both diagonals of every cell, C = |x1 - x2| - L (``sim.distance``).
+Shear: elastic edges along both diagonals of every cell.
+
+C = |x1 - x2| - L (``sim.distance``).
 
 On cells of dx × dy with diagonals of length l, each has the stiffness
 k = stiffness l² / (2 dx dy) [N/m], which gives the sheet the shear modulus C66 = stiffness and

@@ -1,5 +1,7 @@
 """
-Stretch: elastic edges along warp and weft, C = |x1 - x2| - L (``sim.distance``).
+Stretch: elastic edges along warp and weft.
+
+C = |x1 - x2| - L (``sim.distance``); the method ``line`` solves whole lines (``sim.lines``).
 
 On cells of dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along weft
 k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for whatever

@@ -1,0 +1,152 @@
+"""Everything that the README shows is run."""
+
+from dataclasses import fields
+import importlib
+from pathlib import Path
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import yaml
+
+from xpbd_ros.demo.domain import private_environment
+from xpbd_ros.effects import EFFECTS, load
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_text
+from xpbd_ros.share import share_folder
+
+README = Path(__file__).parents[1] / 'README.md'
+pytestmark = pytest.mark.skipif(not README.is_file(), reason='the README is not installed')
+
+
+def text() -> str:
+    return README.read_text(encoding='utf-8')
+
+
+def block(language: str) -> str:
+    """Return the only block of code in a language."""
+    found = re.findall(rf'```{language}\n(.*?)```', text(), re.S)
+    assert len(found) == 1
+    return found[0]
+
+
+def effects_table() -> str:
+    """Return the rows of the README's table of effects."""
+    rows = []
+    for name, scope in EFFECTS.items():
+        effect = load(name)
+        units = [(field.name, field.metadata['unit']) for field in fields(effect.parameters)]
+        parameters = ', '.join(f'`{key}` ({unit})' if unit else f'`{key}`' for key, unit in units)
+        about = importlib.import_module(f'xpbd_ros.effects.{name}').__doc__.strip()
+        about = about.split('\n\n')[0].replace('\n', ' ').split(': ', 1)[1].rstrip('.')
+        home = 'a cloth' if scope == 'cloth' else 'the scene'
+        rows.append(f'| `{name}` | {home} | {parameters} | {about} |')
+    return '\n'.join(rows)
+
+
+def test_table_of_effects_is_what_their_files_say():
+    assert effects_table() in text(), f'the README should hold\n{effects_table()}'
+
+
+def test_shipped_scenes_are_named():
+    for file in (share_folder() / 'scenes').glob('*.yaml'):
+        assert f'`{file.stem}`' in text()
+
+
+def test_example_scene_runs():
+    simulation = compile_scene(scene_from_text(block('yaml'), where='README', name='readme'))
+    for _ in range(5):
+        frame = simulation.step()
+    assert np.isfinite(frame.x).all()
+
+
+def test_every_picture_is_there():
+    for name in re.findall(r'!\[[^]]*\]\(([^)]+)\)', text()):
+        assert (README.parent / name).stat().st_size > 10_000
+
+
+@pytest.fixture(scope='module')
+def node():
+    """Return the environment of a node that runs the demo's scene."""
+    pytest.importorskip('rclpy', reason='ROS is not installed')
+    environment = private_environment()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'xpbd_ros', 'node', '--ros-args', '-p', 'scene:=demo'],
+        env=environment, stderr=subprocess.PIPE, text=True)
+    yield environment
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert 'refused' not in said, said
+
+
+def python(program: str, environment: dict) -> str:
+    done = subprocess.run([sys.executable, '-c', program], env=environment, timeout=240,
+                          capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_client_grasps_lifts_and_lets_go(node):
+    said = python(block('python'), node)
+    forces = [float(f) for f in re.findall(r'hand: (-?[0-9.]+) N', said)]
+    assert min(forces) < -0.1, said
+
+
+PUBLISH = """
+import sys, time, yaml, rclpy
+from rclpy.qos import QoSProfile
+from importlib import import_module
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+
+def fill(message, values):
+    for key, value in values.items():
+        now = getattr(message, key)
+        kind = message.get_fields_and_field_types()[key]
+        if isinstance(value, dict):
+            fill(now, value)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            package, name = kind[len('sequence<'):-1].split('/')
+            setattr(message, key, [fill(getattr(import_module(package + '.msg'), name)(), v)
+                                   for v in value])
+        else:
+            setattr(message, key, type(now)(value) if isinstance(now, float) else value)
+    return message
+
+rclpy.init()
+node = rclpy.create_node('hand')
+pins = []
+node.create_subscription(MultiDOFJointState, '/cloth/pin_states',
+                         lambda m: pins.append({n: t.translation.z for n, t in
+                                                zip(m.joint_names, m.transforms)}), 5)
+for topic, kind, values in yaml.safe_load(sys.stdin.read()):
+    package, _, name = kind.split('/')
+    kind = getattr(import_module(package + '.msg'), name)
+    publisher = node.create_publisher(kind, topic, 1)
+    while not publisher.get_subscription_count():
+        time.sleep(0.1)
+    publisher.publish(fill(kind(), yaml.safe_load(values)))
+    end = time.monotonic() + 3
+    while time.monotonic() < end:
+        rclpy.spin_once(node, timeout_sec=0.1)
+    print(pins[-1], flush=True)
+"""
+
+
+def test_lines_for_the_shell_grasp_move_and_release(node):
+    lines = [shlex.split(line) for line in text().splitlines() if 'ros2 topic pub --once' in line]
+    assert len(lines) == 3
+    time.sleep(0.5)
+    done = subprocess.run([sys.executable, '-c', PUBLISH], env=node, text=True, timeout=240,
+                          input=yaml.safe_dump([line[4:] for line in lines]),
+                          capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    held, moved, released = (eval(line) for line in done.stdout.splitlines())
+    assert held['hand'] == pytest.approx(0.0, abs=0.01)
+    assert moved['hand'] == pytest.approx(0.4)
+    assert released == {}
