@@ -65,7 +65,7 @@ def test_a_contact_never_pulls():
     near, far = (particle({'s': {'plane': {}, 'position': [0.0, 0.0, z]}}, (0.0, 0.0, R),
                           substeps=3) for z in (0.0, -50.0))
     for simulation in (near, far):
-        simulation.state.v[0] = (0.3, 0.0, 1.0)
+        simulation.state.v[:, 0] = (0.3, 0.0, 1.0)
         run(simulation, 10)
     assert near.hash() == far.hash()
 
@@ -90,7 +90,7 @@ def test_an_overlap_from_the_start_is_left_slowly_and_gives_no_kick(shape, centr
     """H15, H17: out at no more than DEPENETRATION, from the very centre too, and then at rest."""
     start = (0.0, 0.0, 0.0) if centre else DEEP[shape]
     simulation = particle({'s': SHAPES[shape]}, start, gravity=(0, 0, 0), substeps=substeps)
-    place = simulation.state.x[0].copy()
+    place = simulation.state.x[:, 0].copy()
     speeds = []
     for _ in range(40):
         frame = simulation.step()
@@ -216,7 +216,7 @@ def test_a_particle_that_flies_at_a_shape_is_met_from_any_side(shape):
         direction = rng.normal(size=3)
         direction /= np.linalg.norm(direction)
         simulation = particle({'s': SHAPES[shape]}, direction, gravity=(0, 0, 0), substeps=20)
-        simulation.state.v[0] = -4.0 * direction
+        simulation.state.v[:, 0] = -4.0 * direction
         frame = run(simulation, 40)
         assert np.linalg.norm(frame.x[0]) > 0.3 or frame.x[0] @ direction > 0.0
         assert np.linalg.norm(frame.v[0]) <= 4.0 + 1e-9

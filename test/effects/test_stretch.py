@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from sim.small import run, simulate
+from sim.small import GRAVITY, hang, run, run_until_still, simulate
 
-from xpbd_ros.effects.shear import EFFECT as SHEAR
-from xpbd_ros.effects.stretch import EFFECT as STRETCH
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim import stages
+from xpbd_ros.sim.state import Substep
 
 WARP, WEFT, G = 70.0, 40.0, 15.0
 CELLS = pytest.mark.parametrize('grid, size', [((5, 5), (0.8, 0.8)), ((4, 7), (0.9, 0.6)),
@@ -22,12 +22,12 @@ def energy(grid, size, strain, *, stretch=True, shear=True):
     (exx, eyy, gamma), x = strain, simulation.state.x
     step, total = 1e-5, 0.0
     for sign in (step, -step):    # what is odd in the strain cancels
-        deformed = x + sign * x @ np.array([[exx, 0.5 * gamma, 0.0], [0.5 * gamma, eyy, 0.0],
-                                            [0.0, 0.0, 0.0]])
+        deformed = x + sign * np.array([[exx, 0.5 * gamma, 0.0], [0.5 * gamma, eyy, 0.0],
+                                        [0.0, 0.0, 0.0]]) @ x
         if stretch:
-            total += STRETCH.energy(simulation.effects['stretch'].data, deformed)
+            total += simulation.effects['stretch'].constraints.energy(deformed)
         if shear:
-            total += SHEAR.energy(simulation.effects['shear'].data, deformed)
+            total += simulation.effects['shear'].constraints.energy(deformed)
     return total / step**2 / (size[0] * size[1])
 
 
@@ -62,8 +62,8 @@ def test_shear_has_its_modulus_on_oblong_cells_and_adds_what_its_limits_say(grid
 
 def test_the_rim_has_half_the_stiffness():
     simulation = simulate((4, 3), (0.3, 0.2), effects={'stretch': {'warp': WARP, 'weft': WEFT}})
-    edges = simulation.effects['stretch'].batch
-    x = simulation.state.x[edges.particles]
+    edges = simulation.effects['stretch'].constraints
+    x = simulation.state.x.T[edges.particles]
     across = np.where(x[:, 0, 1] == x[:, 1, 1], 1, 0)
     middle = x.mean(1)[np.arange(len(x)), across]
     rim = np.isclose(middle, 0.0) | np.isclose(middle, np.array([0.3, 0.2])[across])
@@ -76,7 +76,7 @@ def test_the_rim_has_half_the_stiffness():
 
 def test_a_compliance_is_that_of_every_edge():
     simulation = simulate((4, 3), effects={'stretch': {'compliance': 0.02}}, scale=0.5)
-    np.testing.assert_array_equal(simulation.effects['stretch'].batch.compliance, 0.01)
+    np.testing.assert_array_equal(simulation.effects['stretch'].constraints.compliance, 0.01)
 
 
 @pytest.mark.parametrize('stretch, text', [
@@ -92,7 +92,9 @@ def test_both_forms_and_neither_are_refused(stretch, text):
     assert str(error.value) == f'small.yaml: cloths.c.effects.stretch: {text}'
 
 
-def test_each_cloth_of_a_scene_moves_as_it_would_alone():
+@pytest.mark.parametrize('method, integrator', [
+    ('gauss_seidel', 'backward_euler'), ('gauss_seidel_symmetric', 'bdf2'), ('line', 'bdf2')])
+def test_each_cloth_of_a_scene_moves_as_it_would_alone(method, integrator):
     """Whatever their stiffness and resolution, and though one of them does not stretch."""
     cloths = {
         'a': {'grid': {'size': [0.5, 0.4], 'resolution': [4, 3]}, 'density': 0.2,
@@ -106,7 +108,8 @@ def test_each_cloth_of_a_scene_moves_as_it_would_alone():
 
     def build(chosen):
         return compile_scene(scene_from_mapping({
-            'cloths': {name: cloths[name] for name in chosen}, 'solver': {'substeps': 5},
+            'cloths': {name: cloths[name] for name in chosen},
+            'solver': {'substeps': 5, 'method': method, 'integrator': integrator},
             'pins': {name: {'cloth': name, 'at': 'corner_01'} for name in chosen},
             'effects': {'damping': {'rate': 0.2}}}, where='x', name='x'))
 
@@ -117,3 +120,107 @@ def test_each_cloth_of_a_scene_moves_as_it_would_alone():
         np.testing.assert_array_equal(frame.x[cloth.particles], run(alone, 40).x)
         np.testing.assert_array_equal(frame.pins[cloth.name].force,
                                       alone.frame().pins[cloth.name].force)
+
+
+def solve_densely(lines, number, edges, alpha, state, force):
+    """
+    Solve lines one after another: (J M Jᵀ + α) Δf = -(C + α f), x += M Jᵀ Δf, f += Δf.
+
+    ``lines`` are rows of slots, ``number`` says which edge joins two of them.
+    """
+    for line in lines:
+        chosen = [number[ends] for ends in zip(line[:-1].tolist(), line[1:].tolist())]
+        count, m = len(chosen), np.repeat(state.mobility[line], 3)
+        if not count:
+            continue
+        d = np.diff(state.x.T[line], axis=0)
+        length = np.linalg.norm(d, axis=1)
+        jacobian = np.zeros((count, len(line), 3))
+        jacobian[np.arange(count), np.arange(count)] = -d / length[:, None]
+        jacobian[np.arange(count), np.arange(count) + 1] = d / length[:, None]
+        jacobian = jacobian.reshape(count, -1)
+        right = -(length - edges.rest_length[chosen] + alpha[chosen] * force[chosen])
+        system = jacobian * m @ jacobian.T + np.diag(alpha[chosen])
+        idle = np.diag(system) == 0.0    # rigid, between two pins
+        system[idle, idle], right[idle] = 1.0, 0.0
+        change = np.linalg.solve(system, right)
+        force[chosen] += change
+        state.x[:, line] += (m * (change @ jacobian)).reshape(-1, 3).T
+
+
+@pytest.mark.parametrize('stretch', [
+    {'warp': WARP, 'weft': WEFT}, {'warp': 1e3 * WARP, 'weft': 1e3 * WEFT}, {'compliance': 0.0}])
+@pytest.mark.parametrize('pinned', [[], [0], [0, 7, 8, 19]])
+@pytest.mark.parametrize('grid', [(5, 7), (9, 4), (17, 3), (3, 17), (8, 8), (1, 20), (20, 1)])
+def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
+    """Warp lines then weft lines, twice over, whether or not they fill whole vectors."""
+    simulation = simulate(grid, (0.8, 0.6), effects={'stretch': stretch}, density=0.2)
+    state, data = simulation.state, simulation.effects['stretch'].data
+    edges, slots = simulation.effects['stretch'].constraints, simulation.cloths[0].block.slots
+    number = {tuple(ends): k for k, ends in enumerate(edges.particles.tolist())}
+    state.x[:, simulation.slot] += np.random.default_rng(3).normal(
+        0.0, 0.1 * max(simulation.cloths[0].mesh.spacing), (3, len(simulation.slot)))
+    state.inv_mass[simulation.slot[pinned]] = 0.0
+    state.mobility[:] = state.inv_mass * 0.004**2
+    before = state.x.copy()
+    expected = state._replace(x=before.copy())
+    force = np.zeros(len(edges.particles))
+    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(0.004, 0.0, 1.0))
+    for _ in range(2):
+        stages._KERNELS[stages.solve_lines, type(data)](data, state, Substep(0.004, 0.0, 1.0))
+        for lines in (slots, slots.T):
+            solve_densely(lines, number, edges, edges.compliance, expected, force)
+        moved = np.abs(expected.x - before).max()
+        assert moved > 1e-4
+        np.testing.assert_allclose(state.x, expected.x, rtol=0.0, atol=1e-11 * moved)
+        np.testing.assert_allclose(data.edges.force[edges.index], force, rtol=0.0,
+                                   atol=1e-11 * np.abs(force).max())
+    np.testing.assert_array_equal(state.x[:, simulation.slot[pinned]],
+                                  before[:, simulation.slot[pinned]])
+
+
+@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('span', [0.5, 1.0, 1.5])
+@pytest.mark.parametrize('grid, far', [((9, 1), 'corner_01'), ((1, 9), 'corner_10')])
+def test_a_rigid_straight_line_between_two_pins_stays_finite(grid, far, span, precision):
+    """Singular: as many edges as can move nothing; slack, just as long, and too long."""
+    target = [span, 0.0, 0.0] if grid[0] > 1 else [0.0, span, 0.0]
+    simulation = simulate(
+        grid, effects={'stretch': {'compliance': 0.0}}, method='line', integrator='bdf2',
+        precision=precision, substeps=4, scene_effects={'damping': {'rate': 1.0}},
+        pins={'a': {'cloth': 'c', 'at': 'corner_00'},
+              'b': {'cloth': 'c', 'at': far, 'target': target}})
+    for _ in range(120):
+        frame = simulation.step()
+        assert np.isfinite(frame.x).all()
+        assert np.abs(frame.x).max() < 3.0
+    np.testing.assert_allclose(frame.x[[0, -1]], [[0.0, 0.0, 0.0], target], atol=1e-6)
+
+
+@pytest.mark.parametrize('axis, grid', [(0, (2, 1)), (1, (1, 2))])
+@pytest.mark.parametrize('stage', [stages.project, stages.project_back, stages.solve_lines])
+def test_particles_that_coincide_part_and_keep_their_momentum(stage, grid, axis):
+    simulation = simulate(grid, effects={'stretch': {'compliance': 0.0}})
+    state, data = simulation.state, simulation.effects['stretch'].data
+    state.x[:] = 0.0
+    state.mobility[:] = state.inv_mass * 0.01**2
+    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(0.01, 0.0, 1.0))
+    stages._KERNELS[stage, type(data)](data, state, Substep(0.01, 0.0, 1.0))
+    x = simulation.natural(state.x)
+    assert np.linalg.norm(x[1] - x[0]) == pytest.approx(1.0, rel=1e-14)
+    np.testing.assert_allclose(x.sum(0), 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('method', ['gauss_seidel', 'gauss_seidel_symmetric', 'line'])
+@pytest.mark.parametrize('substeps, iterations', [(1, 1), (5, 20)])
+@pytest.mark.parametrize('compliance', [1e-2, 1e-6])
+def test_a_hanging_mass_stretches_m_g_alpha(compliance, substeps, iterations, method, integrator):
+    """Whatever the method, the integrator and the setting."""
+    simulation = hang(effects={'stretch': {'compliance': compliance}}, density=0.3,
+                      substeps=substeps, iterations=iterations, method=method,
+                      integrator=integrator)
+    frame = run_until_still(simulation, speed=1e-12)
+    stretched = -frame.x[1, 2] - 1.0
+    weight = simulation.state.mass[simulation.slot[1]] * GRAVITY
+    assert stretched == pytest.approx(weight * compliance, rel=1e-9, abs=1e-14)

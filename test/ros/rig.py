@@ -29,7 +29,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-PATIENCE = 60.0
+PATIENCE = 240.0
 """only a failure takes that long [s]; compiling may take a minute"""
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TOWEL = """
@@ -48,7 +48,7 @@ effects:
   contact: {thickness: 0.004}
   friction: {}
   damping: {rate: 2.0}
-solver: {substeps: 20}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 20}
 """
 """a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
@@ -115,6 +115,8 @@ class Peer:
         self.node = Node('peer', context=context, start_parameter_services=False)
         self.executor = SingleThreadedExecutor(context=context)
         self.executor.add_node(self.node)
+        self.company: list[NodeProcess] = []
+        """processes that ought to live"""
         self._publishers = {}
         self._clients = {}
 
@@ -128,6 +130,8 @@ class Peer:
         deadline = time.monotonic() + PATIENCE
         while not (found := true()):
             assert time.monotonic() < deadline, f'waited in vain for {what} {seen()}'
+            for node in self.company:
+                assert node.process.poll() is None, node.lines
             self.executor.spin_once(timeout_sec=0.05)
         return found
 
@@ -177,6 +181,7 @@ class Cloth:
 
     def __init__(self, peer: Peer, node: NodeProcess, name: str = '/cloth'):
         self.peer, self.node, self.name = peer, node, name
+        peer.company = [node]
         self.clouds = peer.hear(PointCloud2, f'{name}/particles')
         self.pins = peer.hear(MultiDOFJointState, f'{name}/pin_states')
         self.statuses: list[dict[str, str]] = []
@@ -287,7 +292,8 @@ class Cloth:
 
     def restart(self, **values) -> None:
         """Configure anew with other parameters."""
-        assert self.go('deactivate', 'cleanup')
+        while (state := self.state) != 'unconfigured':
+            assert self.go('deactivate' if state == 'active' else 'cleanup')
         assert self.set(**values) == (True, '')
         assert self.go('configure'), self.node.lines
         self.clouds.clear()

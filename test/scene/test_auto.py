@@ -1,19 +1,33 @@
 """``solver.method: auto``: the same for the same scene, and within its budget."""
 
+from math import ceil, sqrt
+
 import pytest
 
-from xpbd_ros.scene.auto import NS, SOFTNESS
+from xpbd_ros.scene.auto import LEAST, NS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 
 
-def resolved(stretch=None, n=20, solver=None):
+def resolved(stretch=None, n=20, solver=None, **keys):
     """Return what auto makes of a square cloth."""
     return compile_scene(scene_from_mapping({
-        'solver': solver or {}, 'cloths': {'c': {
+        'solver': solver or {}, **keys, 'cloths': {'c': {
             'grid': {'size': [1, 1], 'resolution': [n, n]}, 'density': 0.2,
             'effects': {'stretch': stretch or {'warp': 100.0, 'weft': 100.0}}}}},
         where='x', name='x')).solver
+
+
+def cost(simulation):
+    """Return the cost of a frame by the table [ns]."""
+    solver = simulation.solver
+    table = NS[solver.method]
+    projected = sum(
+        len(built.constraints.particles)
+        * table['edge' if built.constraints.particles.shape[1] == 2 else 'hinge']
+        for built in simulation.effects.values() if built.constraints is not None)
+    return solver.substeps * (table['slot'] * simulation.state.x.shape[1]
+                              + solver.iterations * projected)
 
 
 def test_it_is_a_function_of_the_scene_alone():
@@ -24,37 +38,78 @@ def test_it_is_a_function_of_the_scene_alone():
 @pytest.mark.parametrize('name', ['swing', 'drape', 'towel', 'flag', 'demo'])
 def test_a_shipped_scene_keeps_within_its_budget(name):
     simulation = compile_scene(load_scene(name))
-    cost = NS['particle'] * len(simulation.state.x) + sum(
-        len(built.particles) * NS['edge' if built.particles.shape[1] == 2 else 'hinge']
-        for built in simulation.effects.values() if built.particles is not None)
-    assert simulation.solver.substeps * cost <= 8.0e6
-    assert simulation.solver.substeps >= 4
+    assert cost(simulation) <= 8.0e6
+    assert simulation.solver.substeps >= LEAST
 
 
-def test_it_takes_as_many_substeps_as_keep_the_added_softness_small():
-    """(w1 + w2) h² / 2 against α, for the worst edge; and never fewer than four."""
-    soft, stiff = (resolved({'compliance': alpha}) for alpha in (10.0, 1e-3))
-    assert soft.substeps == 4
+def test_it_takes_a_quarter_of_the_substeps_that_an_explicit_solver_needs():
+    """frame_dt √(Σ k / m) / 4, for the worst edge; and never fewer than four."""
+    solver = resolved({'compliance': 1e-3})
     weight = 0.2 / 19**2    # of an inner particle; of a corner a quarter, at the rim half
-    extra = 0.5 * (4.0 + 2.0) / weight / (60.0 * stiff.substeps)**2
-    assert extra <= SOFTNESS * 1e-3
-    assert 0.5 * 6.0 / weight / (60.0 * (stiff.substeps - 1))**2 > SOFTNESS * 1e-3
-    assert 'keep the added softness within 10%' in stiff.reason
+    rate = (4.0 + 2.0) / weight / 2.0 / 1e-3
+    assert solver.substeps == ceil(sqrt(rate) / 60.0 / 4.0)
+    assert (solver.method, solver.integrator) == ('line', 'bdf2')
+    assert solver.reason.startswith(
+        f'auto: line, bdf2, {solver.substeps} substeps resolve the stretch, about ')
+    assert resolved({'compliance': 10.0}).substeps == LEAST == 4
+    half = resolved({'compliance': 1e-3}, frame_rate=120.0)
+    assert half.substeps == ceil(sqrt(rate) / 120.0 / 4.0)
 
 
-def test_a_budget_too_small_is_filled_and_said_so():
-    for compliance, why in ((1e-7, 'would keep the added softness within 10%'),
-                            (0.0, 'no number of them makes an edge rigid')):
-        small, large = (resolved({'compliance': compliance}, solver={'budget_ms': budget})
-                        for budget in (1.0, 4.0))
-        assert large.substeps == pytest.approx(4 * small.substeps, abs=4)
-        assert small.reason.startswith(
-            f'auto: {small.substeps} substeps fill the budget of 1 ms; ')
-        assert small.reason.endswith(why)
+def test_what_is_stiffer_gets_as_many_substeps_or_more_and_rigid_most_of_all():
+    substeps = [resolved({'compliance': alpha}).substeps for alpha in
+                (1e300, 1.0, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-12, 1e-300, 0.0)]
+    assert substeps == sorted(substeps)
+    assert substeps[0] == LEAST
+    assert substeps[-2] == substeps[-1]    # the budget
+
+
+def test_a_finer_cloth_costs_more_and_wants_more():
+    stiff = {'warp': 1e6, 'weft': 1e6}
+    coarse, fine = (resolved(stiff, n, {'budget_ms': 1e6}) for n in (10, 40))
+    assert fine.substeps == pytest.approx(39 / 9 * coarse.substeps, rel=0.01)
+
+
+@pytest.mark.parametrize('compliance, why', [
+    (1e-7, 'would resolve it'), (0.0, 'rigid edges take what they get')])
+def test_a_budget_too_small_is_filled_and_said_so(compliance, why):
+    small, large = (resolved({'compliance': compliance}, solver={'budget_ms': budget})
+                    for budget in (1.0, 4.0))
+    assert large.substeps == pytest.approx(4 * small.substeps, abs=4)
+    assert small.reason.startswith(
+        f'auto: line, bdf2, {small.substeps} substeps fill the budget of 1 ms; ')
+    assert why in small.reason
+
+
+@pytest.mark.parametrize('iterations', [1, 3])
+@pytest.mark.parametrize('method', ['auto', 'gauss_seidel', 'gauss_seidel_symmetric'])
+@pytest.mark.parametrize('compliance', [0.0, 1e-7])
+def test_a_filled_budget_has_no_room_for_one_more_substep(compliance, method, iterations):
+    simulation = compile_scene(load_scene('swing', {
+        'solver.method': method, 'solver.iterations': iterations, 'solver.budget_ms': 3.0,
+        'cloths.sheet.effects.stretch': {'compliance': compliance}}))
+    substeps, used = simulation.solver.substeps, cost(simulation)
+    assert used <= 3.0e6 < used / substeps * (substeps + 1)
+
+
+def test_a_budget_for_nothing_buys_one_substep():
     assert resolved(n=60, solver={'budget_ms': 1e-6}).substeps == 1
+
+
+@pytest.mark.parametrize('method, integrator', [
+    ('auto', 'bdf2'), ('line', 'bdf2'), ('gauss_seidel_symmetric', 'bdf2'),
+    ('gauss_seidel', 'backward_euler')])
+def test_the_integrator_goes_with_the_method_unless_given(method, integrator):
+    assert resolved(solver={'method': method}).integrator == integrator
+    for given in ('backward_euler', 'bdf2'):
+        assert resolved(solver={'method': method, 'integrator': given}).integrator == given
 
 
 def test_what_is_given_is_taken():
     solver = resolved(solver={'substeps': 3, 'iterations': 2})
-    assert (solver.method, solver.substeps, solver.iterations) == ('gauss_seidel', 3, 2)
-    assert solver.reason == 'substeps: given'
+    assert (solver.method, solver.substeps, solver.iterations) == ('line', 3, 2)
+    assert solver.reason == 'line, bdf2, 3 substeps as given'
+    solver = resolved({'compliance': 0.0}, solver={'substeps': 5000, 'method': 'gauss_seidel',
+                                                   'budget_ms': 1e-3})
+    assert (solver.method, solver.substeps) == ('gauss_seidel', 5000)
+    assert solver.reason == 'gauss_seidel, backward_euler, 5000 substeps as given'

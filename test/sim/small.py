@@ -66,6 +66,19 @@ def hang(n: int = 2, *, length: float = 1.0, damping: float = 10.0, **options: A
                     scene_effects={'damping': {'rate': damping}}, **options)
 
 
+def numbers(simulation: Simulation, slots) -> np.ndarray:
+    """Return the numbers, in natural order, of the particles in some slots."""
+    number = np.full(simulation.state.x.shape[1], -1)
+    number[simulation.slot] = np.arange(len(simulation.slot))
+    return number[slots]
+
+
+def edge_forces(simulation: Simulation, effect: str) -> np.ndarray:
+    """Return the multiplier of each edge of an effect [N], negative in tension."""
+    built = simulation.effects[effect]
+    return built.data.edges.force[built.constraints.index]
+
+
 def run(simulation: Simulation, frames: int, commands=()):
     """Advance by some frames, the commands before the first, and return the last frame."""
     frame = simulation.step(commands)

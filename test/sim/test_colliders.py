@@ -13,12 +13,13 @@ from xpbd_ros.sim.colliders import (
     Colliders,
     CYLINDER,
     PLANE,
-    pose_at,
     reach,
+    shape_distance,
     signed_distance,
     SPHERE,
     to_local,
     to_world,
+    write_pose,
 )
 
 RADIUS, HALF = 0.3, 0.5
@@ -28,9 +29,16 @@ SHAPES = pytest.mark.parametrize('shape', SIZES)
 SPACING = 0.01
 
 
+def one_collider(shape, size, start, goal):
+    """Return colliders with room for one, and one."""
+    return Colliders(np.array([1]), np.array([shape]), np.array([size]), np.array([-1.0]),
+                     np.array([start]), np.array([goal]), np.array([start != goal]),
+                     np.zeros((1, 6)), np.zeros(1, np.bool_), np.zeros(1))
+
+
 def distance(shape, size, points):
     """Return φ and the normals at many points."""
-    found = np.array([signed_distance(shape, np.array(size, float), *p) for p in points.tolist()])
+    found = np.array([shape_distance(shape, *map(float, size), *p) for p in points.tolist()])
     return found[:, 0], found[:, 1:]
 
 
@@ -103,7 +111,7 @@ def test_the_normal_is_the_gradient_of_the_distance(shape):
 
 
 def test_a_plane_is_what_lies_below_z():
-    assert signed_distance(PLANE, np.zeros(3), 3.0, -2.0, -0.7) == (-0.7, 0.0, 0.0, 1.0)
+    assert shape_distance(PLANE, 0.0, 0.0, 0.0, 3.0, -2.0, -0.7) == (-0.7, 0.0, 0.0, 1.0)
 
 
 @pytest.mark.parametrize('shape, size, point, phi', [
@@ -122,7 +130,7 @@ def test_a_plane_is_what_lies_below_z():
     (BOX, (0.2, 0.2, 0.2), (0, 0, 0), -0.2),
     (BOX, (0.3, 0.5, 0.2), (0.6, 0.9, 0.2), 0.5)])
 def test_where_the_gradient_is_undefined_the_normal_still_has_length_1(shape, size, point, phi):
-    found, *normal = signed_distance(shape, np.array(size, float), *map(float, point))
+    found, *normal = shape_distance(shape, *map(float, (*size, *point)))
     assert found == pytest.approx(phi, abs=1e-15)
     assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-15)
 
@@ -137,16 +145,30 @@ def test_a_ball_of_the_reach_holds_the_shape_and_no_smaller_one_does(shape):
 def test_poses_go_from_start_to_goal_and_axes_there_and_back():
     start, goal = Rotation.random(2, random_state=5)
     goal = Rotation.from_rotvec([0.0, 0.3, 0.1]) * start
-    colliders = Colliders(
-        np.array([1]), np.zeros(1, np.int64), np.zeros((1, 3)),
-        np.array([[0.0, 1.0, 2.0, *start.as_quat()]]),
-        np.array([[1.0, 1.0, 0.0, *goal.as_quat()]]),
-        np.zeros((1, 6)), np.zeros(1, np.bool_), np.zeros(1))
+    colliders = one_collider(SPHERE, (0.3, 0.0, 0.0), (0.0, 1.0, 2.0, *start.as_quat()),
+                             (1.0, 1.0, 0.0, *goal.as_quat()))
+    poses = np.zeros((1, 7))
     for s, position, turn in ((0.0, (0, 1, 2), start), (1.0, (1, 1, 0), goal),
                               (0.5, (0.5, 1, 1), Rotation.from_rotvec([0.0, 0.15, 0.05]) * start)):
-        pose = pose_at(colliders, 0, s)
-        np.testing.assert_allclose(pose[0], position, atol=1e-15)
+        write_pose(colliders, 0, s, poses)
+        np.testing.assert_allclose(poses[0, :3], position, atol=1e-15)
         point = (0.3, -0.4, 0.6)
-        np.testing.assert_allclose(to_world(pose, *point), turn.apply(point) + position,
+        np.testing.assert_allclose(to_world(poses, 0, *point), turn.apply(point) + position,
                                    atol=1e-14)
-        np.testing.assert_allclose(to_local(pose, *to_world(pose, *point)), point, atol=1e-14)
+        np.testing.assert_allclose(to_local(poses, 0, *to_world(poses, 0, *point)), point,
+                                   atol=1e-14)
+
+
+def test_a_pose_that_stays_is_written_bit_by_bit():
+    pose = (0.1, 0.2, 0.3, *Rotation.from_rotvec([0.3, 0.2, 0.1]).as_quat())
+    poses = np.zeros((1, 7))
+    write_pose(one_collider(SPHERE, (0.3, 0.0, 0.0), pose, pose), 0, 0.3, poses)
+    np.testing.assert_array_equal(poses[0], pose)
+
+
+@SHAPES
+def test_a_colliders_distance_is_that_of_its_shape(shape):
+    pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    colliders = one_collider(shape, SIZES[shape], pose, pose)
+    for p in np.random.default_rng(shape).uniform(-1.2, 1.2, (20, 3)).tolist():
+        assert signed_distance(colliders, 0, *p) == shape_distance(shape, *SIZES[shape], *p)

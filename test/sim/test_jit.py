@@ -4,7 +4,7 @@ from numba import config
 import pytest
 
 from xpbd_ros.sim import jit
-from xpbd_ros.sim.state import predict
+from xpbd_ros.sim.state import begin
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_without_a_place_to_write_it_is_a_temporary_one(nowhere, monkeypatch, tm
 
 
 def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
-    assert predict.targetoptions['nogil']
-    assert not predict.targetoptions.get('fastmath')
-    assert str(jit.CACHE_FOLDER) in predict.stats.cache_path
+    assert begin.targetoptions['nogil']
+    assert not begin.targetoptions.get('fastmath')
+    assert str(jit.CACHE_FOLDER) in begin.stats.cache_path
     assert str(jit.CACHE_FOLDER) != config.CACHE_DIR

@@ -11,7 +11,7 @@ STRETCH = {'stretch': {'compliance': 1e-3}}
 def test_free_fall_is_the_recurrence_of_backward_euler(substeps):
     """V1: z = -½ g h² n (n + 1) after n substeps, at any iteration count, for any mass."""
     simulation = simulate((4, 3), effects=STRETCH, substeps=substeps, iterations=3)
-    start = simulation.state.x.copy()
+    start = simulation.frame().x
     frame = run(simulation, 30)
     n, h = 30 * substeps, simulation.frame_dt / substeps
     np.testing.assert_allclose(frame.x[:, 2], -0.5 * GRAVITY * h**2 * n * (n + 1), rtol=1e-12)
@@ -29,7 +29,7 @@ def test_free_fall_is_first_order():
 
 def test_without_gravity_velocity_stays():
     simulation = simulate((1, 1), effects=STRETCH, gravity=(0, 0, 0), substeps=3)
-    simulation.state.v[:] = (0.3, -0.2, 0.1)
+    simulation.state.v[:, simulation.slot] = [[0.3], [-0.2], [0.1]]
     frame = run(simulation, 60)
     np.testing.assert_allclose(frame.x[0], (0.3, -0.2, 0.1), rtol=1e-12)
     np.testing.assert_allclose(frame.v[0], (0.3, -0.2, 0.1), rtol=1e-12)

@@ -13,12 +13,14 @@ import tempfile
 
 from numba import config, njit
 
+from xpbd_ros.sim.vector import BITS
+
 FLAGS = {'nogil': True, 'error_model': 'numpy'}
 
 
 def _sources_hash() -> str:
-    """Hash every source file that may hold a kernel."""
-    digest = hashlib.blake2b(digest_size=8)
+    """Hash every source file that may hold a kernel, and the width they are compiled for."""
+    digest = hashlib.blake2b(str(BITS).encode(), digest_size=8)
     package = Path(__file__).parents[1]
     for folder in ('effects', 'sim'):
         for file in sorted((package / folder).glob('*.py')):

@@ -176,6 +176,8 @@ class Simulation:
         except ValueError as error:
             return str(error)
         self.effects.update(change.effects)
+        if change.solver is not None and change.solver.substeps != self.solver.substeps:
+            forget(self.state)    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity

@@ -93,20 +93,22 @@ def problem_of(simulation: Any) -> Problem:
             *(_constraints(simulation, name) for name in ('stretch', 'shear')
               if name in simulation.effects)))
     bends, weight, bend_compliance = (
-        _constraints(simulation, 'bend') if 'bend' in simulation.effects else ((), (), ()))
+        _constraints(simulation, 'bend') if 'bend' in simulation.effects
+        else (np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0)))
     if (compliance == 0.0).any():
         raise InputError('effects.stretch.compliance: the reference solver cannot take rigid '
                          'edges; must be > 0 m/N (got 0)')
-    state = simulation.state
-    pinned = state.inv_mass == 0.0
-    motion = _path(simulation, pinned) if pinned.any() else None
-    damping = simulation.effects.get('damping')
+    frame = simulation.frame()
+    pinned = frame.inv_mass == 0.0
+    motion = _path(simulation, frame.x, pinned) if pinned.any() else None
     return Problem(
-        x=state.x, v=state.v, mass=state.mass, pinned=pinned, gravity=state.gravity,
-        motion=motion, interval=simulation.frame_dt if motion else None,
-        damping=damping.rate if damping else 0.0,
+        x=frame.x, v=frame.v, mass=simulation.state.mass[simulation.slot], pinned=pinned,
+        gravity=simulation.state.gravity, motion=motion,
+        interval=simulation.frame_dt if motion else None,
+        damping=(float(simulation.effects['damping'].data.rate[0])
+                 if 'damping' in simulation.effects else 0.0),
         edges=edges, rest_length=rest_length, stiffness=1.0 / compliance,
-        bends=bends, weight=weight, bend_stiffness=1.0 / np.asarray(bend_compliance, float))
+        bends=bends, weight=weight, bend_stiffness=1.0 / bend_compliance)
 
 
 def _constraints(simulation: Any, name: str) -> tuple[Array, Array, Array]:
@@ -115,18 +117,24 @@ def _constraints(simulation: Any, name: str) -> tuple[Array, Array, Array]:
 
     Returns
     -------
-    particles : shape (constraints, 2), or (constraints, 4) for ``bend``
+    particles : natural order, shape (constraints, 2), or (constraints, 4) for ``bend``
     rest_length : [m], shape (constraints,); for ``bend`` the weights [1/m], (constraints, 4)
     compliance : [m/N], or [1/(N m)] for ``bend``; shape (constraints,)
 
     """
-    data = simulation.effects[name].data
-    if name == 'bend':
-        return data.particles, data.weight, data.compliance
-    return data.edges.particles, data.edges.rest_length, data.edges.compliance
+    found = simulation.effects[name].constraints
+    return (_numbers(simulation)[found.particles],
+            found.weight if name == 'bend' else found.rest_length, found.compliance)
 
 
-def _path(simulation: Any, pinned: Array) -> Callable[[float], Array] | None:
+def _numbers(simulation: Any) -> Array:
+    """Return the natural number of the particle in each slot, -1 in the padding."""
+    numbers = np.full(len(simulation.state.mass), -1)
+    numbers[simulation.slot] = np.arange(len(simulation.slot))
+    return numbers
+
+
+def _path(simulation: Any, x: Array, pinned: Array) -> Callable[[float], Array] | None:
     """Return where the pinned particles will be, or None if they stay."""
     rank = np.cumsum(pinned) - 1
     moving = []
@@ -136,15 +144,15 @@ def _path(simulation: Any, pinned: Array) -> Callable[[float], Array] | None:
             continue
         if motion.target.orientation != motion.pose.orientation:
             raise InputError(f'pins.{name}: the reference solver cannot turn a pin')
-        moving.append((rank[held.particles], copy.deepcopy(motion)))
-    return _Path(simulation, pinned, moving) if moving else None
+        moving.append((rank[_numbers(simulation)[held.particles]], copy.deepcopy(motion)))
+    return _Path(simulation, x[pinned], moving) if moving else None
 
 
 class _Path:
     """Pinned particles that move with their pins, straight from frame to frame."""
 
-    def __init__(self, simulation: Any, pinned: Array, moving: list):
-        self._knots = [simulation.state.x[pinned].copy()]
+    def __init__(self, simulation: Any, x: Array, moving: list):
+        self._knots = [x]
         self._moving = moving
         self._index = simulation.index
         self._dt = simulation.frame_dt

@@ -1,0 +1,165 @@
+"""Configure, activate, deactivate, clean up, and again; and what cannot start says why."""
+
+import os
+import signal
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+import pytest
+from ros.rig import Cloth, NodeProcess, PATIENCE, pin, stamp_ns
+
+from xpbd_ros.log.reader import LogReader
+
+
+@pytest.fixture(scope='module')
+def cloth(start, peer, towel):
+    """Return a node that waits to be configured."""
+    return Cloth(peer, start(scene=towel, mode='lockstep', autostart='false'))
+
+
+def topics(cloth) -> set[str]:
+    """Return what the node publishes below its name."""
+    return {name for name, _ in cloth.peer.node.get_publisher_names_and_types_by_node('cloth', '/')
+            if name.startswith('/cloth/')} - {'/cloth/transition_event'}
+
+
+def test_waits_to_be_configured(cloth):
+    assert cloth.state == 'unconfigured'
+    assert topics(cloth) == set()
+    assert cloth.get('scene')[0].endswith('towel.yaml')
+    assert cloth.describe('gravity')[0].description == '', 'no scene, no keys of a scene'
+
+
+def test_goes_through_its_states_and_back(cloth):
+    for _ in range(2):
+        assert cloth.go('configure')
+        assert cloth.state == 'inactive'
+        cloth.peer.until(lambda: '/cloth/particles' in topics(cloth), 'topics')
+        assert cloth.trigger('step') == (False, 'the node is not active')
+        assert cloth.go('activate')
+        assert cloth.state == 'active'
+        cloth.statuses.clear()
+        cloth.meet()
+        frame = cloth.step()
+        cloth.mark(pin('hand', (-0.2, -0.2, 0.004)))
+        assert list(cloth.pin_state(cloth.step())) == ['hand']
+        assert cloth.go('deactivate')
+        assert cloth.state == 'inactive'
+        assert cloth.go('activate')
+        cloth.statuses.clear()
+        cloth.status()
+        assert cloth.step() == frame + 2, 'goes on where it stopped'
+        assert list(cloth.pin_state(frame + 2)) == ['hand'], 'and holds what it held'
+        assert cloth.go('deactivate', 'cleanup')
+        assert cloth.state == 'unconfigured'
+        cloth.peer.until(lambda: topics(cloth) == set(), 'topics to go', lambda: topics(cloth))
+        cloth.clouds.clear()
+        cloth.pins.clear()
+
+
+@pytest.mark.parametrize('number', [Transition.TRANSITION_ACTIVATE, Transition.TRANSITION_CLEANUP,
+                                    Transition.TRANSITION_DEACTIVATE, 77])
+def test_a_transition_that_it_does_not_have_is_refused(cloth, number):
+    """By its number, as managers of lifecycles ask; rclpy alone would end the node."""
+    assert cloth.state == 'unconfigured'
+    request = ChangeState.Request()
+    request.transition.id = number
+    assert not cloth.peer.ask(ChangeState, '/cloth/change_state', request).success
+    assert cloth.state == 'unconfigured'
+
+
+@pytest.mark.parametrize(('values', 'reason'), [
+    ({'scene': 'towl'}, "towl: unknown scene; did you mean 'towel'?"),
+    ({'scene': 'no/such.yaml'}, 'no/such.yaml: no such file'),
+    ({'publish_rate': 7.0}, 'publish_rate: must divide the frame rate of 60 Hz (got 7 Hz)'),
+    ({'settings': 'nothing.yaml'}, 'nothing.yaml: no such file'),
+])
+def test_cannot_be_configured_says_why_and_stays(cloth, values, reason):
+    good = dict(zip(values, cloth.get(*values)))
+    assert cloth.set(**values) == (True, '')
+    assert not cloth.go('configure')
+    assert cloth.state == 'unconfigured'
+    cloth.node.wait_for('[ERROR]', reason)
+    assert cloth.set(**good) == (True, '')
+    assert cloth.go('configure', 'cleanup'), 'no harm was done'
+
+
+def test_cannot_record_where_something_is_says_so_and_stays_inactive(cloth, tmp_path):
+    run = tmp_path / 'run'
+    assert cloth.set(record__path=str(run)) == (True, '')
+    assert cloth.go('configure', 'activate', 'deactivate')
+    assert LogReader(run).whole
+    size = (run / 'run_0.mcap').stat().st_size
+    assert not cloth.go('activate')
+    assert cloth.state == 'inactive'
+    cloth.node.wait_for('[ERROR]', f'{run}: exists already; a log goes into a folder of its own')
+    assert (run / 'run_0.mcap').stat().st_size == size
+    assert cloth.set(record__path=str(tmp_path / 'other')) == (True, '')
+    assert cloth.go('activate', 'deactivate')
+    assert LogReader(tmp_path / 'other').whole
+    assert cloth.set(record__path='') == (True, '')
+    assert cloth.go('cleanup')
+
+
+def test_a_shutdown_finishes_the_log(cloth, tmp_path):
+    assert cloth.set(record__path=str(tmp_path / 'run'), mode='realtime') == (True, '')
+    assert cloth.go('configure', 'activate')
+    begin = len(cloth.clouds)
+    cloth.peer.until(lambda: len(cloth.clouds) > begin + 5, 'frames')
+    assert cloth.go('shutdown')
+    assert cloth.state == 'finalized'
+    assert LogReader(tmp_path / 'run').whole
+    count = len(cloth.clouds)
+    cloth.peer.spin(0.3)
+    assert len(cloth.clouds) <= count + 5
+    assert not any(stamp_ns(cloud) == 0 for cloud in cloth.clouds)
+
+
+BAD_STARTS = {
+    'scene': (['-p', 'scene:=towl'], "towl: unknown scene; did you mean 'towel'?"),
+    'yaml': (['-p', 'scene:=bad.yaml'], 'bad.yaml: line 1, column'),
+    'key': (['-p', 'scene:=unknown.yaml'], "unknown.yaml: cloths.a.effects.strech: unknown effect; "
+                                           "did you mean 'stretch'?"),
+    'mode': (['-p', 'mode:=slow'], "mode: must be one of realtime, lockstep, fast (got 'slow')"),
+    'rate': (['-p', 'publish_rate:=7.0'], 'publish_rate: must divide the frame rate'),
+    'range': (['-p', 'marker_rate:=-1.0'], 'marker_rate'),
+    'type': (['-p', 'marker_rate:=10'], 'marker_rate'),
+    'live key': (['-p', 'solver.substeps:=-3'], 'solver.substeps'),
+    'live value': (['-p', 'gravity:=[0.0, 1.0]'], 'gravity: must be 3 numbers (got 2)'),
+    'record': (['-p', 'record.path:=.'], 'exists already'),
+    'syntax': (['-p', 'nonsense'], 'nonsense'),
+    'file': (['--params-file', 'nothing.yaml'], 'nothing.yaml'),
+}
+
+
+@pytest.fixture(scope='module')
+def failed(tmp_path_factory, own_domain):
+    """Return nodes that cannot start, all started at once."""
+    nodes = {}
+    for name, (arguments, _) in BAD_STARTS.items():
+        folder = tmp_path_factory.mktemp('bad')
+        (folder / 'bad.yaml').write_text('cloths: [')
+        (folder / 'unknown.yaml').write_text(
+            'cloths: {a: {grid: {size: [1, 1], resolution: [2, 2]}, density: 1, '
+            'effects: {strech: {warp: 1, weft: 1}}}}')
+        nodes[name] = NodeProcess(folder, '-r', f'__node:=bad{len(nodes)}', *arguments)
+    yield nodes
+    for node in nodes.values():
+        node.kill()
+
+
+@pytest.mark.parametrize('name', BAD_STARTS)
+def test_what_cannot_start_ends_with_2_and_one_clear_line(failed, name):
+    node, reason = failed[name], BAD_STARTS[name][1]
+    assert node.process.wait(PATIENCE) == 2, node.lines
+    bad = [line for line in node.lines if not line.startswith('[INFO]')]
+    assert len(bad) == 1, node.lines
+    assert reason in bad[0]
+
+
+def test_nothing_keeps_the_process_from_being_a_good_child(start, towel):
+    """It ends at SIGINT while it waits to be configured."""
+    node = start('-r', '__node:=waiting', scene=towel, autostart='false')
+    while not os.path.exists(node.output.parent / 'ros_log'):
+        assert node.process.poll() is None
+    assert node.end(signal.SIGINT) in (0, 130, -signal.SIGINT)

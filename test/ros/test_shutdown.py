@@ -1,0 +1,92 @@
+"""However it ends, the log can be read; asked to end, it ends well."""
+
+import signal
+import time
+
+import pytest
+from ros.rig import Cloth, NodeProcess, PATIENCE, stamp_ns
+
+from xpbd_ros.log.reader import LogReader
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+CAST = [(number, moment) for number in SIGNALS for moment in ('compiling', 'running')]
+
+
+@pytest.fixture(scope='module')
+def ended(tmp_path_factory, towel, own_domain):
+    """Return nodes that were told to end, by signal and moment; all at once, as compiling takes."""
+    nodes = {}
+    for number, moment in CAST:
+        folder = tmp_path_factory.mktemp('node')
+        environment = {'XDG_CACHE_HOME': str(folder / 'cache'), 'NUMBA_CACHE_DIR': ''}
+        nodes[number, moment] = NodeProcess(
+            folder, '-r', f'__node:=n{len(nodes)}',
+            parameters={'scene': towel, 'record.path': folder / 'run'},
+            environment=environment if moment == 'compiling' else {})
+    for (_, moment), node in nodes.items():
+        node.wait_for(moment)
+    time.sleep(0.5)    # into the thick of it
+    for (number, _), node in nodes.items():
+        node.process.send_signal(number)
+    yield nodes
+    for node in nodes.values():
+        node.kill()
+
+
+@pytest.mark.parametrize(('number', 'moment'), CAST)
+def test_a_signal_ends_it_well(ended, number, moment):
+    node = ended[number, moment]
+    assert node.process.wait(PATIENCE) == 0, node.lines
+    assert not node.said('Traceback'), node.lines
+    assert not node.said('ERROR'), node.lines
+    run = node.output.parent / 'run'
+    assert run.exists() == (moment == 'running')
+    if run.exists():
+        reader = LogReader(run)
+        assert reader.whole, reader.damage
+        frames = [message.frame for message in reader.messages({f'{name_of(reader)}/particles'})]
+        assert len(frames) > 5
+        assert frames == list(range(len(frames)))
+    else:
+        assert not node.said('compiled in'), 'was interrupted'
+
+
+def name_of(reader) -> str:
+    """Return the name of the node that a log is of."""
+    return next(topic for topic in reader.topics if topic.endswith('/scene')).removesuffix('/scene')
+
+
+def test_a_second_signal_does_not_cut_the_log_short(tmp_path, towel, own_domain):
+    """As launch sends it: SIGINT, and SIGTERM when it loses patience."""
+    node = NodeProcess(tmp_path, '-r', '__node:=twice',
+                       parameters={'scene': towel, 'record.path': tmp_path / 'run'})
+    try:
+        node.wait_for('running')
+        time.sleep(0.3)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGINT):
+            node.process.send_signal(number)
+        assert node.process.wait(PATIENCE) == 0, node.lines
+        assert not node.said('Traceback'), node.lines
+        assert LogReader(tmp_path / 'run').whole
+    finally:
+        node.kill()
+
+
+def test_a_kill_costs_a_second_at_most(tmp_path, towel, peer):
+    node = NodeProcess(tmp_path, '-r', '__node:=killed',
+                       parameters={'scene': towel, 'record.path': tmp_path / 'run'})
+    try:
+        cloth = Cloth(peer, node, '/killed')
+        peer.until(lambda: len(cloth.clouds) > 180, 'three seconds')
+        node.kill()
+        peer.company.clear()
+        peer.spin(0.2)
+    finally:
+        node.kill()
+    reader = LogReader(tmp_path / 'run')
+    assert not reader.whole
+    stamps = [message.time_ns for message in reader.messages({'/killed/particles'})]
+    assert stamps == sorted(stamps)
+    assert len(stamps) > 100
+    lost = (stamp_ns(cloth.clouds[-1]) - stamps[-1]) * 1e-9
+    assert lost < 1.0 + 0.25, 'record.flush_period, and what a busy machine adds'

@@ -1,0 +1,143 @@
+"""The thread that steps, on a clock that the test turns."""
+
+from concurrent.futures import CancelledError
+import threading
+import time
+
+import pytest
+
+from xpbd_ros.ros.stepper import Stepper
+
+FRAME = 10_000_000
+"""[ns]"""
+
+
+class Rig:
+    """A stepper that counts frames, and its clock."""
+
+    def __init__(self, mode: str, step=None, now: int = 1):
+        self.now = now
+        self.frames = 0
+        self.errors = []
+        self.stepper = Stepper(step or self.step, lambda: None, self.errors.append,
+                               now_ns=lambda: self.now, frame_ns=lambda n: n * FRAME, mode=mode,
+                               poll=0.001)
+
+    def step(self):
+        """Compute nothing."""
+        self.frames += 1
+
+    def turn(self, nanoseconds: int) -> int:
+        """Turn the clock; return how many frames that made."""
+        before = self.frames
+        self.now += nanoseconds
+        for _ in range(3):
+            self.stepper.ask(lambda: None).result(10.0)
+            time.sleep(0.01)
+        return self.frames - before
+
+
+@pytest.fixture
+def rig():
+    """Return a function that makes a stepper; it ends with the test."""
+    made = []
+
+    def make(*arguments, **options) -> Rig:
+        made.append(Rig(*arguments, **options))
+        made[-1].stepper.start()
+        made[-1].stepper.ask(lambda: None).result(10.0)
+        return made[-1]
+    yield make
+    for one in made:
+        one.stepper.stop()
+        assert not one.stepper.is_alive()
+
+
+def test_steps_when_a_frame_is_due(rig):
+    real = rig('realtime')
+    assert real.turn(FRAME - 1) == 0
+    assert real.turn(1) == 1
+    assert real.turn(2 * FRAME) == 2
+    assert real.stepper.dropped == 0
+
+
+def test_drops_what_it_can_not_make_up_for(rig):
+    real = rig('realtime')
+    assert real.turn(100 * FRAME) < 6
+    assert real.stepper.dropped > 90
+    assert real.turn(FRAME) == 1, 'and keeps up again'
+
+
+def test_waits_for_a_clock_that_has_not_begun(rig):
+    """As /clock before its first message."""
+    real = rig('realtime', now=0)
+    assert real.turn(0) == 0
+    assert real.turn(1000 * FRAME) == 0
+    assert real.stepper.dropped == 0, 'nothing was missed'
+    assert real.turn(FRAME) == 1
+
+
+def test_goes_on_after_the_clock_was_set_back(rig):
+    real = rig('realtime', now=1000 * FRAME)
+    assert real.turn(2 * FRAME) == 2
+    assert real.turn(-500 * FRAME) == 0
+    assert real.turn(2 * FRAME) == 2
+
+
+def test_does_not_make_up_for_another_mode(rig):
+    one = rig('lockstep')
+    assert one.turn(1000 * FRAME) == 0
+    one.stepper.switch('realtime').result(10.0)
+    assert one.turn(FRAME) == 1
+    assert one.stepper.dropped == 0
+
+
+def test_tells_what_was_raised_to_whom_it_concerns(rig):
+    one = rig('lockstep')
+    with pytest.raises(ZeroDivisionError):
+        one.stepper.ask(lambda: 1 / 0).result(10.0)
+    assert one.stepper.ask(lambda: 7).result(10.0) == 7
+    assert one.errors == []
+
+
+def test_does_not_do_what_was_given_up(rig):
+    one = rig('lockstep')
+    gate, done = threading.Event(), []
+    one.stepper.ask(gate.wait)
+    given_up = one.stepper.ask(lambda: done.append('late'))
+    assert given_up.cancel()
+    gate.set()
+    assert one.stepper.ask(lambda: 'still there').result(10.0) == 'still there'
+    assert done == []
+    with pytest.raises(CancelledError):
+        given_up.result(0.0)
+
+
+def test_leaves_nobody_waiting_when_it_breaks(rig):
+    def break_down():
+        raise ArithmeticError('no')
+    one = rig('lockstep', step=break_down)
+    gate = threading.Event()
+    one.stepper.ask(gate.wait)
+    one.stepper.switch('fast')
+    waiting = [one.stepper.ask(gate.wait) for _ in range(3)]
+    gate.set()
+    for future in waiting[:1]:
+        assert future.result(10.0)
+    one.stepper.join(10.0)
+    assert [type(error) for error in one.errors] == [ArithmeticError]
+    with pytest.raises(RuntimeError, match='the simulation has stopped'):
+        one.stepper.ask(lambda: None).result(10.0)
+
+
+def test_leaves_nobody_waiting_when_it_ends(rig):
+    one = rig('lockstep')
+    gate = threading.Event()
+    one.stepper.ask(gate.wait)
+    waiting = one.stepper.ask(lambda: None)
+    stopping = threading.Thread(target=one.stepper.stop)
+    stopping.start()
+    with pytest.raises(RuntimeError, match='the simulation has stopped'):
+        waiting.result(10.0)
+    gate.set()
+    stopping.join(10.0)

@@ -1,0 +1,121 @@
+"""Where particles lie: each in a slot of its own, rows aligned, and padding that nothing moves."""
+
+import numpy as np
+import pytest
+from sim.small import run, with_every_effect
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.layout import blocks, LINE, STRIDE, zeros
+from xpbd_ros.sim.state import forget, new_state, places
+from xpbd_ros.sim.vector import BITS, lane_count
+
+DTYPES = pytest.mark.parametrize('dtype', ['float64', 'float32'])
+GRIDS = [[(1, 1)], [(1, 9)], [(9, 1)], [(5, 6)], [(33, 17)], [(4, 32)], [(8, 33)],
+         [(3, 7), (1, 1), (12, 5), (1, 40), (40, 1)]]
+
+
+@DTYPES
+@pytest.mark.parametrize('shapes', GRIDS)
+def test_slots_are_unique_and_inside(shapes, dtype):
+    found, slots = blocks(shapes, dtype)
+    all_ = np.concatenate([block.slots.ravel() for block in found])
+    assert len(np.unique(all_)) == len(all_) == sum(rows * columns for rows, columns in shapes)
+    assert all_.min() == 0
+    assert all_.max() + lane_count(dtype) < slots + 1
+    for block, (rows, columns) in zip(found, shapes):
+        assert block.slots.shape == (rows, columns)
+        assert block.slots.min() == block.first
+        assert block.slots.max() < block.first + block.size
+    for before, after in zip(found[:-1], found[1:]):
+        assert before.first + before.size == after.first
+    assert found[-1].first + found[-1].size + lane_count(dtype) == slots
+
+
+@DTYPES
+@pytest.mark.parametrize('shapes', GRIDS)
+def test_parts_of_rows_begin_on_whole_vectors(shapes, dtype):
+    lanes = lane_count(dtype)
+    found, slots = blocks(shapes, dtype)
+    for block in found:
+        for column in range(min(STRIDE, block.columns)):
+            assert (block.slots[:, column] % lanes == 0).all()
+        assert block.row_stride % lanes == 0
+        assert block.padded_rows % lanes == 0
+        assert block.padded_rows >= block.rows
+    assert slots % lanes == 0    # so y and z of a state begin on whole vectors too
+
+
+@DTYPES
+def test_columns_four_apart_are_neighbours(dtype):
+    (block,), _ = blocks([(6, 22)], dtype)
+    assert (np.diff(block.slots, axis=0) == block.row_stride).all()
+    assert (block.slots[:, STRIDE:] - block.slots[:, :-STRIDE] == 1).all()
+
+
+@DTYPES
+@pytest.mark.parametrize('shape', [(), (1,), (3, 40), (7, 5, 3)])
+def test_zeros_begin_on_a_cache_line_and_on_a_vector(shape, dtype):
+    for array in [zeros(shape, dtype) for _ in range(20)]:
+        assert array.ctypes.data % LINE == 0
+        assert array.ctypes.data % (BITS // 8) == 0
+        assert array.flags.c_contiguous
+        assert (array.dtype, array.shape) == (np.dtype(dtype), shape)
+        assert not array.any()
+
+
+def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
+    (block,), slots = blocks([(3, 5)], 'float64')
+    slot = block.slots.ravel()
+    x = np.random.default_rng(1).normal(size=(15, 3))
+    state = new_state(x, np.arange(1.0, 16.0), (0, 0, -1), slot, slots, pins=True, history=True)
+    np.testing.assert_array_equal(places(state.x, slot), x)
+    np.testing.assert_array_equal(places(state.x_prev, slot), x)
+    np.testing.assert_array_equal(state.mass[slot], np.arange(1.0, 16.0))
+    np.testing.assert_array_equal(state.inv_mass[slot], 1.0 / np.arange(1.0, 16.0))
+    padding = np.setdiff1d(np.arange(slots), slot)
+    for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
+        assert (array[..., padding] == 0.0).all()
+    assert (state.history.fresh == 1.0).all()
+    state.history.fresh[:] = 0.0
+    forget(state, slot[3])
+    assert state.history.fresh.sum() == 1.0
+    assert (np.array([array.ctypes.data for array in state[:3]]) % LINE == 0).all()
+
+
+@pytest.mark.parametrize('method, integrator', [
+    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')])
+@pytest.mark.parametrize('grid', [(6, 5), (1, 7), (7, 1)])
+def test_nothing_moves_the_padding(grid, method, integrator):
+    """It has neither mass nor mobility; whatever passes over it leaves it where it is."""
+    simulation = with_every_effect(grid, substeps=3, iterations=2, method=method,
+                                   integrator=integrator)
+    state = simulation.state
+    padding = np.setdiff1d(np.arange(state.x.shape[1]), simulation.slot)
+    run(simulation, 20)
+    for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
+        assert (array[..., padding] == 0.0).all()
+    plain = simulation.hash()
+    again = with_every_effect(grid, substeps=3, iterations=2, method=method,
+                              integrator=integrator)
+    again.state.x[:, padding] = np.random.default_rng(1).normal(size=(3, len(padding)))
+    again.state.x_prev[:] = again.state.x
+    run(again, 20)
+    assert again.hash() == plain
+
+
+def test_cloths_one_after_another_in_natural_order():
+    simulation = compile_scene(scene_from_mapping({
+        'solver': {'method': 'gauss_seidel'}, 'cloths': {
+            name: {'grid': {'size': [1, 1], 'resolution': resolution}, 'density': 1.0,
+                   'pose': {'position': [0.0, 0.0, height]}}
+            for name, resolution, height in (('a', [3, 2], 1.0), ('b', [1, 1], 2.0),
+                                             ('c', [2, 5], 3.0))}}, where='x', name='x'))
+    frame = simulation.frame()
+    assert frame.x[:, 2].tolist() == [1.0] * 6 + [2.0] + [3.0] * 10
+    np.testing.assert_array_equal(simulation.natural(simulation.state.x), frame.x)
+    for cloth in simulation.cloths:
+        np.testing.assert_array_equal(simulation.slot[cloth.particles], cloth.slots)
+        np.testing.assert_allclose(
+            frame.x[cloth.particles] - cloth.mesh.positions, [[0.0, 0.0, {
+                'a': 1.0, 'b': 2.0, 'c': 3.0}[cloth.name]]] * len(cloth.slots), atol=1e-15)

@@ -1,0 +1,176 @@
+"""Runs: every constraint of a grid once, and what may be projected side by side."""
+
+from collections import Counter
+from functools import partial
+
+import numpy as np
+import pytest
+from sim.small import numbers, simulate
+
+from xpbd_ros.effects.bend import grid_hinges
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.distance import Held, hold
+from xpbd_ros.sim.layout import blocks
+from xpbd_ros.sim.mesh import grid_mesh, hinges
+from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, STRIP
+from xpbd_ros.sim.vector import lane_count
+
+EFFECTS = {'stretch': {'warp': 1.0, 'weft': 1.0}, 'shear': {'stiffness': 1.0},
+           'bend': {'stiffness': 1.0}}
+GRIDS = [[(1, 1)], [(1, 7)], [(7, 1)], [(2, 2)], [(2, 9)], [(3, 3)], [(4, 2)], [(5, 4)], [(6, 5)],
+         [(17, 16)], [(16, 17)], [(9, 2 * STRIP + 3)], [(40, 5)],
+         [(3, 4), (1, 1), (6, 5), (1, 6), (5, 1), (7, 7)]]
+"""particles along warp and weft of each cloth"""
+AROUND = pytest.mark.parametrize('grids', GRIDS)
+
+
+def cloths(grids, precision='float64', **solver):
+    """Return cloths with all elastic effects."""
+    return compile_scene(scene_from_mapping({
+        'solver': {'method': 'gauss_seidel', 'substeps': 1, 'precision': precision, **solver},
+        'cloths': {f'c{k}': {'grid': {'size': [1.0, 1.5], 'resolution': list(grid)},
+                             'density': 1.0, 'effects': EFFECTS}
+                   for k, grid in enumerate(grids)}}, where='x', name='x'))
+
+
+def runs_of(simulation, effect):
+    """Return the runs of an effect."""
+    data = simulation.effects[effect].data
+    return data.runs if effect == 'bend' else data.edges.runs
+
+
+def expected(grids, effect):
+    """Return all constraints, as tuples of particles in natural order, by brute force."""
+    found, first = [], 0
+    for columns, rows in grids:
+        particle = partial(lambda start, width, j, c: start + j * width + c, first, columns)
+        for j in range(rows):
+            for c in range(columns):
+                if effect == 'stretch':
+                    found += [frozenset((particle(j, c), particle(j + b, c + a)))
+                              for a, b in ((1, 0), (0, 1)) if c + a < columns and j + b < rows]
+                elif effect == 'shear' and j + 1 < rows and c + 1 < columns:
+                    found += [frozenset((particle(j, c), particle(j + 1, c + 1))),
+                              frozenset((particle(j + 1, c), particle(j, c + 1)))]
+        if effect == 'bend':
+            found += [(frozenset(h[:2]), frozenset(h[2:]))
+                      for h in (first + hinges(grid_mesh((1.0, 1.5),
+                                                         (columns, rows)).triangles)).tolist()]
+        first += rows * columns
+    return Counter(found)
+
+
+@AROUND
+@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('effect', EFFECTS)
+def test_every_constraint_of_a_grid_appears_once(effect, precision, grids):
+    simulation = cloths(grids, precision)
+    particles = numbers(simulation, simulation.effects[effect].constraints.particles)
+    assert (particles >= 0).all()
+    found = Counter((frozenset(p[:2]), frozenset(p[2:])) if effect == 'bend' else frozenset(p)
+                    for p in particles.tolist())
+    assert found == expected(grids, effect)
+    assert not found or set(found.values()) == {1}
+
+
+@AROUND
+@pytest.mark.parametrize('effect', EFFECTS)
+def test_within_a_row_of_a_run_no_two_constraints_share_a_particle(effect, grids):
+    runs = runs_of(cloths(grids), effect)
+    for r in range(len(runs.start)):
+        assert runs.count[r] > 0
+        assert runs.rows[r] > 0
+        for row in range(runs.rows[r]):
+            anchor = runs.start[r] + row * runs.stride[r] + np.arange(runs.count[r])
+            touched = (anchor[:, None] + runs.offset[r]).ravel()
+            assert len(np.unique(touched)) == len(touched)
+
+
+@AROUND
+@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('effect', EFFECTS)
+def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect, precision,
+                                                                          grids):
+    """A whole vector is stored, lanes past the run's end too: its ends must not overlap."""
+    simulation = cloths(grids, precision)
+    runs, slots = runs_of(simulation, effect), simulation.state.x.shape[1]
+    lanes = lane_count(precision)
+    for r in range(len(runs.start)):
+        for row in {0, int(runs.rows[r]) - 1}:
+            for q in range(0, runs.count[r], lanes):
+                vector = runs.start[r] + row * runs.stride[r] + q + np.arange(lanes)
+                touched = (vector[:, None] + runs.offset[r]).ravel()
+                assert touched.min() >= 0
+                assert touched.max() < slots
+                assert len(np.unique(touched)) == len(touched)
+
+
+@AROUND
+@pytest.mark.parametrize('effect', EFFECTS)
+def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids):
+    simulation = cloths(grids)
+    built = simulation.effects[effect]
+    runs, slots = runs_of(simulation, effect), simulation.state.x.shape[1]
+    particles, index, shape = listed(runs)
+    np.testing.assert_array_equal(built.constraints.particles, particles)
+    assert len(np.unique(index)) == len(index) == len(particles) == len(shape)
+    force = built.data.force[0] if effect == 'bend' else built.data.edges.force
+    if not len(index):
+        return
+    assert index.min() >= 0
+    assert index.max() < len(force)
+    assert shape.max() < (len(built.data.weight) if effect == 'bend'
+                          else len(built.data.edges.axis))
+    for r in range(len(runs.start)):    # a vector past the run's end stays in the family
+        last = (runs.base[r] + runs.start[r] + (runs.rows[r] - 1) * runs.stride[r]
+                + runs.count[r] - 1 + lane_count('float64') - 1)
+        assert last < (runs.base[r] // slots + 1) * slots
+
+
+def test_the_order_is_strip_after_strip():
+    runs = runs_of(cloths([(5, 2 * STRIP + 3)]), 'stretch')
+    (block,), _ = blocks([(2 * STRIP + 3, 5)], 'float64')
+    row = (runs.start - block.first) // block.row_stride
+    assert (np.diff(row // STRIP) >= 0).all()
+    assert set(row // STRIP) == {0, 1, 2}
+    assert runs.rows.max() == STRIP
+
+
+def test_a_grid_has_no_hinges_where_it_has_no_cells():
+    for rows, columns in ((1, 1), (1, 8), (8, 1)):
+        (block,), slots = blocks([(rows, columns)], 'float64')
+        runs = grid_runs(block, grid_hinges(rows, columns), slots)
+        particles, index, shape = listed(runs)
+        assert particles.shape == (0, 4)
+        assert index.shape == shape.shape == (0,)
+
+
+def test_joined_runs_are_those_of_one_grid_after_another():
+    (a, b), slots = blocks([(3, 4), (5, 2)], 'float64')
+    first = grid_runs(a, grid_hinges(3, 4), slots)
+    second = grid_runs(b, grid_hinges(5, 2), slots, families=3, shapes_before=12)
+    together = join([first, second])
+    assert isinstance(together, Runs)
+    for k, part in enumerate(listed(together)):
+        np.testing.assert_array_equal(part, np.concatenate([listed(first)[k],
+                                                            listed(second)[k]]))
+
+
+def test_held_lists_the_edges_at_a_pinned_particle_and_forgets_the_last_list():
+    simulation = simulate((4, 1), effects={'stretch': {'compliance': 1.0}},
+                          scene_effects={'pin': {}})
+    edges = simulation.effects['stretch'].constraints
+    room = len(edges.particles)
+    assert room == 3
+    held = Held(np.zeros(1, np.int64), np.zeros((room, 2), np.int64), np.zeros(room, np.int64))
+    inv_mass = simulation.state.inv_mass.copy()
+    inv_mass[simulation.slot[1]] = 0.0
+    hold(held, edges, inv_mass)
+    assert held.count[0] == 2
+    found = numbers(simulation, held.particles[:2])
+    assert {frozenset(pair) for pair in found.tolist()} == {frozenset((0, 1)), frozenset((1, 2))}
+    np.testing.assert_array_equal(
+        numbers(simulation, edges.particles)[np.isin(edges.index, held.index[:2])], found)
+    hold(held, edges, simulation.state.inv_mass)
+    assert held.count[0] == 0
