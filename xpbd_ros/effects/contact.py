@@ -273,7 +273,8 @@ class BuiltContact(Built):
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.entries: dict[str, Entry] = world.sections.get('colliders', {})
-        room, capacity = CANDIDATES * world.slots, parameters.max_colliders
+        room = CANDIDATES * sum(len(cloth.slots) for cloth in world.cloths)
+        capacity = parameters.max_colliders
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
@@ -281,7 +282,8 @@ class BuiltContact(Built):
         colliders = Colliders(
             np.array([len(self.entries)]), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
             np.zeros(capacity),
-            poses.copy(), poses.copy(), np.zeros(capacity, np.bool_), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_),
+            poses.copy(), poses.copy(), np.zeros(capacity, np.bool_), np.zeros((capacity, 6)),
+            np.zeros(capacity, np.bool_),
             np.zeros(capacity))
         for c, entry in enumerate(self.entries.values()):
             colliders.shape[c] = SHAPES[entry.shape]

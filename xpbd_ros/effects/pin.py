@@ -125,6 +125,7 @@ class PinState:
     torque: np.ndarray = field(compare=False)
     """about the pose [N m], shape (3,)"""
     particles: np.ndarray = field(compare=False)
+    """numbers of what it holds, in the natural order of a frame; shape (k,)"""
     limited: bool = False
     """whether it lags behind its target at max_speed"""
 
@@ -141,6 +142,9 @@ class BuiltPin(Built):
             raise InputError(f'pins: {len(self.entries)} pins, but effects.pin.max_pins is '
                              f'{slots}; raise it')
         self.cloths = {cloth.name: cloth for cloth in world.cloths}
+        self.number = np.zeros(count, np.int64)
+        for cloth in world.cloths:
+            self.number[cloth.slots] = np.arange(cloth.particles.start, cloth.particles.stop)
         self.data = Pin(np.zeros(1, np.int64), np.zeros(count, np.int64),
                         np.zeros(count, np.int64), np.zeros((count, 3)),
                         np.zeros((slots, 7)), np.zeros((slots, 7)))
@@ -306,7 +310,8 @@ class BuiltPin(Built):
             linear = (np.subtract(held.motion.pose.position, held.motion.start.position)
                       / clock.dt)
             self.states[name] = PinState(held.motion.pose, linear, force.sum(0),
-                                         cross(arm, force).sum(0), i, held.motion.limited)
+                                         cross(arm, force).sum(0), self.number[i],
+                                         held.motion.limited)
 
     def adopt(self, old):
         self.__dict__.update(old.__dict__)

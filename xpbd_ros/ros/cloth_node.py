@@ -313,6 +313,8 @@ class ClothNode(LifecycleNode):
         return self.outputs.scene(scene_text(self.scene, solver))
 
     def _idle(self) -> None:
+        if not self._begun and self.get_clock().now().nanoseconds:
+            self._begin()
         if self.recorder is not None:
             self.recorder.log.flush_if_due()
         self._look_after(None)

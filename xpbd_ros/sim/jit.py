@@ -16,6 +16,8 @@ from numba import config, njit
 from xpbd_ros.sim.vector import BITS
 
 FLAGS = {'nogil': True, 'error_model': 'numpy'}
+INNER = {**FLAGS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
+"""for what only compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
 
 
 def _sources_hash() -> str:

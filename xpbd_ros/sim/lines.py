@@ -7,10 +7,13 @@ The edges of a line, linearised where it lies, couple only to their neighbours:
 
 with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination, one
 back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
-off-diagonal is at most m_k; only a rigid straight line between two pins is singular, where the pivot
-is kept above a rounding error. Lines of one family share no particle, so a vector takes one line per
-lane. Weft lines run across rows as they lie in memory; warp lines run along rows, so as many rows as
-there are lanes are transposed into a scratch, solved there in the same way, and transposed back.
+off-diagonal is at most m_k; only a rigid straight line between two pins is singular, and often asks
+for what cannot be. Hence α counts as at least TINY of the mobilities, which is nothing beside what
+a Gauss-Seidel pass adds: such a line shares its misfit out among its edges.
+
+Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
+rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
+transposed into a scratch, solved there in the same way, and transposed back.
 """
 
 from typing import NamedTuple
@@ -22,6 +25,10 @@ from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, STRIDE, zeros
 from xpbd_ros.sim.vector import (
     fma, lane_count, lanes, larger, load, root, select, splat, store, transpose)
+
+
+TINY = 1e-4
+"""smallest α that a line knows, relative to the mobilities at its edge"""
 
 
 class Lines(NamedTuple):
@@ -41,8 +48,8 @@ class Lines(NamedTuple):
     """where each grid's weft edges keep their numbers, shape (grids,)"""
     axis: np.ndarray
     """where two particles coincide, along warp and weft; shape (2, 3)"""
-    floor: float
-    """smallest pivot, relative to the diagonal"""
+    tiny: float
+    """smallest α, relative to the mobilities at its edge"""
     tile: np.ndarray
     """scratch: transposed rows: x y z mobility, rest, α, f; shape (7, columns * lanes)"""
     work: np.ndarray
@@ -62,7 +69,7 @@ def grid_lines(blocks: list[Block], slots: int, dtype) -> Lines:
     return Lines(of(lambda b: b.first), of(lambda b: b.rows), of(lambda b: b.columns),
                  of(lambda b: b.part), 2 * grids * slots, (2 * grids + 1) * slots,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype),
-                 64.0 * float(np.finfo(dtype).eps),
+                 TINY,
                  zeros((7, padded * lanes_), dtype), zeros((5, longest * lanes_), dtype))
 
 
@@ -89,7 +96,7 @@ def solve_edges(edges: Distance, lines, state):
                 _gather(alpha, base + top, part, stride, tile[5])
                 _gather(force, base + top, part, stride, tile[6])
                 _solve(tile[0], tile[1], tile[2], tile[3], tile[4], tile[5], tile[6],
-                       0, 0, count, columns, work, lines.axis[0], lines.floor)
+                       0, 0, count, columns, work, lines.axis[0], lines.tiny)
                 _scatter(tile[0], x, top, part, stride)
                 _scatter(tile[1], y, top, part, stride)
                 _scatter(tile[2], z, top, part, stride)
@@ -97,7 +104,7 @@ def solve_edges(edges: Distance, lines, state):
         if rows > 1:
             for q in range(first, first + stride, count):
                 _solve(x, y, z, m, rest, alpha, force, q, lines.weft[g] + q, stride, rows, work,
-                       lines.axis[1], lines.floor)
+                       lines.axis[1], lines.tiny)
 
 
 @jit
@@ -121,7 +128,7 @@ def _scatter(tile, target, top, part, stride):
 
 
 @jit
-def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axis, floor):
+def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axis, tiny):
     """
     Solve one line per lane.
 
@@ -145,9 +152,9 @@ def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axi
         dy = select(apart, dy * inverse, axis[1])
         dz = select(apart, dz * inverse, axis[2])
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
-        diagonal = ma + mb + a
+        total = ma + mb
         link = off * pivot
-        bottom = larger(fma(-link, off, diagonal), floor * diagonal)
+        bottom = fma(-link, off, total + larger(a, tiny * total))
         pivot = 1.0 / select(bottom > 0.0, bottom, 1.0)
         right = select(bottom > 0.0,
                        (-fma(a, f, l - load(rest, c)) - off * right) * pivot, 0.0)

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from numba import types
 from numba.extending import overload
 
+from xpbd_ros.sim.jit import INNER
+
 
 def force(effects, state, substep):
     """Change predicted velocities v by some Δv, positions x by H Δv, and mobilities."""
@@ -68,7 +70,7 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
     ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are written
     out in one function, since Numba optimises nested ones once per level.
     """
-    @overload(stub)
+    @overload(stub, jit_options=INNER)
     def compile_stage(effects, state, substep):
         kernels = {k: choose(effect, state) for k, effect in enumerate(effects)}
         kernels = {f'kernel_{k}': kernel for k, kernel in kernels.items() if kernel is not None}

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
+from xpbd_ros.sim.jit import INNER
 from xpbd_ros.sim.stages import kernel_of, project, project_back, solve_lines, walk
 
 
@@ -62,7 +63,7 @@ def sweep(method, effects, state, substep):
     """One iteration of a method."""
 
 
-@overload(sweep)
+@overload(sweep, jit_options=INNER)
 def _sweep(method, effects, state, substep):
     if method.instance_class is GaussSeidel:
         def gauss_seidel(method, effects, state, substep):

@@ -1,0 +1,124 @@
+"""The program as a whole: its verbs, help, exit codes, and what it says where ROS is missing."""
+
+import importlib
+import os
+from pathlib import Path
+import subprocess
+import sys
+
+import pytest
+
+import xpbd_ros
+from xpbd_ros.cli.main import main, VERBS
+from xpbd_ros.errors import InputError
+
+HIDE = """
+import sys
+from importlib.machinery import PathFinder
+
+found = PathFinder.find_spec
+
+def find_spec(name, path=None, target=None):
+    return None if name.split('.')[0] in {'rclpy', 'sensor_msgs'} else found(name, path, target)
+
+PathFinder.find_spec = staticmethod(find_spec)
+"""
+"""for sitecustomize: the interpreter looks like one without ROS"""
+
+
+def program(*words, path=(), **options) -> subprocess.CompletedProcess:
+    """Run ``python -m xpbd_ros`` in a process of its own."""
+    environment = {**os.environ,
+                   'PYTHONPATH': os.pathsep.join(map(str, [*path, *filter(None, sys.path)]))}
+    return subprocess.run([sys.executable, '-m', 'xpbd_ros', *map(str, words)], text=True,
+                          capture_output=True, check=False, env=environment, **options)
+
+
+def test_without_a_verb_it_shows_what_there_is(tmp_path):
+    done = program(cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ''
+    assert 'xpbd_ros: error: the following arguments are required: VERB' in done.stderr
+    assert 'Traceback' not in done.stderr
+    done = program('--help', cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, '')
+    for verb, what in VERBS.items():
+        assert f'  {verb:<9} {what}' in done.stdout
+
+
+def test_it_knows_its_version(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(['--version'])
+    assert end.value.code == 0
+    assert capsys.readouterr().out == f'xpbd_ros {xpbd_ros.__version__}\n'
+
+
+def test_an_unknown_verb_is_refused(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(['simulate'])
+    assert end.value.code == 2
+    assert "invalid choice: 'simulate'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('verb', VERBS)
+def test_every_verb_explains_itself_with_an_example(verb, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([verb, '--help'])
+    assert end.value.code == 0
+    said = capsys.readouterr().out
+    module = importlib.import_module(f'xpbd_ros.cli.{verb}')
+    assert said.startswith(f'usage: xpbd_ros {verb} ')
+    assert f'example:\n  {module.EXAMPLE}' in said
+    assert module.EXAMPLE.startswith(f'xpbd_ros {verb} ')
+    assert module.__doc__.strip().splitlines()[0] in said
+
+
+def test_a_mistake_of_the_user_is_one_line(monkeypatch, capsys):
+    module = importlib.import_module('xpbd_ros.cli.run')
+
+    def run(arguments):
+        raise InputError('here: what is wrong')
+    monkeypatch.setattr(module, 'run', run)
+    assert main(['run', 'towel']) == 2
+    assert capsys.readouterr() == ('', 'xpbd_ros run: here: what is wrong\n')
+
+
+def test_an_interrupt_is_one_line(monkeypatch, capsys):
+    module = importlib.import_module('xpbd_ros.cli.run')
+
+    def run(arguments):
+        raise KeyboardInterrupt
+    monkeypatch.setattr(module, 'run', run)
+    assert main(['run', 'towel']) == 130
+    assert capsys.readouterr() == ('', 'xpbd_ros run: interrupted\n')
+
+
+def test_the_node_takes_ros_arguments_only(capsys):
+    for words in (['drape'], ['--scene', 'drape'], ['--ros-args', '-p', 'a:=1', '--', 'drape']):
+        with pytest.raises(SystemExit) as end:
+            main(['node', *words])
+        assert end.value.code == 2
+        assert 'unrecognized arguments: ' in capsys.readouterr().err
+
+
+@pytest.fixture(scope='module')
+def without_ros(tmp_path_factory) -> Path:
+    """Return a folder that hides ROS from an interpreter that has it on its path."""
+    folder = tmp_path_factory.mktemp('hide')
+    (folder / 'sitecustomize.py').write_text(HIDE)
+    return folder
+
+
+@pytest.mark.parametrize('words', [['run', 'swing'], ['node'], ['demo']], ids=lambda w: w[0])
+def test_without_ros_a_verb_says_how_to_get_it(words, without_ros, tmp_path):
+    done = program(*words, path=[without_ros], cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ''
+    assert done.stderr == (
+        f"xpbd_ros {words[0]}: '{words[0]}' needs ROS 2, and rclpy is not there; source "
+        "/opt/ros/jazzy/setup.bash, or pip install 'xpbd_ros[ros]'\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_help_needs_no_ros(without_ros, tmp_path):
+    assert program('node', '--help', path=[without_ros], cwd=tmp_path).returncode == 0

@@ -1,0 +1,224 @@
+"""``run``: the log that it writes, and what it refuses."""
+
+import json
+import os
+from pathlib import Path
+import struct
+import subprocess
+import sys
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros2.decoder import DecoderFactory
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import get_typestore, Stores
+
+from xpbd_ros.cli.main import main
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+
+SHEET = """
+duration: 0.25
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.2], resolution: [7, 5]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+pins:
+  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+
+
+def program(*words, **options) -> subprocess.CompletedProcess:
+    """Run ``python -m xpbd_ros`` in a process of its own."""
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    return subprocess.run([sys.executable, '-m', 'xpbd_ros', *map(str, words)], text=True,
+                          capture_output=True, check=False, env=environment, **options)
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory) -> Path:
+    """Return the file of a scene."""
+    file = tmp_path_factory.mktemp('scene') / 'sheet.yaml'
+    file.write_text(SHEET)
+    return file
+
+
+@pytest.fixture(scope='module')
+def done(scene, tmp_path_factory):
+    """Return what ``run --json -`` printed, run as a program, and its log."""
+    folder = tmp_path_factory.mktemp('run')
+    done = program('run', scene, '-o', folder / 'out', '--json', '-')
+    assert done.returncode == 0, done.stderr
+    return done, folder / 'out'
+
+
+def simulated(scene, overrides=None) -> list:
+    """Return the frames that the scene has, stepped here."""
+    simulation = compile_scene(load_scene(str(scene), overrides))
+    return [simulation.frame(), *(simulation.step() for _ in range(15))]
+
+
+def test_json_on_stdout_is_all_that_is_printed_there(done, scene):
+    numbers = json.loads(done[0].stdout)
+    assert done[0].stderr == ''
+    assert {'frames', 'real_time_factor', 'step_ms', 'solver', 'run'} <= set(numbers)
+    assert numbers['frames'] == 15
+    assert numbers['real_time_factor'] > 0.0
+    assert 0.0 < numbers['step_ms']['p50'] <= numbers['step_ms']['p95'] <= numbers['step_ms'][
+        'max']
+    assert numbers['solver']['method'] == 'gauss_seidel'
+    assert numbers['solver']['substeps'] == 8
+    assert numbers['run'] == str(done[1])
+
+
+def test_the_log_holds_every_frame(done, scene):
+    reader = LogReader(done[1])
+    assert reader.whole
+    counts = {topic: about.count for topic, about in reader.topics.items()}
+    assert counts == {'/cloth/particles': 16, '/cloth/pin_states': 16, '/cloth/state_hash': 16,
+                      '/cloth/mesh': 1, '/cloth/scene': 1, '/cloth/state': 1}
+    stamps = [message.time_ns for message in reader.messages({'/cloth/particles'})]
+    assert np.diff(stamps) == pytest.approx(1e9 / 60.0, abs=1)
+
+
+def test_rosbags_reads_the_log(done, scene):
+    expected = simulated(scene)
+    with AnyReader([done[1]], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
+        clouds = [bag.deserialize(raw, connection.msgtype)
+                  for connection, _, raw in bag.messages()
+                  if connection.topic == '/cloth/particles']
+    assert len(clouds) == len(expected) == 16
+    for cloud, frame in zip(clouds, expected):
+        assert (cloud.height, cloud.width, cloud.point_step) == (5, 7, 12)
+        assert np.array_equal(np.frombuffer(cloud.data, np.float32).reshape(-1, 3),
+                              frame.x.astype(np.float32))
+
+
+def test_mcap_reads_the_log(done, scene):
+    """With the schemas that it carries, and no ROS."""
+    found = {}
+    with (done[1] / 'out_0.mcap').open('rb') as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((message.sequence, decoded))
+        assert reader.get_header().profile == 'ros2'
+    assert [sequence for sequence, _ in found['/cloth/pin_states']] == list(range(16))
+    states = found['/cloth/pin_states'][-1][1]
+    assert states.joint_names == ['left']
+    assert states.transforms[0].translation.z == pytest.approx(0.1)
+    # the state in float64, from which the run could go on
+    (_, state), = found['/cloth/state']
+    assert [field.name for field in state.fields][:6] == ['x', 'y', 'z', 'vx', 'vy', 'vz']
+    assert len(found['/cloth/mesh'][0][1].triangles) == 2 * 6 * 4
+
+
+def test_the_scene_in_the_log_makes_the_same_run_again(done, tmp_path):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(LogReader(done[1]).scene)
+    assert main(['run', str(scene), '-o', str(tmp_path / 'again'), '--json',
+                 str(tmp_path / 'again.json')]) == 0
+    assert hashes(tmp_path / 'again') == hashes(done[1])
+    numbers = json.loads((tmp_path / 'again.json').read_text())
+    assert numbers['state_hash'] == json.loads(done[0].stdout)['state_hash']
+
+
+def hashes(run) -> list[int]:
+    """Return the hash of each frame of a log."""
+    return [struct.unpack_from('<Q', message.data, 4)[0]
+            for message in LogReader(run).messages({'/cloth/state_hash'})]
+
+
+def test_keys_settings_and_duration_override_the_scene(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path('fast.yaml').write_text('solver: {substeps: 3, iterations: 2}\n')
+    assert main(['run', str(scene), '--settings', 'fast.yaml', '--set', 'solver.substeps=5',
+                 '--set', 'gravity=[0, 0, -1.5]', '--duration', '0.1']) == 0
+    said = capsys.readouterr().out
+    (folder,) = (path for path in tmp_path.iterdir() if path.is_dir())
+    assert folder.name.startswith('xpbd_ros_run_'), 'a fresh folder with the time in its name'
+    assert 'sheet: 6 frames, ' in said
+    assert 'gauss_seidel, backward_euler, 5 × 2' in said
+    assert f'log      {folder}' in said
+    reader = LogReader(folder)
+    assert 'gravity: [0, 0, -1.5]' in reader.scene
+    assert reader.frames == 7
+
+
+BAD = {
+    'no such scene': (['run', 'swinng'], "swinng: unknown scene; did you mean 'swing'?"),
+    'no such file': (['run', 'none.yaml'], 'none.yaml: no such file'),
+    'a folder': (['run', 'full'], 'full: unknown scene; '),
+    'bad YAML': (['run', 'bad.yaml'], 'bad.yaml: line 3, column 1: '),
+    'not UTF-8': (['run', 'latin.yaml'], 'latin.yaml: not UTF-8 text'),
+    'unknown key': (['run', 'SCENE', '--set', 'cloths.sheet.densty=1'],
+                    "cloths.sheet.densty: unknown key; did you mean 'density'?"),
+    'negative density': (['run', 'SCENE', '--set', 'cloths.sheet.density=-0.2'],
+                         'sheet.yaml: cloths.sheet.density: must be > 0 kg/m² (got -0.2)'),
+    'set nothing': (['run', 'SCENE', '--set', 'gravity'],
+                    '--set gravity: must be KEY=VALUE, such as solver.substeps=32'),
+    'set no key': (['run', 'SCENE', '--set', '=3'], '--set =3: must be KEY=VALUE'),
+    'set bad YAML': (['run', 'SCENE', '--set', 'gravity=[1, 2'], '--set gravity: line 1, column '),
+    'set into a value': (['run', 'SCENE', '--set', 'duration.x=3'],
+                         "'duration' holds a value, so it has no key 'x'"),
+    'duration 0': (['run', 'SCENE', '--duration', '0'], 'duration: must be > 0 s (got 0.0)'),
+    'duration < 0': (['run', 'SCENE', '--duration', '-1'], 'duration: must be > 0 s (got -1.0)'),
+    'duration nan': (['run', 'SCENE', '--duration', 'nan'],
+                     'duration: must be finite s (got nan)'),
+    'duration inf': (['run', 'SCENE', '--duration', 'inf'],
+                     'duration: must be finite s (got inf)'),
+    'duration tiny': (['run', 'SCENE', '--duration', '0.001'],
+                      'sheet.yaml: duration: must be from a frame (0.0167 s) to 1e+06 s '
+                      '(got 0.001 s)'),
+    'duration huge': (['run', 'SCENE', '--duration', '1e300'], 'to 1e+06 s (got 1e+300 s)'),
+    'no settings': (['run', 'SCENE', '--settings', 'none.yaml'], 'none.yaml: no such file'),
+    'not settings': (['run', 'SCENE', '--settings', 'SCENE'],
+                     "sheet.yaml: must hold one section, 'solver:'"),
+    'commands nowhere': (['run', 'SCENE', '--commands', 'none'], 'none: no such file or folder'),
+    'commands no log': (['run', 'SCENE', '--commands', 'bad.yaml'], 'bad.yaml: is not '),
+    'commands of another': (['run', 'SCENE', '--commands', 'other.mcap'],
+                            'other.mcap: is not a log of xpbd_ros: it holds no scene'),
+    'commands no bag': (['run', 'SCENE', '--commands', 'full'], 'full: holds no .mcap file'),
+    'output exists': (['run', 'SCENE', '-o', 'full'], 'full: exists already'),
+    'output a file': (['run', 'SCENE', '-o', 'bad.yaml'], 'bad.yaml: exists already'),
+    'output nowhere': (['run', 'SCENE', '-o', '/dev/null/run'],
+                       '/dev/null/run: cannot be written: Not a directory'),
+    'json exists': (['run', 'SCENE', '-o', 'run', '--json', 'bad.yaml'],
+                    'bad.yaml: exists already'),
+}
+
+
+@pytest.mark.parametrize('name', BAD)
+def test_a_mistake_ends_with_2_and_one_line_and_writes_nothing(name, scene, tmp_path, monkeypatch,
+                                                               capsys):
+    monkeypatch.chdir(tmp_path)
+    Path('bad.yaml').write_text('cloths:\n  a: [1, 2\n')
+    Path('latin.yaml').write_bytes('gewölbt: 1'.encode('latin-1'))
+    Path('full').mkdir()
+    Path('full/mine').write_text('keep')
+    with open('other.mcap', 'wb') as file:
+        other = Writer(file)
+        other.start('ros2')
+        other.finish()
+    words, reason = BAD[name]
+    assert main([str(scene) if word == 'SCENE' else word for word in words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.startswith('xpbd_ros run: ')
+    assert err.count('\n') == 1, err
+    assert reason in err
+    assert sorted(map(str, Path().rglob('*'))) == ['bad.yaml', 'full', 'full/mine', 'latin.yaml',
+                                                    'other.mcap']
+    assert Path('full/mine').read_text() == 'keep'
+
+
+def test_a_mistake_has_no_traceback_in_a_process_of_its_own(tmp_path):
+    done = program('run', 'swinng', cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ''
+    assert done.stderr.count('\n') == 1
+    assert done.stderr.startswith("xpbd_ros run: swinng: unknown scene; did you mean 'swing'?")

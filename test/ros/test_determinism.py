@@ -1,0 +1,152 @@
+"""The same inputs give the same states, bit for bit: again, in another process, without DDS."""
+
+import json
+import os
+import struct
+import subprocess
+import sys
+
+from geometry_msgs.msg import Twist
+import pytest
+from ros.rig import child_environment, Cloth, pin, pose_stamped, targets
+from visualization_msgs.msg import Marker, MarkerArray
+
+from xpbd_ros.log.reader import LogReader
+
+AUTO = """
+cloths:
+  towel:
+    grid: {size: [0.4, 0.4], resolution: [9, 9]}
+    pose: {position: [-0.2, -0.2, 0.004]}
+    density: 0.25
+    effects:
+      stretch: {warp: 500.0, weft: 500.0}
+colliders:
+  table: {plane: {normal: [0, 0, 1]}, friction: 0.5}
+  ball: {sphere: {radius: 0.1}, position: [0.0, 1.0, 0.15], friction: 0.3}
+effects:
+  pin: {max_pins: 4}
+  contact: {thickness: 0.004}
+  friction: {}
+  damping: {rate: 2.0}
+solver: {method: gauss_seidel, integrator: backward_euler}
+"""
+"""its substeps follow from its stiffness"""
+STIFF = 'cloths.towel.effects.stretch.warp'
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    """Return the file of the scene."""
+    file = tmp_path_factory.mktemp('scene') / 'auto.yaml'
+    file.write_text(AUTO)
+    return file
+
+
+@pytest.fixture(scope='module')
+def cloth(start, peer, scene):
+    """Return a node in a namespace of its own."""
+    cloth = Cloth(peer, start('-r', '__ns:=/robot', scene=scene, mode='lockstep'), '/robot/cloth')
+    cloth.meet(pins=MarkerArray(), pin_targets=targets(), collider_states=targets(),
+               collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))
+    return cloth
+
+
+def hashes(run) -> dict[int, int]:
+    """Return the hash of each frame of a log."""
+    reader = LogReader(run)
+    assert reader.whole
+    (topic,) = (topic for topic in reader.topics if topic.endswith('/state_hash'))
+    return {message.frame: struct.unpack_from('<Q', message.data, 4)[0]
+            for message in reader.messages({topic})}
+
+
+def inputs(run) -> list[tuple[int, str]]:
+    """Return the frames at which there was an input, and its topic."""
+    known = ('pins', 'pin_targets', 'collider_states', 'parameter_events', 'resets')
+    return [(message.frame, message.topic.rsplit('/', 1)[-1])
+            for message in LogReader(run).messages()
+            if message.topic.rsplit('/', 1)[-1] in known]
+
+
+def play(cloth, wait) -> None:
+    """Do a bit of everything; ``wait(n)`` lets about n frames pass."""
+    rub = Twist()
+    rub.linear.x, rub.angular.z = 0.3, 1.0
+    turned = (0.0, 0.0, 0.6, 0.8)
+    wait(2)
+    cloth.mark(pin('left', (-0.2, -0.2, 0.004)), pin('right', (0.2, -0.2, 0.004), radius=0.06))
+    wait(3)
+    for k in range(5):
+        cloth.aim(left=(-0.2, -0.2, 0.05 + 0.03 * k), right=(0.2, -0.2, 0.05 + 0.02 * k))
+        wait(2)
+    cloth.peer.say(f'{cloth.name}/pin_targets', targets(
+        stamp=1_700_000_000_123_456_789, twist=rub, left=(-0.1, -0.1, 0.3)))
+    cloth.peer.say(f'{cloth.name}/collider/ball/pose', pose_stamped((0.0, 0.3, 0.15), turned))
+    wait(10)
+    cloth.peer.say(f'{cloth.name}/collider_states', targets(ball=(0.05, 0.1, 0.15), twist=rub))
+    assert cloth.set(**{STIFF: 2500.0}) == (True, '')
+    wait(8)
+    assert cloth.set(gravity=[1.0, 0.0, -7.0], solver__iterations=2) == (True, '')
+    assert cloth.set(colliders__table__friction=0.1) == (True, '')
+    wait(8)
+    cloth.mark(pin('right', action=Marker.DELETE),
+               pin('brief', (0.2, 0.2, 0.004), radius=0.3, lifetime_ns=100_000_000))
+    wait(10)
+    assert cloth.trigger('reset')[0]
+    cloth.mark(pin('again', (0.0, 0.0, 0.004), radius=0.05))
+    assert cloth.set(solver__substeps=11, effects__damping__rate=0.3) == (True, '')
+    wait(10)
+    cloth.mark(pin('', action=Marker.DELETEALL))
+    wait(20)
+
+
+def record(cloth, run, mode: str, wait) -> dict[int, int]:
+    """Play into a log of its own, from the start of the scene; return its hashes."""
+    cloth.restart(mode='lockstep', record__path=str(run))
+    cloth.meet()
+    cloth.step(100 - cloth.step())
+    assert cloth.set(mode=mode) == (True, '')
+    play(cloth, wait)
+    assert cloth.set(mode='lockstep') == (True, '')
+    assert cloth.record(False) == (True, str(run))
+    return hashes(run)
+
+
+def repeated(run, folder) -> dict[int, int]:
+    """Return the hashes of a log's inputs applied to a log's scene by ``xpbd_ros run``."""
+    (folder / 'scene.yaml').write_text(LogReader(run).scene)
+    last = max(hashes(run))
+    done = subprocess.run(
+        [sys.executable, '-m', 'xpbd_ros', 'run', folder / 'scene.yaml', '--commands', run,
+         '--duration', repr(last / 60.0), '-o', folder / 'again', '--json', '-'],
+        env=child_environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)['refused'] == 0
+    assert json.loads(done.stdout)['frames'] == last
+    assert inputs(folder / 'again') == inputs(run)
+    return hashes(folder / 'again')
+
+
+def test_lockstep_twice_gives_the_same_bits(cloth, tmp_path):
+    first = record(cloth, tmp_path / 'first', 'lockstep', cloth.step)
+    second = record(cloth, tmp_path / 'second', 'lockstep', cloth.step)
+    assert inputs(tmp_path / 'second') == inputs(tmp_path / 'first')
+    assert len(set(first.values())) > 40, 'something happened'
+    assert second == first
+    assert repeated(tmp_path / 'first', tmp_path) == first
+
+
+def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
+    """With whatever frames the inputs came to act on."""
+    def wait(count):
+        before = len(cloth.clouds)
+        cloth.peer.until(lambda: len(cloth.clouds) >= before + count, 'frames')
+    run = tmp_path / 'run'
+    first = record(cloth, run, 'realtime', wait)
+    kinds = {topic for _, topic in inputs(run)}
+    assert kinds == {'pins', 'pin_targets', 'collider_states', 'parameter_events', 'resets'}
+    assert cloth.get('solver.substeps') == [11]
+    assert set(first) == set(range(max(first) + 1)), 'every frame'
+    assert repeated(run, tmp_path) == first
+    assert os.path.exists(run)
