@@ -60,7 +60,7 @@ def test_it_leaves_a_picture_and_a_log(demo):
     reader = LogReader(folder / 'run')
     assert reader.whole, reader.damage
     assert {'/cloth/pins', '/cloth/pin_targets', '/cloth/collider_states',
-            '/cloth/particles'} <= set(reader.topics), 'the robot\'s commands are in it'
+            '/cloth/particles'} <= set(reader.topics), "the robot's commands are in it"
     assert reader.topics['/cloth/particles'].count >= numbers['frames']
     assert 'Traceback' not in (folder / 'node.log').read_text()
 

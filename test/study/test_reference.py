@@ -525,7 +525,7 @@ def slopes(method, problem, time, counts, exact):
 
 
 @pytest.mark.parametrize('method, order, counts', [
-    ('explicit', 2, (192, 384, 768)), ('bdf2', 2, (384, 768, 1536)),
+    ('explicit', 2, (192, 384, 768)), ('bdf2', 2, (192, 384, 768)),
     ('backward_euler', 1, (384, 768, 1536))])
 def test_orders_of_convergence(method, order, counts):
     """On a small cloth with all effects, whose one pin is carried about; three steps each."""
@@ -557,9 +557,9 @@ def test_the_uncertainty_of_a_sum_that_converges_slowly_holds_what_is_left():
 def test_both_methods_agree_within_their_uncertainties():
     problem = problem_of(sheet(7, stretch=200.0))
     a = limit(problem, 0.3, 1e-9)
-    b = limit(problem, 0.3, 1e-6, method='bdf2', dt=1.0 / 480.0)
+    b = limit(problem, 0.3, 1e-5, method='bdf2', dt=1.0 / 240.0)
     assert a.uncertainty < 1e-9
-    assert a.error(b.x) <= a.uncertainty + b.uncertainty < 1e-6
+    assert a.error(b.x) <= a.uncertainty + b.uncertainty < 1.1e-5
     assert rms(a.v - b.v) <= a.uncertainty_v + b.uncertainty_v
     rougher = limit(problem, 0.3, 1.0)
     assert len(rougher.ladder) == 4

@@ -53,7 +53,7 @@ def expected_load(simulation, rate: float, stamps, clouds, frames) -> float:
     Return what Newton's law says that the grippers carry, mean over some frames [N].
 
     It is m (g + a + r v): the towel's weight, and what the motion takes that the story, told fast,
-    leaves in it; a, v are the mean acceleration and velocity of its centre, ``rate`` the damping's r.
+    leaves in it; a, v are its centre's mean acceleration and velocity, ``rate`` the damping's r.
     """
     mass = simulation.state.mass[simulation.slot]
     height = clouds[..., 2].reshape(len(clouds), -1) @ mass / mass.sum()

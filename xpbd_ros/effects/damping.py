@@ -1,7 +1,7 @@
 """
 Damping: a drag on every particle in proportion to its mass and velocity, as in a resisting medium.
 
-The force -rate m v is taken at the end of the substep, in closed form: with v = v̄ + H (g - rate v),
+The force -rate m v is taken at the substep's end, in closed form: from v = v̄ + H (g - rate v),
 
     v <- (v̄ + H g) / (1 + H rate),   mobility <- mobility / (1 + H rate),
 

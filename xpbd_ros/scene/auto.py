@@ -21,9 +21,10 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     """
     Choose what the scene leaves open: method, integrator, substeps.
 
-    An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over the
-    edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of them
-    for a millimetre on a metre (NUMERICS 5.8); Gauss-Seidel needs all, to be as stiff as asked.
+    An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
+    the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
+    them for a millimetre on a metre (NUMERICS 5.8); Gauss-Seidel needs all, to be as stiff as
+    asked.
     ``budget_ms`` bounds the substeps by the cost table above.
     """
     method = 'line' if keys.method == 'auto' else keys.method
@@ -40,8 +41,8 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
             rate += largest_rate(built.constraints, state.mass)
         else:
             cost += keys.iterations * table['hinge'] * len(particles)
-    chosen = dict(method=method, integrator=integrator, iterations=keys.iterations,
-                  precision=keys.precision, threads=keys.threads)
+    chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
+              'precision': keys.precision, 'threads': keys.threads}
     if keys.substeps is not None:
         return Solver(substeps=keys.substeps, reason=f'{method}, {integrator}, '
                       f'{keys.substeps} substeps as given', **chosen)

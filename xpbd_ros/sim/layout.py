@@ -1,9 +1,10 @@
 """
 Where particles lie in memory: rows of a grid, each split by column modulo STRIDE.
 
-A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …, each part padded
-to whole vectors. Constraints of the same shape, four columns apart, then touch neighbouring places
-in memory and no particle twice: a vector of them is loaded, projected and stored without a gather.
+A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …, each part
+padded to whole vectors. Constraints of the same shape, four columns apart, then touch neighbouring
+places in memory and no particle twice: a vector of them is loaded, projected and stored without a
+gather.
 The rows too are padded to whole vectors, for the lines that run along them. Padding has neither
 mass nor mobility, so nothing moves it.
 """

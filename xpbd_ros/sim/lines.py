@@ -5,11 +5,11 @@ The edges of a line, linearised where it lies, couple only to their neighbours:
 
     (J W Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
 
-with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination, one
-back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
-off-diagonal is at most m_k; only a rigid straight line between two pins is singular, and often asks
-for what cannot be. Hence α counts as at least TINY of the mobilities, which is nothing beside what
-a Gauss-Seidel pass adds: such a line shares its misfit out among its edges.
+with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination,
+one back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
+off-diagonal is at most m_k; only a rigid straight line between two pins is singular, and often
+asks for what cannot be. Hence α counts as at least TINY of the mobilities, which is nothing beside
+what a Gauss-Seidel pass adds: such a line shares its misfit out among its edges.
 
 Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
 rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
@@ -24,8 +24,17 @@ from xpbd_ros.sim.distance import Distance
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, STRIDE, zeros
 from xpbd_ros.sim.vector import (
-    fma, lane_count, lanes, larger, load, root, select, splat, store, transpose)
-
+    fma,
+    lane_count,
+    lanes,
+    larger,
+    load,
+    root,
+    select,
+    splat,
+    store,
+    transpose,
+)
 
 TINY = 1e-4
 """smallest α that a line knows, relative to the mobilities at its edge"""

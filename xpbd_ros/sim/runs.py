@@ -1,5 +1,5 @@
 """
-Runs: constraints of one shape at neighbouring slots, so that a vector of them is projected at once.
+Runs: constraints of one shape at neighbouring slots: a vector of them is projected at once.
 
 A run holds, for each of its rows, ``count`` constraints; the k-th of a row touches the slots
 start + row stride + k + offset, one offset per particle of the constraint. Within a row no two

@@ -67,8 +67,8 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
     """
     Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
 
-    ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are written
-    out in one function, since Numba optimises nested ones once per level.
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are
+    written out in one function, since Numba optimises nested ones once per level.
     """
     @overload(stub, jit_options=INNER)
     def compile_stage(effects, state, substep):

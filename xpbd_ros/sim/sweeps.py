@@ -2,8 +2,8 @@
 How a substep's constraints are swept: each method is a few walks over the scene's effects.
 
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
-reverse order, which BDF2 needs to stay stable. ``line`` (NUMERICS 5.8) solves the effects that have
-lines by whole lines, sweeps the others forth before and back after, and closes with one
+reverse order, which BDF2 needs to stay stable. ``line`` (NUMERICS 5.8) solves the effects that
+have lines by whole lines, sweeps the others forth before and back after, and closes with one
 Gauss-Seidel pass over the edges of the lines, with the same multipliers: it mends the single edges
 whose directions turned while the lines were solved.
 """

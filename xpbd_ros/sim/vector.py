@@ -20,7 +20,6 @@ from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
-
 import numpy as np
 
 _FEATURES = binding.get_host_cpu_features()
