@@ -72,12 +72,12 @@ def test_an_output_that_exists_is_refused(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize('duration', ['0', '-1', '3.9', '1e9', 'nan', 'inf'])
+@pytest.mark.parametrize('duration', ['0', '-1', '4.9', '1e9', 'nan', 'inf'])
 def test_a_duration_that_makes_no_story_is_refused(duration, tmp_path, capsys):
     assert main(['demo', '--output', str(tmp_path / 'new'), '--duration', duration]) == 2
     out, err = capsys.readouterr()
     assert out == ''
-    assert err.startswith('xpbd_ros demo: --duration: must be from 4 to 600 s (got ')
+    assert err.startswith('xpbd_ros demo: --duration: must be from 5 to 600 s (got ')
     assert list(tmp_path.iterdir()) == []
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
@@ -29,15 +30,15 @@ def add_arguments(parser):
     """Declare what the verb takes."""
     parser.add_argument('--output', metavar='DIR', help='folder for everything; must not exist')
     parser.add_argument('--duration', type=float, default=12.0, metavar='S',
-                        help='simulated seconds of the story (default 12, at least 4)')
+                        help='simulated seconds of the story (default 12, at least 5)')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
     """Play the story, check it, draw it."""
     need_ros('demo')
-    if not 4.0 <= arguments.duration <= 600.0:
-        raise InputError(f'--duration: must be from 4 to 600 s (got {arguments.duration:g})')
+    if not 5.0 <= arguments.duration <= 600.0:
+        raise InputError(f'--duration: must be from 5 to 600 s (got {arguments.duration:g})')
     refuse_existing(arguments.json)
     folder = Path(arguments.output) if arguments.output else fresh_folder('demo')
     try:
@@ -77,10 +78,15 @@ def play(folder: Path, duration: float, say) -> None:
         node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
                      '-p', f'record.path:={folder / "run"}',
                      stdout=node_log, stderr=subprocess.STDOUT)
-        observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'))
+        observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'),
+                         stdout=subprocess.PIPE, text=True)
+        follow(observer.stdout.readline, observer, node, folder, COMPILE_SECONDS)
         robot = start('xpbd_ros.demo.robot', str(duration), str(folder / 'robot.json'),
                       stdout=subprocess.PIPE, text=True)
-        follow(robot, node, folder, duration, say)
+        follow(lambda: [say(f'  robot: {line.strip()}') for line in robot.stdout], robot, node,
+               folder, END_SECONDS + PATIENCE * duration)
+        if ended(robot) != 0:
+            raise InputError(f'the robot ended with {robot.returncode}')
         for process in (observer, node):
             process.send_signal(signal.SIGINT)
             if ended(process) != 0:
@@ -103,21 +109,16 @@ def ended(process: subprocess.Popen) -> int:
         return process.wait()
 
 
-def follow(robot, node, folder: Path, duration: float, say) -> None:
-    """Tell the robot's phases as they come, until it is done."""
-    import threading
-    told = threading.Thread(target=lambda: [say(f'  robot: {line.strip()}')
-                                            for line in robot.stdout], daemon=True)
-    told.start()
-    end = time.monotonic() + COMPILE_SECONDS + PATIENCE * duration
-    while robot.poll() is None:
+def follow(read, process, node, folder: Path, seconds: float) -> None:
+    """Read what a process says to the end, as long as the node lives and time is left."""
+    reader = threading.Thread(target=read, daemon=True)
+    reader.start()
+    end = time.monotonic() + seconds
+    while reader.is_alive():
         if node.poll() is not None:
             log = (folder / 'node.log').read_text().strip().splitlines()
             raise InputError(f'the node ended early: {log[-1] if log else "it said nothing"}')
         if time.monotonic() > end:
-            raise InputError(f'not done after {COMPILE_SECONDS + PATIENCE * duration:.0f} s; '
-                             f'see {folder / "node.log"}')
-        time.sleep(0.1)
-    told.join()
-    if robot.returncode != 0:
-        raise InputError(f'the robot ended with {robot.returncode}')
+            raise InputError(f'{process.args[2]}: not done after {seconds:.0f} s; see '
+                             f'{folder / "node.log"}')
+        reader.join(0.1)

@@ -1,7 +1,8 @@
 """
 The onlooker of the demo: a program of its own that reads what the node publishes.
 
-It keeps clouds, pin states and diagnostics until it is told to stop, then writes them to a file.
+It says a word once it hears the node, keeps clouds, pin states and diagnostics until it is told to
+stop, then writes them to a file.
 """
 
 from contextlib import suppress
@@ -31,6 +32,8 @@ class Observer(Node):
 
     def on_cloud(self, cloud):
         """Keep the points."""
+        if not self.clouds:
+            print('hears', flush=True)
         self.heard.append(time.monotonic())
         self.stamps.append(Time.from_msg(cloud.header.stamp).nanoseconds * 1e-9)
         self.clouds.append(np.frombuffer(cloud.data, np.float32).reshape(
