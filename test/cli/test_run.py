@@ -3,9 +3,11 @@
 import json
 import os
 from pathlib import Path
+import signal
 import struct
 import subprocess
 import sys
+import time
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -222,3 +224,23 @@ def test_a_mistake_has_no_traceback_in_a_process_of_its_own(tmp_path):
     assert done.stdout == ''
     assert done.stderr.count('\n') == 1
     assert done.stderr.startswith("xpbd_ros run: swinng: unknown scene; did you mean 'swing'?")
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_leaves_a_log_that_is_whole(number, scene, tmp_path):
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'xpbd_ros', 'run', scene, '-o', tmp_path / 'out', '--duration',
+         '1e5'], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    log = tmp_path / 'out' / 'out_0.mcap'
+    deadline = time.monotonic() + 240.0
+    while not log.exists() or log.stat().st_size < 100_000:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    process.send_signal(number)
+    assert process.communicate() == ('', 'xpbd_ros run: interrupted\n')
+    assert process.returncode == 130
+    reader = LogReader(tmp_path / 'out')
+    assert reader.whole, reader.damage
+    assert reader.topics['/cloth/particles'].count > 100

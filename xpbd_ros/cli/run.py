@@ -5,7 +5,10 @@ The scene's own motions move pins and colliders; --commands applies the inputs o
 at the frames that they acted on.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+import signal
 import time
 
 from xpbd_ros import __version__
@@ -65,12 +68,15 @@ def run(arguments) -> int:
     try:
         simulation.compile()
         begin = time.perf_counter()
-        for index in progress(range(1, frames + 1), 'frames'):
-            start = time.perf_counter()
-            frame = simulation.step(commands.get(index, ()))
-            step_ms.append(1e3 * (time.perf_counter() - start))
-            refused += len(frame.refused)
-            recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
+        with signals_wait() as signals:
+            for index in progress(range(1, frames + 1), 'frames'):
+                start = time.perf_counter()
+                frame = simulation.step(commands.get(index, ()))
+                step_ms.append(1e3 * (time.perf_counter() - start))
+                refused += len(frame.refused)
+                recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
+                if signals:
+                    raise KeyboardInterrupt
     finally:
         recorder.close()
     wall = time.perf_counter() - begin
@@ -99,13 +105,26 @@ def run(arguments) -> int:
     return 0
 
 
+@contextmanager
+def signals_wait() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM, to be seen to between frames: else they cut the log short."""
+    signals: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: signals.append(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield signals
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def count_frames(scene) -> int:
     """Return how many frames the scene's duration is, or refuse it."""
     duration, rate = scene.top.duration, scene.top.frame_rate
     if duration * rate < 0.5 or duration > LONGEST:
         raise InputError(f'{scene.where}: duration: must be from a frame ({1.0 / rate:.3g} s) to '
                          f'{LONGEST:g} s (got {duration:g} s)')
-    return round(duration * rate)
+    return max(1, round(duration * rate))
 
 
 def parse_keys(pairs: list[str]) -> dict:
