@@ -45,8 +45,9 @@ class Motion:
         elif self._arrived_ns is not None and now_ns - self._arrived_ns <= GAP_NS:
             period_ns = now_ns - self._arrived_ns
         self._left = period_ns * 1e-9
-        if twist is not None and any(twist.linear):
-            self._left = min(_distance(pose, self.pose) / _norm(twist.linear), GAP_NS * 1e-9)
+        speed = 0.0 if twist is None else _norm(twist.linear)
+        if speed > 0.0:
+            self._left = min(_distance(pose, self.pose) / speed, GAP_NS * 1e-9)
         self._arrived_ns, self._stamp_ns = now_ns, stamp_ns or None
         self.target, self.keyframes = pose, None
 
