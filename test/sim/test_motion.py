@@ -132,6 +132,8 @@ def test_the_opposite_quaternion_is_no_turn():
     motion = Motion(Pose((0.0, 0.0, 0.0), (0.0, 0.6, 0.0, 0.8)), 5.0)
     motion.aim(Pose((0.01, 0.0, 0.0), (0.0, -0.6, 0.0, -0.8)), None, 0, 0)
     assert turns(follow(motion, 3)).max() < 1e-7
+    assert not motion.limited
+    assert motion.pose.position == (0.01, 0.0, 0.0)
 
 
 def test_a_path_is_followed_until_the_first_target():
@@ -154,7 +156,9 @@ def test_stop_stays_where_it_is():
     motion = Motion(Pose(), 5.0, keyframes=lambda t: (t, 0.0, 0.0))
     here = follow(motion, 5)[-1]
     motion.stop()
-    assert follow(motion, 5)[-1] == here
+    for frame in range(5, 10):
+        motion.advance(nanoseconds(frame + 1), DT)
+    assert motion.pose == here
 
 
 def test_a_monotone_cubic_meets_its_points_holds_its_ends_and_never_overshoots():

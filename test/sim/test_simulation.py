@@ -105,11 +105,11 @@ def test_after_a_reset_the_run_repeats_though_time_goes_on(options):
         np.testing.assert_allclose([place.pose.position for place in (
             *frame.pins.values(), *frame.colliders.values())], first_poses[k], atol=1e-12)
         assert list(frame.pins) == ['a']
-    # where nothing moves by itself, even its bits
-    simulation = with_every_effect(substeps=5, **options)
+    # where nothing moves by itself, even its bits, and nothing is remembered of what was before
+    simulation = with_every_effect(substeps=5, pose={'position': [0.0, 0.0, 2.0]}, **options)
     run(simulation, 20)
     expected = simulation.hash()
-    run(simulation, 10, [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)])
+    run(simulation, 10, [Grasp('hand', Pose((1.0, 1.0, 2.0)), 0.5)])
     run(simulation, 20, [Reset()])
     assert simulation.hash() == expected
 
@@ -217,8 +217,20 @@ def test_a_frame_shares_nothing_with_the_simulation():
             entries['new'] = None
 
 
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+def test_substeps_of_another_length_move_nothing_by_themselves(integrator):
+    """BDF2 must not take the last substep for one of the new length."""
+    simulation = simulate((1, 1), gravity=(0, 0, 0), substeps=4, method='line',
+                          integrator=integrator, scene_effects={'damping': {'rate': 0.0}})
+    simulation.state.v[0, simulation.slot] = 2.0
+    for k, substeps in enumerate((4, 64, 1, 7)):
+        frame = simulation.step([SetKey('solver.substeps', substeps)])
+        np.testing.assert_allclose(frame.x[0], [2.0 * (k + 1) / 60, 0.0, 0.0], atol=1e-14)
+        np.testing.assert_allclose(frame.v[0], [2.0, 0.0, 0.0], atol=1e-12)
+
+
 def test_compiling_moves_nothing():
-    simulation = with_every_effect()
+    simulation = with_every_effect(pose={'position': [0.0, 0.0, 2.0]})
     before = simulation.hash()
     simulation.compile()
     assert simulation.hash() == before
