@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import simulate
+from sim.small import run, simulate
 
 B = 3e-4
 
@@ -70,6 +70,15 @@ def test_a_flat_sheet_stores_nothing_however_it_is_stretched_turned_or_moved():
         0.3, 0.1, 0.0] * x[:, [1]]) + [5.0, -2.0, 1.0]).T
     assert hinges.energy(deformed) < 1e-25
     assert np.abs(hinges.residual(deformed)).max() < 1e-13
+
+
+def test_hinges_without_stiffness_are_as_absent():
+    """H2; 1 / 1e-320 is infinite, and infinity times no force is not a number."""
+    simulation = simulate((3, 3), effects={'bend': {'stiffness': 1e-320}}, gravity=(0, 0, 0),
+                          iterations=2)
+    simulation.state.x[2, simulation.slot[4]] += 0.5
+    start = simulation.frame().x
+    np.testing.assert_allclose(run(simulation, 3).x, start, atol=1e-14)
 
 
 def test_strips_and_points_have_no_hinges():

@@ -31,6 +31,20 @@ def test_the_sums_are_those_of_the_definitions(simulation):
     assert measure.potential_energy(state) == pytest.approx(potential, rel=1e-13)
 
 
+def test_the_elastic_energy_is_that_of_all_effects_together():
+    simulation = simulate((2, 1), (1.0, 1.0), effects={'stretch': {'compliance': 0.01}})
+    simulation.state.x[0, simulation.slot[1]] = 1.2
+    assert measure.elastic_energy(simulation) == pytest.approx(0.5 * 0.2**2 / 0.01, rel=1e-12)
+    simulation = simulate((3, 3), effects={'stretch': {'compliance': 0.01},
+                                           'shear': {'stiffness': 3.0},
+                                           'bend': {'stiffness': 0.1}})
+    simulation.state.x[2, simulation.slot[4]] += 0.1
+    each = [built.constraints.energy(simulation.state.x)
+            for built in simulation.effects.values()]
+    assert min(each) > 0.0
+    assert measure.elastic_energy(simulation) == pytest.approx(sum(each), rel=1e-14)
+
+
 def test_the_largest_strain_is_that_of_the_worst_grid_edge():
     simulation = simulate((4, 3), (0.3, 0.4))
     assert measure.largest_strain(simulation) < 1e-14
