@@ -124,26 +124,28 @@ pins = []
 node.create_subscription(MultiDOFJointState, '/cloth/pin_states',
                          lambda m: pins.append({n: t.translation.z for n, t in
                                                 zip(m.joint_names, m.transforms)}), 5)
-for topic, kind, values in yaml.safe_load(sys.stdin.read()):
+for times, topic, kind, values in yaml.safe_load(sys.stdin.read()):
     package, _, name = kind.split('/')
     kind = getattr(import_module(package + '.msg'), name)
     publisher = node.create_publisher(kind, topic, 1)
     while not publisher.get_subscription_count():
         time.sleep(0.1)
-    publisher.publish(fill(kind(), yaml.safe_load(values)))
-    end = time.monotonic() + 3
-    while time.monotonic() < end:
-        rclpy.spin_once(node, timeout_sec=0.1)
+    for _ in range(times):
+        publisher.publish(fill(kind(), yaml.safe_load(values)))
+        end = time.monotonic() + 1
+        while time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.1)
     print(pins[-1], flush=True)
 """
 
 
 def test_lines_for_the_shell_grasp_move_and_release(node):
-    lines = [shlex.split(line) for line in text().splitlines() if 'ros2 topic pub --once' in line]
+    lines = [shlex.split(line.replace('--once', '-t 1')) for line in text().splitlines()
+             if line.strip().startswith('ros2 topic pub')]
     assert len(lines) == 3
     time.sleep(0.5)
     done = subprocess.run([sys.executable, '-c', PUBLISH], env=node, text=True, timeout=240,
-                          input=yaml.safe_dump([line[4:] for line in lines]),
+                          input=yaml.safe_dump([[int(line[4]), *line[5:]] for line in lines]),
                           capture_output=True, check=False)
     assert done.returncode == 0, done.stderr
     held, moved, released = (eval(line) for line in done.stdout.splitlines())

@@ -114,16 +114,20 @@ def test_does_not_do_what_was_given_up(rig):
 
 
 def test_leaves_nobody_waiting_when_it_breaks(rig):
+    begun, gate = threading.Event(), threading.Event()
+
     def break_down():
+        begun.set()
+        gate.wait(10.0)
         raise ArithmeticError('no')
     one = rig('lockstep', step=break_down)
-    gate = threading.Event()
-    one.stepper.ask(gate.wait)
     one.stepper.switch('fast')
-    waiting = [one.stepper.ask(gate.wait) for _ in range(3)]
+    assert begun.wait(10.0)
+    waiting = [one.stepper.ask(lambda: None) for _ in range(3)]
     gate.set()
-    for future in waiting[:1]:
-        assert future.result(10.0)
+    for future in waiting:
+        with pytest.raises(RuntimeError, match='the simulation has stopped'):
+            future.result(10.0)
     one.stepper.join(10.0)
     assert [type(error) for error in one.errors] == [ArithmeticError]
     with pytest.raises(RuntimeError, match='the simulation has stopped'):

@@ -8,7 +8,6 @@ executor's thread and fill the inbox; the stepper's thread owns the simulation a
 from concurrent import futures
 from dataclasses import replace
 from pathlib import Path
-import signal
 import sys
 import threading
 import time
@@ -34,6 +33,7 @@ from xpbd_ros.ros.inputs import read_pose, READERS
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
+from xpbd_ros.ros.signals import interrupt_on_signals
 from xpbd_ros.ros.stepper import Stepper
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
@@ -543,17 +543,9 @@ def as_plain(value):
     return value if isinstance(value, bool | int | float | str) else list(value)
 
 
-def leave(number, frame):
-    """Take SIGTERM like SIGINT, and the first of both only: the log has to be finished."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, lambda *_: None)
-    raise KeyboardInterrupt
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop: 0; 1 where it broke, 2 where it cannot start."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, leave)    # rclpy calls these after its own
+    interrupt_on_signals()
     node = None
     try:
         rclpy.init(args=args)
