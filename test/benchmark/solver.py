@@ -33,7 +33,6 @@ from pathlib import Path
 import sys
 
 import kernels
-from machine import describe, machine
 from native import Native
 from report import Report
 import scenes
@@ -41,6 +40,7 @@ import scenes
 import xpbd_ros
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, STDOUT, write_json
 from xpbd_ros.errors import InputError
+from xpbd_ros.study.machine import describe, machine
 
 TABLES = {'grid': kernels.grid, 'irregular': kernels.irregular, 'line': kernels.line,
           'bend': kernels.bend, 'swing': scenes.swing}

@@ -1,0 +1,113 @@
+"""The cost of effects: measured in the running scene, and nothing for what is not there."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.cost import cost, measure
+from xpbd_ros.study.cost.clock import lap, lap_ns
+from xpbd_ros.study.cost.limits import limits
+
+SMALL = {'cloths.sheet.grid.resolution': [9, 9], 'solver.substeps': 4}
+
+
+@pytest.fixture(scope='module')
+def found():
+    return cost(load_scene('swing', SMALL), 6, rounds=2)
+
+
+def test_every_effect_has_a_row_in_projection_order(found):
+    assert [row.name for row in found.effects] == list(EFFECTS)
+    assert {row.name for row in found.effects if row.present} == {'pin', 'shear', 'stretch'}
+    assert (found.particles, found.frames, found.substeps) == (81, 6, 4)
+
+
+def test_an_effect_that_is_not_there_has_neither_code_nor_data_nor_time(found):
+    for row in found.effects:
+        if not row.present:
+            assert (row.constraints, row.kernels, row.bytes) == (0, 0, 0)
+            assert (row.us_per_substep, row.share) == (0.0, 0.0)
+
+
+def test_constraints_kernels_and_bytes_are_counted(found):
+    rows = {row.name: row for row in found.effects}
+    assert rows['stretch'].constraints == 2 * 9 * 8
+    assert rows['shear'].constraints == 2 * 8 * 8
+    for name in ('shear', 'stretch'):
+        assert rows[name].kernels >= 3
+        assert rows[name].bytes >= 24 * rows[name].constraints
+        assert rows[name].us_per_substep > 0.0
+        assert rows[name].ns_per_constraint == pytest.approx(
+            1e3 * rows[name].us_per_substep / rows[name].constraints)
+
+
+def test_the_rows_add_up_to_the_whole(found):
+    """By definition of the last one: it says what the clock cannot tell apart."""
+    rows = found.effects + found.others
+    assert sum(row.share for row in rows) == pytest.approx(1.0)
+    assert [row.name for row in found.others] == ['integration', 'python', 'rest']
+    assert found.frame_ms > 0.0
+
+
+def test_a_shared_array_counts_once():
+    a = np.zeros(10)
+    seen = set()
+    assert measure._bytes((a, (a, np.zeros(3, np.float32), None)), seen) == 92
+    assert measure._bytes((a,), seen) == 0
+
+
+@pytest.mark.parametrize('method', ['gauss_seidel_symmetric', 'line'])
+def test_the_clock_changes_no_bit(method):
+    """With every kind of stage; ``cost`` itself would fail where the two runs part."""
+    scene = load_scene('drape', {'cloths.cover.grid.resolution': [6, 5], 'solver.method': method,
+                                 'solver.substeps': 3, 'cloths.cover.pose.position':
+                                 [-0.5, -0.5, 0.33]})
+    assert cost(scene, 5, rounds=1).frames == 5
+
+
+def test_a_run_that_differs_is_not_believed(monkeypatch):
+    monkeypatch.setattr(Simulation, 'hash', lambda self: id(self))
+    with pytest.raises(AssertionError, match='computes something else'):
+        cost(load_scene('swing', SMALL), 1, rounds=1)
+
+
+def test_a_lap_is_the_time_since_the_last():
+    book = np.zeros((3, 2), np.int64)
+    lap(book, -1)
+    lap(book, 1)
+    assert book[0].tolist() == [0, 0]
+    assert book[1, 1] == 1
+    assert 0 < book[1, 0] < 1_000_000_000
+    assert 1.0 < lap_ns(1000) < 100_000.0
+
+
+def test_the_limits_of_the_machine_are_plausible():
+    most = limits()
+    assert 0.1 < most['memory_gb_s'] < 2 * most['cache_gb_s']
+    assert 0.1 < most['fma_gflop_s'] < 1000.0
+
+
+def test_the_verb_prints_what_it_writes(tmp_path):
+    done = subprocess.run(
+        [sys.executable, '-m', 'xpbd_ros', 'cost', 'swing', '--duration', '0.05', '--json',
+         'c.json', '--picture', 'c.png', '--set', 'cloths.sheet.grid.resolution=[9, 9]', '--set',
+         'solver.substeps=4'], cwd=tmp_path, capture_output=True, text=True, check=False,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))})
+    assert (done.returncode, done.stderr) == (0, '')
+    numbers = json.loads((tmp_path / 'c.json').read_text())
+    assert {'effects', 'frame_ms', 'particles', 'machine', 'limits'} <= set(numbers)
+    assert {'name', 'present', 'constraints', 'us_per_substep', 'share',
+            'bytes'} <= set(numbers['effects'][0])
+    assert numbers['pictures'] == [str(tmp_path / 'c.png')]
+    assert (tmp_path / 'c.png').stat().st_size > 5000
+    for row in numbers['effects']:
+        line = next(line for line in done.stdout.splitlines() if line.split()[:1] == [row['name']])
+        assert ('absent' in line) == (not row['present'])
+    assert numbers['machine']['name'] in done.stdout

@@ -1,0 +1,98 @@
+"""
+What each effect of a scene costs on this machine: time, memory, code.
+
+The scene runs for its duration, three times over, with a clock between the effects' kernels; a
+second simulation without one runs in turn, and says what the whole takes. Effects that the scene
+does not name are listed as absent: they have no arrays and no machine code.
+"""
+
+from pathlib import Path
+
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.ros import need_ros
+
+EXAMPLE = 'xpbd_ros cost towel --duration 2'
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help="simulated seconds, instead of the scene's")
+    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
+                        help='override one key of the scene, such as solver.substeps=32')
+    parser.add_argument('--picture', metavar='FILE', help='draw the table as a PNG')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Measure and print."""
+    from xpbd_ros.cli.run import count_frames, parse_keys
+    from xpbd_ros.scene.load import load_scene
+    overrides = parse_keys(arguments.keys)
+    if arguments.duration is not None:
+        overrides['duration'] = arguments.duration
+    for output in (arguments.json, arguments.picture):
+        refuse_existing(output)
+    scene = load_scene(arguments.scene, overrides)
+    frames = count_frames(scene)
+    commands = {}
+    if arguments.commands:
+        need_ros('cost --commands')
+        from xpbd_ros.ros.playback import commands_by_frame
+        commands = commands_by_frame(arguments.commands)
+    from xpbd_ros.study.cost import cost
+    from xpbd_ros.study.cost.limits import limits
+    from xpbd_ros.study.machine import describe, machine
+    found = cost(scene, frames, commands=commands, progress=progress)
+    here, most = machine(), limits()
+    numbers = {
+        'machine': here, 'limits': most, 'scene': scene.where,
+        'effects': [numbers_of(row) for row in found.effects],
+        'others': [numbers_of(row) for row in found.others],
+        'frame_ms': found.frame_ms, 'frame_ms_spread': found.frame_ms_spread,
+        'frames': found.frames, 'substeps': found.substeps, 'particles': found.particles,
+        'state_bytes': found.state_bytes,
+    }
+    if arguments.picture:
+        from xpbd_ros.study.cost.picture import draw
+        numbers['pictures'] = [draw(found, f'{scene.name}: {found.particles} particles, '
+                                    f'{found.frame_ms:.2f} ms per frame',
+                                    Path(arguments.picture))]
+    write_json(arguments.json, numbers)
+    if arguments.json != '-':
+        print('\n'.join(lines(scene.name, found, describe(here), most)))
+    return 0
+
+
+def numbers_of(row) -> dict:
+    """Return a row as JSON has it."""
+    return {**vars(row), 'ns_per_constraint': row.ns_per_constraint}
+
+
+def lines(name: str, found, machine: str, most: dict) -> list[str]:
+    """Return the table."""
+    text = [f'{name}: {found.particles} particles, {found.substeps} substeps, {found.frames} '
+            f'frames, {found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
+            machine, '',
+            f'  {"effect":<12} {"µs/substep":>15} {"share":>7} {"constraints":>11} '
+            f'{"ns each":>8} {"KiB":>8} {"kernels":>7}']
+    for row in found.effects + found.others:
+        if not row.present:
+            text.append(f'  {row.name:<12} {"absent":>15} {"0 %":>7} {0:>11} {"":>8} {0:>8} '
+                        f'{0:>7}')
+            continue
+        each = '' if row.ns_per_constraint is None else f'{row.ns_per_constraint:.2f}'
+        if row in found.others:
+            amounts = ''
+        else:
+            amounts = (f' {row.constraints:>11} {each:>8} {row.bytes / 1024:>8.0f} '
+                       f'{row.kernels:>7}')
+        text.append(f'  {row.name:<12} {row.us_per_substep:>8.2f} ± {row.us_spread:<4.2f} '
+                    f'{100 * row.share:>5.1f} %{amounts}')
+    text += ['', f'  particles themselves: {found.state_bytes / 1024:.0f} KiB',
+             f'  one core of this machine: {most["memory_gb_s"]:.0f} GB/s from memory, '
+             f'{most["cache_gb_s"]:.0f} GB/s from its cache, {most["fma_gflop_s"]:.0f} Gflop/s']
+    return text

@@ -1,0 +1,26 @@
+"""Plain charts of numbers, alike in type and colour; matplotlib draws, without a display."""
+
+from pathlib import Path
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+INK, MUTED = '#1f2328', '#6b737c'
+COLOURS = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c', '#3c8a8a', '#b55f96')
+
+
+def page(width: float = 8.0, height: float = 5.0, *, rows: int = 1, columns: int = 1):
+    """Return a figure [inches] and its axes, shape (rows, columns)."""
+    figure = Figure(figsize=(width, height), dpi=150, facecolor='white', layout='constrained')
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False)
+    for axis in axes.flat:
+        axis.spines[['top', 'right']].set_visible(False)
+        axis.tick_params(colors=INK, labelsize=8)
+    return figure, axes
+
+
+def save(figure, file: Path | str) -> Path:
+    """Write a PNG and return where."""
+    figure.savefig(file, format='png')
+    return Path(file)

@@ -1,0 +1,174 @@
+"""
+Measure what each effect costs.
+
+Two simulations of the scene run frame by frame in turn: one as it always is, one with a clock in
+its step. They do the same work, to the bit, in every round; so each frame's time is the median of
+the rounds, and frames add up. What the clock itself takes is measured and left out. What is left
+between the sum of the rows and the whole is a row of its own.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+import sys
+from time import perf_counter_ns
+
+import numpy as np
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim import stages
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.cost.clock import lap_ns
+from xpbd_ros.study.cost.timed_step import timed_step
+
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """What one effect costs, or what a part of the step that is no effect does."""
+
+    name: str
+    present: bool
+    constraints: int = 0
+    kernels: int = 0
+    """of its own in the machine code of this scene"""
+    bytes: int = 0
+    """of its arrays; what it shares with an effect before it counts there"""
+    us_per_substep: float = 0.0
+    us_spread: float = 0.0
+    """half of what the rounds differ"""
+    share: float = 0.0
+    """of the whole step"""
+
+    @property
+    def ns_per_constraint(self) -> float | None:
+        """Time of a substep by constraint; None where there are none."""
+        return 1e3 * self.us_per_substep / self.constraints if self.constraints else None
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a scene costs on this machine."""
+
+    effects: list[Row]
+    """all there are, in projection order"""
+    others: list[Row]
+    """integration, the Python around the native call, and what is left"""
+    frame_ms: float
+    frame_ms_spread: float
+    particles: int
+    frames: int
+    substeps: int
+    state_bytes: int
+
+
+def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
+         rounds: int = ROUNDS, progress: Callable[[Iterable, str], Iterable] = lambda i, _: i
+         ) -> Cost:
+    """
+    Run a scene and return what its effects cost.
+
+    Parameters
+    ----------
+    frames : how many
+    commands : inputs by frame
+    rounds : how often the run is repeated
+    progress : passes frames on, and shows how far it is
+
+    """
+    commands = commands or {}
+    plain, timed = compile_scene(scene), compile_scene(scene)
+    count = len(timed._tuple)
+    timed_kernel = timed_step(timed._tuple, timed.solver.method)
+    book = np.zeros((count + 2, 2), np.int64)
+    _watch(plain, plain._step)
+    _watch(timed, lambda *arguments: timed_kernel(*arguments, book))
+    plain.compile()
+    timed._step(timed._tuple, timed.state, timed._method(), timed.frame_dt, 0)
+    text = ''.join(timed_kernel.inspect_asm().values())
+    clock = lap_ns()
+    whole, native = np.zeros((2, rounds, frames, 1))
+    parts = np.zeros((rounds, frames, count + 1))
+    for step in progress(range(rounds * frames), 'frames'):
+        r, f = divmod(step, frames)
+        if f == 0:
+            plain, timed = (_fresh(scene, simulation) for simulation in (plain, timed))
+        start = perf_counter_ns()
+        plain.step(commands.get(f + 1, ()))
+        substeps = plain.solver.substeps
+        whole[r, f] = (perf_counter_ns() - start) / substeps
+        native[r, f] = plain.taken / substeps
+        book[:] = 0
+        timed.step(commands.get(f + 1, ()))
+        parts[r, f] = (book[:-1, 0] - clock * book[:-1, 1]) / substeps
+    assert plain.hash() == timed.hash(), 'the step with a clock in it computes something else'
+    return _tabulate(plain, text, whole, native, parts)
+
+
+def _watch(simulation: Simulation, kernel: Callable) -> None:
+    """Let a simulation step by this kernel, and keep in ``taken`` what it took [ns]."""
+    def step(*arguments):
+        start = perf_counter_ns()
+        kernel(*arguments)
+        simulation.taken = perf_counter_ns() - start
+    simulation._step, simulation.kernel = step, kernel
+
+
+def _fresh(scene: Scene, simulation: Simulation) -> Simulation:
+    again = compile_scene(scene)
+    _watch(again, simulation.kernel)
+    return again
+
+
+def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
+    total, total_spread = (value[0] for value in _mean(whole))
+    (inside,), (inside_spread,) = _mean(native)
+    times, spreads = _mean(parts)
+
+    def row(name, time, spread, **about):
+        return Row(name, True, us_per_substep=1e-3 * time, us_spread=1e-3 * spread,
+                   share=time / total, **about)
+
+    effects, seen = [], set()
+    order = list(simulation.effects)
+    for name in EFFECTS:
+        if name not in simulation.effects:
+            assert f'xpbd_ros.effects.{name}' not in sys.modules or not _in_code(name, text)
+            effects.append(Row(name, False))
+            continue
+        k, built = order.index(name), simulation.effects[name]
+        listed = built.constraints
+        effects.append(row(name, times[k], spreads[k], bytes=_bytes(built.data, seen),
+                           constraints=0 if listed is None else len(listed.particles),
+                           kernels=_in_code(name, text)))
+    rest = inside - times.sum()
+    frame = float(np.median(whole, axis=0).mean() * simulation.solver.substeps)
+    return Cost(effects, [row('integration', times[-1], spreads[-1]),
+                          row('python', total - inside, abs(total_spread - inside_spread)),
+                          row('rest', rest, inside_spread)],
+                1e-6 * frame, 1e-6 * total_spread * simulation.solver.substeps,
+                len(simulation.slot), whole.shape[1], simulation.solver.substeps,
+                _bytes(simulation.state, seen))
+
+
+def _mean(rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return means over frames of medians over rounds, and half of what the rounds differ."""
+    return np.median(rounds, axis=0).mean(0), 0.5 * np.ptp(rounds.mean(1), axis=0)
+
+
+def _in_code(name: str, text: str) -> int:
+    """Return how many of an effect's kernels some machine code holds."""
+    module = f'xpbd_ros.effects.{name}'
+    return sum(kind.__module__ == module and kernel.__name__ in text
+               for (_, kind), kernel in stages._KERNELS.items())
+
+
+def _bytes(data, seen: set[int]) -> int:
+    """Return the bytes of all arrays in nested tuples that were not seen before."""
+    if isinstance(data, np.ndarray):
+        new = data.ctypes.data not in seen
+        seen.add(data.ctypes.data)
+        return data.nbytes if new else 0
+    return sum(_bytes(item, seen) for item in data) if isinstance(data, tuple) else 0
