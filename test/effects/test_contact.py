@@ -254,3 +254,95 @@ def test_an_unknown_collider_is_refused_with_those_there_are():
     command = MoveCollider('bal', Pose())
     assert particle({'ball': SHAPES['sphere'], 'floor': SHAPES['plane']}).step([command]).refused \
         == ((command, "unknown collider 'bal' (known: ball, floor)"),)
+
+
+THIN = {'plate': {'box': {'size': [1.0, 1.0, 0.001]}}, 'marble': {'sphere': {'radius': 0.004}},
+        'needle': {'capsule': {'radius': 0.001, 'length': 1.0}, 'orientation': [
+            0.0, 0.5**0.5, 0.0, 0.5**0.5]},
+        'coin': {'cylinder': {'radius': 0.02, 'length': 0.001}}}
+
+
+@pytest.mark.parametrize('thin', THIN)
+@pytest.mark.parametrize('speed', [50.0, 400.0])
+@pytest.mark.parametrize('substeps', [1, 7])
+def test_a_bullet_does_not_pass_what_is_thin(thin, speed, substeps):
+    """H18: up to 6 m a substep at a plate of a millimetre; it stays on the side it came from."""
+    sideways = 0.002 if thin in ('plate', 'coin') else 0.0    # a round one would deflect it
+    for side, off in ((1.0, 0.0), (-1.0, sideways)):
+        simulation = particle({'s': THIN[thin]}, (off, 0.3 * off, side * 0.77), gravity=(0, 0, 0),
+                              substeps=substeps, contact={'thickness': 0.003})
+        simulation.state.v[2, 0] = -side * speed
+        for _ in range(6):
+            frame = simulation.step()
+            assert side * frame.x[0, 2] > 0.0
+        assert np.linalg.norm(frame.v[0]) <= speed
+
+
+def test_what_flies_past_is_left_alone():
+    """Next to a marble, by less than its motion in a substep and by more than the thickness."""
+    simulation = particle({'s': THIN['marble']}, (0.0072, 0.0, 0.77), gravity=(0, 0, 0),
+                          contact={'thickness': 0.003})
+    simulation.state.v[2, 0] = -50.0
+    frame = run(simulation, 3)
+    np.testing.assert_allclose(frame.x[0], [0.0072, 0.0, 0.77 - 150.0 / 60.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize('collider', [
+    {'box': {'size': [0.002, 0.5, 0.5]}, 'max_speed': 100.0},
+    {**THIN['marble'], 'max_speed': 100.0}])
+def test_a_collider_that_jumps_its_own_size_many_times_takes_along_what_is_in_its_way(collider):
+    simulation = particle({'s': {**collider, 'position': [-0.8, 0.0, 0.0]}}, (0.0, 0.0, 0.0),
+                          gravity=(0, 0, 0), substeps=1)
+    for k in range(4):
+        frame = simulation.step([MoveCollider('s', Pose((-0.8 + (k + 1) * 1.5, 0.0, 0.0)))])
+        place = frame.colliders['s'].pose.position[0]
+        assert frame.x[0, 0] >= place
+    assert place == pytest.approx(5.2)
+    assert frame.v[0, 0] == pytest.approx(90.0)
+
+
+def test_a_thin_plate_that_turns_sweeps_what_is_in_its_way():
+    turned = Rotation.from_rotvec([0.0, 0.0, 0.4])
+    simulation = particle({'s': {'box': {'size': [1.0, 0.001, 1.0]}, 'max_speed': 100.0}},
+                          (0.4, 0.08, 0.0), gravity=(0, 0, 0), contact={'thickness': 0.002})
+    frame = simulation.step([MoveCollider('s', Pose((0.0, 0.0, 0.0), tuple(turned.as_quat())))])
+    assert turned.inv().apply(frame.x[0].copy())[1] >= 0.002
+
+
+def test_a_cloth_pulled_hard_against_a_thin_plate_stays_on_its_side():
+    """Not the prediction but the edges pull it, from rest: with them two pins at 20 m/s."""
+    fast = {'cloth': 'c', 'max_speed': 20.0}
+    simulation = simulate((9, 9), (0.4, 0.4), effects={'stretch': {'warp': 2000, 'weft': 2000}},
+                          density=0.2, pose={'position': [-0.2, -0.2, 0.004]}, gravity=(0, 0, 0),
+                          substeps=4, colliders={'s': {'box': {'size': [0.38, 0.6, 0.002]}}},
+                          scene_effects={'contact': {'thickness': 0.0025}}, pins={
+                              'a': {**fast, 'at': 'edge_x0', 'target': [-0.2, 0.0, -0.3]},
+                              'b': {**fast, 'at': 'edge_x1', 'target': [0.2, 0.0, -0.3]}})
+    middle = np.abs(simulation.frame().x[:, 0]) < 0.06
+    for _ in range(6):
+        frame = simulation.step()
+        assert (frame.x[middle, 2] > 0.0).all()
+    assert np.abs(frame.x[middle, 2] - 0.0035).max() < 1e-3
+
+
+@pytest.mark.parametrize('integrator, method', [('backward_euler', 'gauss_seidel'),
+                                                ('bdf2', 'line')])
+def test_cloth_that_starts_deep_in_a_ball_comes_out_calmly(integrator, method):
+    """
+    H15: 5 cm deep; all of it comes out, and then it is slow.
+
+    The ball stretches it at DEPENETRATION, so a free edge snaps on at about twice that. Undone in
+    one substep and made velocity, the overlap would give 33 m/s.
+    """
+    simulation = simulate((15, 15), (0.4, 0.4), effects={
+        'stretch': {'warp': 300.0, 'weft': 300.0}, 'bend': {'stiffness': 1e-4}}, density=0.2,
+        pose={'position': [-0.2, -0.2, 0.1]}, substeps=10, gravity=(0, 0, 0), method=method,
+        integrator=integrator, colliders={'s': {'sphere': {'radius': 0.15}}},
+        scene_effects={'contact': {'thickness': 0.005}, 'damping': {'rate': 2.0}})
+    fastest = 0.0
+    for _ in range(120):
+        frame = simulation.step()
+        fastest = max(fastest, np.linalg.norm(frame.v, axis=1).max())
+    assert np.linalg.norm(frame.x, axis=1).min() >= 0.155 - 1e-6
+    assert fastest < 3.0 * DEPENETRATION
+    assert np.linalg.norm(frame.v, axis=1).max() < 0.1

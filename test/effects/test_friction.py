@@ -143,7 +143,6 @@ def test_a_push_that_is_taken_back_takes_its_friction_back():
     contact, friction = (simulation.effects[name].data for name in ('contact', 'friction'))
     state.x[:, 0] = (0.05, 0.0, R - 0.02)
     stages._KERNELS[stages.prepare, type(contact)](contact, state, substep)
-    stages._KERNELS[stages.prepare, type(friction)](friction, state, substep)
     push_out = stages._KERNELS[stages.touch, type(contact)]
     resist = stages._KERNELS[stages.touch, type(friction)]
     push_out(contact, state, substep)

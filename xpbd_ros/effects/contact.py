@@ -3,8 +3,9 @@ Contact: particles stay outside moving planes, spheres, capsules, cylinders and 
 
 C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
 
-Once per substep, after the prediction, pairs that might touch become candidates. Then, in each
-iteration, a candidate that is too deep is pushed out along the normal n (Müller et al. 2006, 3.4):
+Once per substep, when the constraints have first moved the particles, pairs that might touch
+become candidates. Then, in each iteration, a candidate that is too deep is pushed out along the
+normal n (Müller et al. 2006, 3.4):
 
     Δd = max(-C, -d),   d += Δd,   x += n Δd        (d ≥ 0: the push so far, never a pull)
 
@@ -14,8 +15,13 @@ away from the surface is taken back at the substep's end (the aim of pre-stabili
 al. 2014; moving x_prev instead leaves a velocity where another collider pushes back). Colliders
 move through the frame from pose to pose and carry the cloth along.
 
-Limits: particles are tested, not triangles, and at the substep's end, so what is thinner than the
-spacing of particles, or faster than its own size per substep, can slip through.
+A particle that moves, relative to a collider, more than a quarter of the collider's thickness in
+a substep is followed on its way (``sim.crossing``): where that first comes within r, the surface's
+tangent plane is what it stays in front of. So it ends on the side that it came from, however fast
+either is and however thin the collider.
+
+Limits: particles are tested, not triangles, so what is thinner than the spacing of particles can
+slip between them.
 """
 
 from dataclasses import dataclass, field
@@ -29,6 +35,7 @@ from xpbd_ros.sim import colliders as shapes
 from xpbd_ros.sim.colliders import Colliders, signed_distance, to_local
 from xpbd_ros.sim.commands import MoveCollider, Pose
 from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, surface_motion
+from xpbd_ros.sim.crossing import look_back
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
@@ -41,6 +48,8 @@ DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
 CANDIDATES = 4
 """room for candidates, per particle"""
+NOT_SOUGHT = -1
+"""count of candidates before the first iteration of a substep"""
 
 
 @dataclass(frozen=True)
@@ -160,13 +169,19 @@ class Contact(NamedTuple):
 
 @stage(prepare, Contact)
 @jit
+def forget_contacts(contact, state, substep):
+    """Move the colliders, and leave the pairs of the substep before."""
+    if substep.begin == 0.0:
+        contact.contacts.count[1] = 0
+    contact.contacts.count[0] = NOT_SOUGHT
+    move_colliders(contact.contacts, substep)
+
+
+@jit
 def find_candidates(contact, state, substep):
     """List the pairs that may touch in this substep, and the gap that each has to keep."""
     contacts, thickness, w = contact.contacts, contact.thickness[0], state.inv_mass
-    if substep.begin == 0.0:
-        contacts.count[1] = 0
     contacts.count[0] = 0
-    move_colliders(contacts, substep)
     slots = len(w)
     for q in range(0, slots, lanes(w)):
         free = load(w, q) > 0.0
@@ -214,6 +229,9 @@ def consider(contacts, state, i, c, thickness, substep):
     contacts.gap[k] = min(thickness, gap + DEPENETRATION * substep.h)
     contacts.overlap[k] = max(0.0, contacts.gap[k] - gap)
     contacts.push[k] = 0.0
+    contacts.crossed[k] = False
+    for a in range(3):
+        contacts.slip[k, a] = 0.0
     contacts.count[0] = k + 1
 
 
@@ -222,19 +240,32 @@ def consider(contacts, state, i, c, thickness, substep):
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal."""
     contacts, poses = contact.contacts, contact.contacts.after
+    if contacts.count[0] == NOT_SOUGHT:
+        find_candidates(contact, state, substep)
     for k in range(contacts.count[0]):
         i, c = contacts.particle[k], contacts.collider[k]
-        lx, ly, lz = to_local(poses, c, state.x[0, i], state.x[1, i], state.x[2, i])
+        x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+        x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
+        step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
+        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
+            look_back(contacts, k, x0, y0, z0, x, y, z, contact.thickness[0])
+        lx, ly, lz = to_local(poses, c, x, y, z)
         phi, nx, ny, nz = signed_distance(contacts.colliders, c, lx, ly, lz)
+        nx, ny, nz = rotate(poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6], nx, ny, nz)
+        if contacts.crossed[k]:
+            plane = contacts.side[k]
+            ahead = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+            if ahead < phi:
+                phi, nx, ny, nz = ahead, plane[0], plane[1], plane[2]
         before = contacts.push[k]
         push = max(contacts.gap[k] - phi, -before)
         if push == 0.0:
             continue
-        n = rotate(poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6], nx, ny, nz)
         contacts.push[k] = before + push
-        for a in range(3):
-            state.x[a, i] += n[a] * push
-            contacts.normal[k, a] = n[a]
+        state.x[0, i] += nx * push
+        state.x[1, i] += ny * push
+        state.x[2, i] += nz * push
+        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
         lose_history(state.history, i)
 
 
@@ -281,7 +312,7 @@ class BuiltContact(Built):
         poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
         colliders = Colliders(
             np.array([len(self.entries)]), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
-            np.zeros(capacity),
+            np.zeros(capacity), np.zeros(capacity),
             poses.copy(), poses.copy(), np.zeros(capacity, np.bool_), np.zeros((capacity, 6)),
             np.zeros(capacity, np.bool_),
             np.zeros(capacity))
@@ -289,6 +320,7 @@ class BuiltContact(Built):
             colliders.shape[c] = SHAPES[entry.shape]
             colliders.size[c] = shape_size(entry)
             colliders.reach[c] = shapes.reach(colliders.shape[c], colliders.size[c])
+            colliders.inner[c] = shapes.inner(colliders.shape[c], colliders.size[c])
             colliders.friction[c] = entry.friction
         self.colliders = colliders
         self.contacts = new_contacts(colliders, room)
@@ -306,7 +338,7 @@ class BuiltContact(Built):
 
     def adopt(self, old):
         self.motions = old.motions
-        for ours, theirs in zip(self.colliders[4:9], old.colliders[4:9]):
+        for ours, theirs in zip(self.colliders[5:10], old.colliders[5:10]):
             ours[:] = theirs
 
     @staticmethod
@@ -349,7 +381,7 @@ class BuiltContact(Built):
             for name, motion in self.motions.items()}
 
     def stats(self):
-        return {'contacts': int((self.contacts.push[:self.contacts.count[0]] > 0.0).sum()),
+        return {'contacts': int((self.contacts.push[:max(0, self.contacts.count[0])] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
                 'colliders_at_max_speed': sum(m.limited for m in self.motions.values())}
 

@@ -25,7 +25,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, surface_motion
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, stage, touch
+from xpbd_ros.sim.stages import stage, touch
 
 
 @dataclass(frozen=True)
@@ -44,16 +44,6 @@ class Friction(NamedTuple):
     """index of each particle's cloth, shape (slots,)"""
     coefficient: np.ndarray
     """μ by cloth and collider, shape (cloths, capacity)"""
-
-
-@stage(prepare, Friction)
-@jit
-def prepare_friction(friction, state, substep):
-    """Forget the last substep's friction."""
-    contacts = friction.contacts
-    for k in range(contacts.count[0]):
-        for a in range(3):
-            contacts.slip[k, a] = 0.0
 
 
 @stage(touch, Friction)

@@ -6,7 +6,7 @@ gradient is undefined (a sphere's centre, a box's medial planes) a fixed axis of
 in, so the normal is always of length 1.
 """
 
-from math import sqrt
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +28,8 @@ class Colliders(NamedTuple):
     """[m]: radius, half length along z, –; or half extents of a box; shape (capacity, 3)"""
     reach: np.ndarray
     """radius of a ball around the position that holds the shape [m]; -1: unbounded"""
+    inner: np.ndarray
+    """what moves no further than this in a substep cannot get through it [m]; inf: nothing can"""
     start: np.ndarray
     """pose at the frame's start: x y z, qx qy qz qw; shape (capacity, 7)"""
     goal: np.ndarray
@@ -82,6 +84,18 @@ def reach(shape, size):
     if shape == BOX:
         return sqrt(size[0] * size[0] + size[1] * size[1] + size[2] * size[2])
     return -1.0
+
+
+@jit
+def inner(shape, size):
+    """Return half the smallest half extent [m]: what goes no deeper is nearest to where it was."""
+    if shape == PLANE:
+        return inf
+    if shape in (SPHERE, CAPSULE):
+        return 0.5 * size[0]
+    if shape == CYLINDER:
+        return 0.5 * min(size[0], size[1])
+    return 0.5 * min(size[0], size[1], size[2])
 
 
 @jit(inline=True)

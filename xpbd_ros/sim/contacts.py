@@ -22,6 +22,8 @@ class Contacts(NamedTuple):
     """how far each moves in the substep [m], shape (capacity,)"""
     turned: np.ndarray
     """how far its quaternion moves, about half the angle [rad], shape (capacity,)"""
+    slack: np.ndarray
+    """a particle that moves further than this in the substep may get through it [m], same shape"""
     up: np.ndarray
     """its z axis, the normal of a plane; shape (capacity, 3)"""
     count: np.ndarray
@@ -40,16 +42,22 @@ class Contacts(NamedTuple):
     """unit vector out of the collider, shape (room, 3)"""
     slip: np.ndarray
     """s, friction's displacement so far in this substep [m], shape (room, 3)"""
+    crossed: np.ndarray
+    """whether the particle's way through the substep meets the collider, shape (room,)"""
+    side: np.ndarray
+    """if so, the plane that it stays in front of: unit normal, offset [m]; shape (room, 4)"""
 
 
 def new_contacts(colliders: Colliders, room: int) -> Contacts:
     """Return room for that many candidates, none of them in use."""
     capacity = len(colliders.shape)
     return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
-                    np.zeros(capacity), np.zeros(capacity), np.zeros((capacity, 3)),
+                    np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
+                    np.zeros((capacity, 3)),
                     np.zeros(2, np.int64), np.zeros(room, np.int64),
                     np.zeros(room, np.int64), np.zeros(room), np.zeros(room), np.zeros(room),
-                    np.zeros((room, 3)), np.zeros((room, 3)))
+                    np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
+                    np.zeros((room, 4)))
 
 
 @jit(inline=True)
@@ -82,5 +90,8 @@ def move_colliders(contacts, substep):
                                  + (b[c, 2] - a[c, 2])**2)
         contacts.turned[c] = sqrt((b[c, 3] - a[c, 3])**2 + (b[c, 4] - a[c, 4])**2
                                   + (b[c, 5] - a[c, 5])**2 + (b[c, 6] - a[c, 6])**2)
+        arm = 2.0 * max(contacts.colliders.reach[c], 0.0)
+        contacts.slack[c] = max(0.0, contacts.colliders.inner[c] - contacts.moved[c]
+                                - arm * contacts.turned[c])
         up = rotate(b[c, 3], b[c, 4], b[c, 5], b[c, 6], 0.0, 0.0, 1.0)
         contacts.up[c, 0], contacts.up[c, 1], contacts.up[c, 2] = up
