@@ -45,7 +45,9 @@ setup(
     extras_require={
         # ROS 2 Jazzy as wheels (x86-64), for machines without a ROS of their own
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
-        'test': ['hypothesis', 'mcap-ros2-support', 'pytest', 'rosbags', 'ruff'],
+        # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
+        'mesh': ['meshio>=5.3'],
+        'test': ['hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest', 'rosbags', 'ruff'],
     },
     entry_points={
         'console_scripts': [

@@ -56,7 +56,7 @@ def refusal(text, **options):
      'cloths.flag.density: must be a number kg/m² (got datetime.date(2001, 1, 1))'),
     ('density: 0.15', 'density: 0x' + 'f' * 6000,
      'cloths.flag.density: must be finite kg/m² (got a number of 24000 bits)'),
-    ('    density: 0.15\n', '', 'cloths.flag.density: missing (kg/m²)'),
+    ('    density: 0.15\n', '', 'cloths.flag.density: missing (kg/m²); or name a material'),
     ('[1.2, 0.8]', '[1.2]', 'cloths.flag.grid.size: must be 2 numbers (got 1)'),
     ('[1.2, 0.8]', '1.2', 'cloths.flag.grid.size: must be a list (got 1.2)'),
     ('[1.2, 0.8]', '[1.2, 0]', 'cloths.flag.grid.size[1]: must be > 0 m (got 0)'),
@@ -113,7 +113,7 @@ def test_a_mistake_in_the_rest_is_told_too(added, text):
 @pytest.mark.parametrize('scene, text', [
     ('', 'cloths: missing; a scene needs at least one cloth'),
     ('cloths: {}', 'cloths: missing; a scene needs at least one cloth'),
-    ('cloths: {flag: }', 'cloths.flag.grid: missing'),
+    ('cloths: {flag: }', "cloths.flag: needs either 'grid' or 'mesh', and only one of them"),
     ('3', 'the scene: must be a mapping (got 3)'),
     (FLAG + 'gravity: [0, 0, -1]\ngravity: [0, 0, -2]\n',
      "line 8, column 1: key 'gravity' stands twice"),
@@ -205,7 +205,7 @@ def test_overrides_stand_in_for_what_the_file_says():
 @pytest.mark.parametrize('key, value, text', [
     ('cloths.flag.density.x', 1, "'density' holds a value, so it has no key 'x'"),
     ('cloths.flag.densty', 1, "cloths.flag.densty: unknown key; did you mean 'density'? "
-     '(known: grid, density, pose, friction, effects)'),
+     '(known: grid, mesh, density, material, pose, friction, effects)'),
     ('', 1, "'' is not a key"),
     ('cloths..density', 1, "'.density' is not a key"),
     ('solver.substeps', 3.5, 'solver.substeps: must be a whole number (got 3.5)'),

@@ -47,6 +47,20 @@ def test_parts_of_rows_begin_on_whole_vectors(shapes, dtype):
 
 
 @DTYPES
+def test_meshes_lie_between_grids_by_rank_and_end_on_whole_vectors(dtype):
+    lanes = lane_count(dtype)
+    rank = np.random.default_rng(1).permutation(37)
+    found, slots = blocks([(5, 6), rank, np.zeros(1, int), (1, 1)], dtype)
+    all_ = np.concatenate([place.slots.ravel() for place in found])
+    assert len(np.unique(all_)) == len(all_) == 30 + 37 + 1 + 1
+    np.testing.assert_array_equal(found[1].slots - found[1].first, rank)
+    for place, after in zip(found, found[1:]):
+        assert place.first % lanes == place.size % lanes == 0
+        assert place.slots.max() < place.first + place.size == after.first
+    assert found[-1].first + found[-1].size + lanes == slots
+
+
+@DTYPES
 def test_columns_four_apart_are_neighbours(dtype):
     (block,), _ = blocks([(6, 22)], dtype)
     assert (np.diff(block.slots, axis=0) == block.row_stride).all()

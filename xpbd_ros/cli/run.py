@@ -87,6 +87,7 @@ def run(arguments) -> int:
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
         'refused': refused,
+        'notes': simulation.notes,
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
     }
@@ -100,6 +101,8 @@ def run(arguments) -> int:
               f'({simulation.solver.reason})\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
+        for text in simulation.notes:
+            print(f'note     {text}')
         if refused:
             print(f'refused  {refused} commands')
     return 0

@@ -196,6 +196,10 @@ class BuiltPin(Built):
                                  f'{list(entry.near)}; the nearest is {gap:.3g} m away')
             return near
         if isinstance(entry.at, str):
+            if cloth.mesh.grid is None:
+                raise InputError(f'pins.{name}.at: {entry.at} is a place on a grid, and '
+                                 f"'{cloth.name}' is a mesh; use near and radius (m), or a list "
+                                 'of particle numbers')
             rows, columns = (-1 if c == '1' else 0 if c == '0' else slice(None)
                              for c in entry.at.split('_')[1])
             return cloth.block.slots[rows, columns].ravel()

@@ -114,6 +114,8 @@ class ClothNode(LifecycleNode):
         self._publish_every = every(self.value('publish_rate'), simulation)
         log.info(f"scene '{scene.name}': {len(simulation.slot)} particles, effects "
                  f'{", ".join(scene.effect_names)}; {simulation.solver.reason}')
+        for text in simulation.notes:
+            log.warning(text)
         log.info('compiling for this scene; the first time takes some seconds')
         begin = time.perf_counter()
         simulation.compile()

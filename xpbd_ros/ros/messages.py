@@ -40,13 +40,14 @@ def quaternion(values) -> Quaternion:
 
 
 class Cloud:
-    """``~/particles``: an organized cloud, rows along weft, columns along warp."""
+    """``~/particles``: of a grid organized, rows along weft, columns along warp; else one row."""
 
     def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32):
         names = names.split()
         message = PointCloud2()
         message.header.frame_id = frame_id
-        message.height, message.width = cloth.mesh.grid.shape
+        grid = cloth.mesh.grid
+        message.height, message.width = (1, len(cloth.slots)) if grid is None else grid.shape
         size = np.dtype(dtype).itemsize
         kind = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
         message.fields = [PointField(name=name, offset=size * k, datatype=kind, count=1)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
@@ -9,10 +10,12 @@ from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import INTEGRATOR, resolve
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.scene.model import live_keys, Scene, with_key
+from xpbd_ros.scene.mesh_file import read_mesh_file
+from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.sim.effect import Built, Cloth, World
 from xpbd_ros.sim.layout import blocks
-from xpbd_ros.sim.mesh import grid_mesh
+from xpbd_ros.sim.mend import solid_mesh, surface_mesh
+from xpbd_ros.sim.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.rotation import rotate
 from xpbd_ros.sim.simulation import Change, Simulation
 from xpbd_ros.sim.state import new_state, State
@@ -23,11 +26,14 @@ def compile_scene(scene: Scene) -> Simulation:
     cloths, x, mass = [], [], []
     solver = scene.top.solver
     dtype = np.dtype(solver.precision)
-    shapes = [keys.grid.resolution[::-1] for keys in scene.cloths.values()]
-    places, slots = blocks(shapes, dtype)
+    try:
+        meshes = [_mesh(name, keys) for name, keys in scene.cloths.items()]
+    except InputError as error:
+        raise InputError(f'{scene.where}: {error}') from None
+    places, slots = blocks([mesh.rank if mesh.grid is None else mesh.grid.shape
+                            for mesh in meshes], dtype)
     first = 0
-    for (name, keys), block in zip(scene.cloths.items(), places):
-        mesh = grid_mesh(keys.grid.size, keys.grid.resolution)
+    for (name, keys), mesh, block in zip(scene.cloths.items(), meshes, places):
         cloths.append(Cloth(name, mesh, block, first, keys.friction))
         q, p = keys.pose.orientation, keys.pose.position
         x.append(np.stack(rotate.py_func(*q, *mesh.positions.T), 1) + p)
@@ -47,9 +53,34 @@ def compile_scene(scene: Scene) -> Simulation:
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene),
             solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
-            retune=Retune(scene, tuple(cloths), state, effects))
+            retune=Retune(scene, tuple(cloths), state, effects),
+            notes=[f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
+                   for text in cloth.mesh.notes])
     except InputError as error:
         raise InputError(f'{scene.where}: {error}') from None
+
+
+GRIDS_ONLY = ('bend', 'shear', 'stretch')
+
+
+def _mesh(name: str, keys: ClothKeys) -> Mesh:
+    """Return the rest shape of one cloth."""
+    if keys.grid is not None:
+        return grid_mesh(keys.grid.size, keys.grid.resolution)
+    try:
+        vertices, triangles, tetrahedra = read_mesh_file(Path(keys.mesh.file))
+    except InputError as error:
+        raise InputError(f'cloths.{name}.mesh.file: {error}') from None
+    if len(tetrahedra) and keys.material is not None:
+        raise InputError(f'cloths.{name}.material: is that of a sheet, and {keys.mesh.file} has '
+                         'tetrahedra; give density (kg/m³) and the effects themselves')
+    try:
+        with np.errstate(over='ignore', invalid='ignore'):
+            vertices = vertices * keys.mesh.scale
+            return (solid_mesh(vertices, tetrahedra, keys.mesh.warp) if len(tetrahedra)
+                    else surface_mesh(vertices, triangles, keys.mesh.warp))
+    except InputError as error:
+        raise InputError(f'cloths.{name}.mesh: {keys.mesh.file}: {error}') from None
 
 
 def integrator(scene: Scene) -> str:
@@ -72,6 +103,9 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State) -> dict[str, B
         else:
             parameters = {cloth: scene.cloth_effects[cloth.name][name] for cloth in cloths
                           if name in scene.cloth_effects[cloth.name]}
+            for cloth in parameters:
+                if cloth.mesh.grid is None and name in GRIDS_ONLY:
+                    raise InputError(f'cloths.{cloth.name}.effects.{name}: not on a mesh yet')
         built[name] = load_effect(name).build(parameters, world)
     return built
 

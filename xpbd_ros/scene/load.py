@@ -7,6 +7,7 @@ import yaml
 
 from xpbd_ros.effects import EFFECTS, load as load_effect, SECTIONS
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.materials import with_material
 from xpbd_ros.scene.model import ClothKeys, Scene, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
 from xpbd_ros.share import share_folder
@@ -74,7 +75,8 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
     except UnicodeDecodeError as error:
         raise InputError(f'{path}: not UTF-8 text ({error.reason} at byte '
                          f'{error.start})') from error
-    return scene_from_text(text, where=str(path), name=path.stem, overrides=overrides)
+    return scene_from_text(text, where=str(path), name=path.stem, overrides=overrides,
+                           folder=path.parent)
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -91,20 +93,22 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def scene_from_text(text: str, *, where: str, name: str,
-                    overrides: dict[str, Any] | None = None) -> Scene:
+                    overrides: dict[str, Any] | None = None,
+                    folder: Path | None = None) -> Scene:
     """Check a scene given as YAML text; ``where`` names it in errors."""
     return scene_from_mapping(parse_yaml(text, where), where=where, name=name,
-                              overrides=overrides)
+                              overrides=overrides, folder=folder)
 
 
 def scene_from_mapping(raw: Any, *, where: str, name: str,
-                       overrides: dict[str, Any] | None = None) -> Scene:
-    """Check a scene given as plain values."""
+                       overrides: dict[str, Any] | None = None,
+                       folder: Path | None = None) -> Scene:
+    """Check a scene given as plain values; its files lie in ``folder``, or where we are."""
     try:
         raw = mapping(raw, 'the scene')
         for key, value in (overrides or {}).items():
             raw = with_key(raw, key, value)
-        return _scene(raw, where, name)
+        return _scene(_resolved(raw, folder or Path()), where, name)
     except InputError as error:
         raise InputError(f'{where}: {error}') from None
 
@@ -124,12 +128,26 @@ def settings_overrides(file: str) -> dict[str, Any]:
     return {f'solver.{key}': value for key, value in mapping(raw['solver'], file).items()}
 
 
+def _resolved(raw: dict, folder: Path) -> dict:
+    """Return a scene that says all: values of materials, and files that are found anywhere."""
+    cloths = {}
+    for name, cloth in names(raw.get('cloths'), 'cloths').items():
+        cloths[name] = cloth = with_material(cloth, f'cloths.{name}')
+        mesh = cloth.get('mesh') if isinstance(cloth, dict) else None
+        if isinstance(mesh, dict) and isinstance(mesh.get('file'), str) and mesh['file']:
+            file = str((folder / mesh['file']).absolute())
+            cloths[name] = {**cloth, 'mesh': {**mesh, 'file': file}}
+    return {**raw, 'cloths': cloths} if cloths else raw
+
+
 def _scene(raw: dict, where: str, name: str) -> Scene:
     top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', *SECTIONS))
     cloths, cloth_effects = {}, {}
     for cloth, value in names(raw.get('cloths'), 'cloths').items():
         path = f'cloths.{cloth}'
         cloths[cloth] = read(ClothKeys, value, path, left_to_others=('effects',))
+        if cloths[cloth].density is None:
+            raise InputError(f'{path}.density: missing (kg/m²); or name a material')
         cloth_effects[cloth] = _effects(mapping(value, path).get('effects'),
                                         f'{path}.effects', 'cloth')
     if not cloths:

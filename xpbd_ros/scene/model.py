@@ -4,6 +4,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.materials import Isotropic
 from xpbd_ros.sim.effect import quantity
 
 
@@ -34,6 +35,20 @@ class Grid:
 
 
 @dataclass(frozen=True)
+class MeshKeys:
+    """A surface or body from a file."""
+
+    file: str = quantity(doc='beside the scene file, or an absolute path')
+    scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
+    warp: tuple[float, float, float] = quantity((1.0, 0.0, 0.0), doc='direction of the warp')
+
+    def __post_init__(self):
+        """Refuse a direction that is none."""
+        if not any(self.warp):
+            raise InputError('warp: must not be zero (a direction, such as [1, 0, 0])')
+
+
+@dataclass(frozen=True)
 class PoseKeys:
     """Where a cloth starts."""
 
@@ -46,10 +61,18 @@ class PoseKeys:
 class ClothKeys:
     """One entry of ``cloths``; its effects are parsed apart."""
 
-    grid: Grid = quantity()
-    density: float = quantity(unit='kg/m²', above=0.0)
+    grid: Grid | None = quantity(None, doc='a rectangle')
+    mesh: MeshKeys | None = quantity(None, doc='or a mesh from a file')
+    density: float | None = quantity(None, unit='kg/m²', above=0.0,
+                                     doc='kg/m³ for tetrahedra; by the material unless given')
+    material: str | Isotropic | None = quantity(None, doc='a fabric by name, or a solid')
     pose: PoseKeys = quantity(PoseKeys())
     friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ of its surface')
+
+    def __post_init__(self):
+        """Refuse what has no shape or two."""
+        if (self.grid is None) == (self.mesh is None):
+            raise InputError("needs either 'grid' or 'mesh', and only one of them")
 
 
 @dataclass(frozen=True)

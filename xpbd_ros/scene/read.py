@@ -68,8 +68,9 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
         kinds = [k for k in get_args(kind) if k is not type(None)]
         if value is None:
             raise InputError(f'{path}: has no value')
-        listed = [k for k in kinds if get_origin(k) is tuple]
-        kind = listed[0] if listed and isinstance(value, list) else kinds[0]
+        fits = [k for k in kinds if (get_origin(k) is tuple and isinstance(value, list))
+                or (is_dataclass(k) and isinstance(value, dict))]
+        kind = fits[0] if fits else kinds[0]
     if is_dataclass(kind):
         return read(kind, value, path)
     if get_origin(kind) is tuple:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from xpbd_ros.sim.commands import Command
-from xpbd_ros.sim.layout import Block
+from xpbd_ros.sim.layout import Block, Span
 from xpbd_ros.sim.mesh import Mesh
 from xpbd_ros.sim.state import State
 
@@ -36,7 +36,7 @@ class Cloth:
 
     name: str
     mesh: Mesh
-    block: Block
+    block: Block | Span
     first: int
     """number of its first particle, among those of all cloths in natural order"""
     friction: float
@@ -44,7 +44,7 @@ class Cloth:
 
     @property
     def particles(self) -> slice:
-        """Its particles in natural order: row after row."""
+        """Its particles in natural order: row after row, or as in the file."""
         return slice(self.first, self.first + len(self.mesh.positions))
 
     @property

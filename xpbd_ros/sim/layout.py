@@ -1,12 +1,13 @@
 """
-Where particles lie in memory: rows of a grid, each split by column modulo STRIDE.
+Where particles lie in memory: rows of a grid, each split by column modulo STRIDE; or any order.
 
 A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …, each part
 padded to whole vectors. Constraints of the same shape, four columns apart, then touch neighbouring
 places in memory and no particle twice: a vector of them is loaded, projected and stored without a
 gather.
 The rows too are padded to whole vectors, for the lines that run along them. Padding has neither
-mass nor mobility, so nothing moves it.
+mass nor mobility, so nothing moves it. The particles of a mesh lie in the order of their ranks,
+padded to whole vectors at the end.
 """
 
 from dataclasses import dataclass
@@ -57,20 +58,46 @@ class Block:
         return self.slot(np.arange(self.rows)[:, None], np.arange(self.columns))
 
 
-def blocks(shapes: list[tuple[int, int]], dtype) -> tuple[list[Block], int]:
+@dataclass(frozen=True, eq=False)
+class Span:
+    """Where one mesh lies among all slots."""
+
+    first: int
+    """slot of the particle of rank 0"""
+    rank: np.ndarray
+    """place of each particle in memory, in natural order; shape (particles,)"""
+    size: int
+    """slots, padding included"""
+
+    @property
+    def slots(self) -> np.ndarray:
+        """All slots in natural order, shape (particles,)."""
+        return self.first + self.rank
+
+
+def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Block | Span], int]:
     """
-    Lay out grids one after another.
+    Lay out grids and meshes one after another.
+
+    Parameters
+    ----------
+    shapes : rows and columns of a grid, or the ranks of a mesh's particles
+    dtype : of all numbers
 
     Returns
     -------
-    a block per grid, and the slots of all, with room to load a vector past the end
+    a block or span for each, and the slots of all, with room to load a vector past the end
 
     """
     lanes = lane_count(dtype)
     found, first = [], 0
-    for rows, columns in shapes:
-        part = _round_up(_round_up(columns, STRIDE) // STRIDE, lanes)
-        found.append(Block(rows, columns, first, part, _round_up(rows, lanes)))
+    for shape in shapes:
+        if isinstance(shape, np.ndarray):
+            found.append(Span(first, shape, _round_up(len(shape), lanes)))
+        else:
+            rows, columns = shape
+            part = _round_up(_round_up(columns, STRIDE) // STRIDE, lanes)
+            found.append(Block(rows, columns, first, part, _round_up(rows, lanes)))
         first += found[-1].size
     return found, first + lanes
 

@@ -33,10 +33,16 @@ def elastic_energy(simulation) -> float:
 
 
 def largest_strain(simulation) -> float:
-    """Return the largest |l - L| / L over the grid edges of all cloths."""
+    """Return the largest |l - L| / L over the edges (of a grid: along its lines) of all cloths."""
     worst = 0.0
     for cloth in simulation.cloths:
         slots = cloth.block.slots
+        if cloth.mesh.grid is None:
+            a, b = cloth.mesh.edges.T
+            now, rest = (length(x[a] - x[b]) for x in (places(simulation.state.x, slots),
+                                                       cloth.mesh.positions))
+            worst = max(worst, float(np.abs(now / rest - 1.0).max()))
+            continue
         for lines, rest in zip((slots, slots.T), cloth.mesh.spacing):
             if lines.shape[1] > 1:
                 ends = [places(simulation.state.x, part.ravel())

@@ -1,24 +1,49 @@
 """The rest shape of a cloth: positions, triangles, hinges, areas; and the grid that builds one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangulated rest shape in its own frame."""
+    """A triangulated rest shape in its own frame: a grid, a surface, or the skin of a body."""
 
     positions: np.ndarray
     """[m], shape (particles, 3)"""
     triangles: np.ndarray
-    """particle indices, counter-clockwise seen from +z, shape (triangles, 3)"""
+    """particle indices, counter-clockwise seen from outside (of a grid: from +z), shape
+    (triangles, 3)"""
     area: np.ndarray
-    """tributary area of each particle [m²], shape (particles,)"""
-    grid: np.ndarray
-    """particle index by row (weft) and column (warp), shape (rows, columns)"""
-    spacing: tuple[float, float]
-    """rest distance of neighbours along warp and weft [m]"""
+    """tributary area of each particle [m²]; of tetrahedra its volume [m³]; shape (particles,)"""
+    grid: np.ndarray | None = None
+    """particle index by row (weft) and column (warp), shape (rows, columns); None if no grid"""
+    spacing: tuple[float, float] | None = None
+    """rest distance of neighbours along warp and weft [m]; None if no grid"""
+    tetrahedra: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
+    """particle indices, of positive volume, shape (tetrahedra, 4); none in cloth"""
+    warp: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    """direction of the warp, a unit vector"""
+    notes: tuple[str, ...] = ()
+    """what was mended, or looks wrong"""
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """Each edge once, particle indices in rising order, shape (edges, 2)."""
+        return edges(np.concatenate([cells[:, pairs].reshape(-1, 2) for cells, pairs in (
+            (self.triangles, [[0, 1], [1, 2], [2, 0]]),
+            (self.tetrahedra, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]))]))
+
+    @cached_property
+    def hinges(self) -> np.ndarray:
+        """Edge start, edge end and the two particles opposite, shape (hinges, 4)."""
+        return hinges(self.triangles)
+
+    @cached_property
+    def rank(self) -> np.ndarray:
+        """Place of each particle in an order that keeps neighbours near, shape (particles,)."""
+        return cuthill_mckee(self.edges, len(self.positions))
 
 
 def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
@@ -58,6 +83,42 @@ def _share(count: int, spacing: float) -> np.ndarray:
     if count > 1:
         share[[0, -1]] = 0.5 * spacing
     return share
+
+
+def edges(pairs: np.ndarray) -> np.ndarray:
+    """Return each pair of particles once, in rising order, shape (edges, 2)."""
+    return np.unique(np.sort(pairs, axis=1), axis=0)
+
+
+def cuthill_mckee(edges: np.ndarray, count: int) -> np.ndarray:
+    """
+    Return the place of each particle in the order of Cuthill and McKee (1969), shape (count,).
+
+    From a particle with the fewest neighbours outward, those with fewer first. Written out because
+    the order decides the bits of a run: scipy's sorts by a method that depends on the CPU.
+    """
+    both = np.concatenate([edges, edges[:, ::-1]])
+    degree = np.bincount(both[:, 0], minlength=count)
+    both = both[np.lexsort((both[:, 1], degree[both[:, 1]], both[:, 0]))]
+    start = np.concatenate([[0], np.cumsum(degree)]).tolist()
+    neighbours = both[:, 1].tolist()
+    order, seen = [], [False] * count
+    for root in np.argsort(degree, kind='stable').tolist():
+        if seen[root]:
+            continue
+        seen[root] = True
+        done = len(order)
+        order.append(root)
+        while done < len(order):
+            i = order[done]
+            done += 1
+            for j in neighbours[start[i]:start[i + 1]]:
+                if not seen[j]:
+                    seen[j] = True
+                    order.append(j)
+    rank = np.zeros(count, np.int64)
+    rank[order] = np.arange(count)
+    return rank
 
 
 def hinges(triangles: np.ndarray) -> np.ndarray:

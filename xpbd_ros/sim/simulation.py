@@ -64,12 +64,15 @@ class Simulation:
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: Callable[[str, Any], 'Change'] | None = None):
+                 retune: Callable[[str, Any], 'Change'] | None = None,
+                 notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
         self.effects = effects
         self.slot = slot
         """where each particle is, in natural order: cloth after cloth, row after row"""
+        self.notes = tuple(notes)
+        """what whoever runs this should know of its making"""
         self.frame_rate = frame_rate
         """frames per second of simulation time, exact"""
         self.solver = solver

@@ -1,0 +1,98 @@
+"""
+Vertices and cells from a file: OBJ here, all else by meshio (STL, PLY, OFF, VTK, Gmsh's MSH …).
+
+Of an OBJ file only the lines ``v`` and ``f`` count. They are read here because neither meshio nor
+trimesh keeps the vertices of a file with texture seams or several materials as they are.
+"""
+
+from contextlib import redirect_stderr, redirect_stdout
+import io
+from pathlib import Path
+import warnings
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+
+USED = ('triangle', 'quad', 'polygon', 'tetra')
+IGNORED = ('vertex', 'line')
+
+
+def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return what a file holds.
+
+    Returns
+    -------
+    vertices, shape (vertices, 3); triangles, shape (triangles, 3), polygons in fans; tetrahedra,
+    shape (tetrahedra, 4)
+
+    """
+    if not path.is_file():
+        raise InputError(f'no such file: {path}; put it back, or name it anew')
+    try:
+        return _read_obj(path) if path.suffix.lower() == '.obj' else _read_with_meshio(path)
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror or error}') from error
+
+
+def _read_obj(path: Path):
+    vertices, triangles = [], []
+    text = path.read_text(encoding='utf-8', errors='replace').replace('\\\n', ' ')
+    for number, line in enumerate(text.splitlines(), 1):
+        key, *words = line.partition('#')[0].split() or ['']
+        try:
+            if key == 'v':
+                x, y, z = map(float, words[:3])
+                vertices.append((x, y, z))
+            elif key == 'f':
+                corners = [int(word.partition('/')[0]) for word in words]
+                if len(corners) < 3 or 0 in corners:
+                    raise ValueError
+                corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
+                if min(corners) < 0:
+                    raise ValueError
+                triangles += _fan(corners)
+        except ValueError:
+            raise InputError(f'{path}: line {number}: cannot be read as OBJ '
+                             f'(got {line.strip()[:40]!r})') from None
+    return (np.array(vertices, float).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3),
+            np.zeros((0, 4), np.int64))
+
+
+def _fan(corners: list[int]) -> list[tuple[int, int, int]]:
+    return [(corners[0], b, c) for b, c in zip(corners[1:-1], corners[2:])]
+
+
+def _read_with_meshio(path: Path):
+    try:
+        import meshio
+    except ImportError:
+        raise InputError(f'{path}: only .obj files can be read without meshio; install it: pip '
+                         'install meshio (or apt install python3-meshio)') from None
+    said = io.StringIO()
+    try:
+        with warnings.catch_warnings(), redirect_stdout(said), redirect_stderr(said):
+            warnings.simplefilter('ignore')
+            found = meshio.read(path)
+    except OSError:
+        raise
+    except (Exception, SystemExit) as error:    # meshio ends the program where it cannot read
+        reason = str(error) if not isinstance(error, SystemExit) else said.getvalue()
+        reason = ' '.join(reason.replace('Error:', '').split())
+        raise InputError(f'{path}: cannot be read as a mesh ({reason})') from None
+    points = np.asarray(found.points, float)
+    vertices = np.zeros((len(points), 3))
+    vertices[:, :points.shape[1]] = points
+    triangles, tetrahedra = [], []
+    for block in found.cells:
+        if block.type == 'tetra':
+            tetrahedra.append(np.asarray(block.data, np.int64))
+        elif block.type in USED:
+            for corners in block.data:
+                triangles += _fan([int(c) for c in corners])
+        elif block.type not in IGNORED:
+            raise InputError(f"{path}: holds cells of the kind '{block.type}'; only triangles, "
+                             'polygons and tetrahedra can be simulated, so convert it')
+    return (vertices, np.array(triangles, np.int64).reshape(-1, 3),
+            np.concatenate(tetrahedra) if tetrahedra else np.zeros((0, 4), np.int64))
