@@ -1,0 +1,130 @@
+"""What ``check`` says about a scene: in the user's terms, and true."""
+
+from dataclasses import replace
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from xpbd_ros.cli.main import main
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.share import share_folder
+from xpbd_ros.study.check import check
+from xpbd_ros.study.check.decay import factor
+from xpbd_ros.study.check.stiffness import stiffness
+from xpbd_ros.study.check.substeps import stretch_error
+
+SOFT = {'solver.method': 'gauss_seidel', 'solver.substeps': 16}
+
+
+SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+
+
+@pytest.mark.parametrize('name', SHIPPED)
+def test_a_shipped_scene_gives_what_it_asks_for(name):
+    found = check(load_scene(name))
+    assert found.ok, found.warnings
+    for row in found.stiffness:
+        assert row.effective == pytest.approx(row.asked, rel=0.05)
+        assert row.effective_min <= row.effective <= row.effective_max
+
+
+def test_too_few_substeps_are_said_with_the_way_out():
+    found = check(load_scene('swing', SOFT))
+    (text,) = [text for text in found.warnings if 'along warp' in text]
+    assert text == ('sheet: 41x41 at 16 substeps behaves like 117 N/m along warp (stretch), not '
+                    f"5000; {found.substeps_for['0.1']} substeps or method line would do")
+    cured = check(load_scene('swing', {**SOFT, 'solver.substeps': found.substeps_for['0.1']}))
+    assert cured.ok, cured.warnings
+    assert check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 16})).ok
+
+
+def test_the_substeps_asked_for_are_the_fewest_that_do():
+    scene = load_scene('swing', {**SOFT, 'cloths.sheet.grid.resolution': [9, 9]})
+    simulation = compile_scene(scene)
+    found = check(scene)
+    for error, count in found.substeps_for.items():
+        below, at = (stretch_error(stiffness(scene, simulation, replace(
+            simulation.solver, substeps=n))) for n in (count - 1, count))
+        assert at <= float(error) < below
+
+
+def test_lines_that_cannot_follow_the_waves_are_warned_about():
+    found = check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 2}))
+    assert any('behaves like' in text or 'too few for the stretch waves' in text
+               for text in found.warnings)
+
+
+@pytest.mark.parametrize('changes, text', [
+    ({'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [3, 3]}, 'density': 0.2}}},
+     'no pins and no contact: the cloth falls for ever'),
+    ({'colliders': {'rod': {'capsule': {'radius': 0.01, 'length': 1}}},
+      'effects': {'contact': {'thickness': 0.001}}},
+     'colliders.rod: 0.02 m across, and particles are 0.25 m apart: it can slip between them; a '
+     'finer cloth would feel it'),
+    ({'solver': {'substeps': 9000, 'method': 'line'},
+      'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [64, 64]}, 'density': 0.2,
+                       'effects': {'stretch': {'warp': 1, 'weft': 1}}}}}, 'would hold real time'),
+    ({'solver': {'substeps': 64, 'precision': 'float32'},
+      'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [5, 5]}, 'density': 0.2,
+                       'pose': {'position': [900, 0, 0]}}}}, 'float32 rounds positions'),
+])
+def test_what_will_go_wrong_is_said(changes, text):
+    scene = {'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [5, 5]}, 'density': 0.2}},
+             'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}, **changes}
+    if 'for ever' in text:
+        del scene['pins']
+    found = check(scene_from_mapping(scene, where='x', name='x'))
+    assert [one for one in found.warnings if text in one], found.warnings
+
+
+@pytest.mark.parametrize('angle', [1e-3, 0.1, 1.0, 10.0])
+def test_numerical_damping_is_that_of_the_recurrences(angle):
+    z = 1.0 / (1.0 - 1j * angle)
+    assert factor('backward_euler', angle) == pytest.approx(abs(z), rel=1e-12)
+    roots = np.roots([1.5 - 1j * angle, -2.0, 0.5])
+    assert factor('bdf2', angle) == pytest.approx(np.abs(roots).max(), rel=1e-12)
+    assert factor('bdf2', 0.01) == pytest.approx(1.0 - 0.01**4 / 4.0, abs=1e-11)
+
+
+def test_decay_goes_with_the_integrator():
+    slow, fast = (check(load_scene('swing', {'solver.substeps': 32, 'solver.integrator': name}))
+                  for name in ('bdf2', 'backward_euler'))
+    for a, b in zip(slow.decay, fast.decay):
+        assert (a.mode, a.frequency_hz) == (b.mode, b.frequency_hz)
+        assert 0.0 < a.lost_per_second < b.lost_per_second <= 1.0
+    assert slow.decay[0].frequency_hz == pytest.approx(
+        1.2024 * math.sqrt(9.80665) / (2 * math.pi))
+
+
+def test_the_verb_prints_and_fails_where_there_is_something_to_warn_about(capsys, tmp_path):
+    keys = ['--set', 'solver.method=gauss_seidel', '--set', 'solver.substeps=16']
+    assert main(['check', 'swing']) == 0
+    capsys.readouterr()
+    assert main(['check', 'swing', *keys, '--json', str(tmp_path / 'c.json')]) == 1
+    said = capsys.readouterr().out
+    numbers = json.loads((tmp_path / 'c.json').read_text())
+    assert numbers['ok'] is False
+    assert numbers['solver']['substeps'] == 16
+    assert set(numbers['substeps_for']) == {'0.1', '0.01', '0.001'}
+    assert {'cloth', 'effect', 'asked', 'effective', 'effective_min',
+            'effective_max'} <= set(numbers['stiffness'][0])
+    for warning in numbers['warnings']:
+        assert f'warning: {warning}' in said
+
+
+def test_a_scene_that_makes_no_sense_is_refused(capsys):
+    assert main(['check', 'swing', '--set', 'cloths.sheet.density=-1']) == 2
+    assert 'must be > 0 kg/m²' in capsys.readouterr().err
+
+
+def test_nothing_is_compiled_to_machine_code():
+    code = ('from xpbd_ros.scene.load import load_scene; from xpbd_ros.study.check import check; '
+            'from xpbd_ros.sim import step; check(load_scene("swing")); '
+            'print([len(f.signatures) for f in step._COMPILED.values()])')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == '[0]'

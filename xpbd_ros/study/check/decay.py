@@ -1,0 +1,55 @@
+"""Numerical damping: what the integrators take from an oscillation that nothing damps."""
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.simulation import Simulation, Solver
+
+
+@dataclass(frozen=True)
+class Decay:
+    """One mode of one cloth."""
+
+    cloth: str
+    mode: str
+    frequency_hz: float
+    lost_per_second: float
+    """part of the amplitude"""
+
+
+def factor(integrator: str, angle: float) -> float:
+    """
+    Return |z| of one step for x'' = -ω² x, angle = ω h.
+
+    Backward Euler: 1 / (1 - i angle). BDF2: the root near 1 of (3/2 - i angle) z² - 2 z + 1/2.
+    """
+    if integrator == 'bdf2':
+        return abs((2.0 + (1.0 + 2j * angle)**0.5) / (3.0 - 2j * angle))
+    return 1.0 / sqrt(1.0 + angle * angle)
+
+
+def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
+    """
+    Return how fast the slowest swing and the longest stretch wave of each cloth fade.
+
+    The swing is that of a chain as long as the cloth, ω = 1.2024 √(g / l); the wave a quarter
+    long, ω = π c / 2 l with c = √(modulus / density).
+    """
+    found = []
+    g = sqrt(sum(c * c for c in scene.top.gravity))
+    h = simulation.frame_dt / solver.substeps
+    for cloth in simulation.cloths:
+        keys, effects = scene.cloths[cloth.name], scene.cloth_effects[cloth.name]
+        long = float((cloth.mesh.positions.max(0) - cloth.mesh.positions.min(0)).max())
+        modes = {}
+        if g > 0.0 and long > 0.0:
+            modes['swing'] = 1.2024 * sqrt(g / long)
+        stretch = effects.get('stretch')
+        if long > 0.0 and stretch is not None and stretch.warp is not None:
+            modes['stretch'] = 0.5 * pi / long * sqrt(max(stretch.warp, stretch.weft)
+                                                      / keys.density)
+        found += [Decay(cloth.name, mode, omega / (2.0 * pi),
+                        1.0 - factor(solver.integrator, omega * h)**(1.0 / h))
+                  for mode, omega in modes.items()]
+    return found

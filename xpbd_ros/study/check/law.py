@@ -1,0 +1,82 @@
+"""
+The law of artificial compliance: how far constraints give under given forces in XPBD at rest.
+
+A substep starts with multipliers at 0 and stops after K iterations, so that constraints give more
+than their compliance says. With tensions T, mobilities m = w H² and A = J M Jᵀ, a cloth that hangs
+still starts each substep moved by M JᵀT; its iterations, errors of which go f -> G f, must take
+exactly this back: -T = (I - G^K) f∞ with (A + α) f∞ = -(C + A T). Hence
+
+    C = α y + A G^K y,   (I - G^K) y = T
+
+per constraint and for any sweep, linearised about where the cloth is. One Gauss-Seidel pass makes
+of it C_j = α_j T_j - Σ A_jk T_k over the k that are swept after j (NUMERICS 0.2): a constraint
+gives what later ones take from it. Lines, solved whole, take nothing from one another.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import gmres, LinearOperator, splu
+
+from xpbd_ros.sim.lines import TINY
+
+FORTH, BACK, WHOLE = 'forth', 'back', 'whole'
+"""Gauss-Seidel in order, in reverse, or all at once"""
+REFINEMENTS = 3
+"""solutions of what is left, each to 1e-5"""
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """Constraints about a place, and how a substep sweeps them."""
+
+    jacobian: sparse.csr_matrix
+    """J, rows in sweep order; shape (constraints, 3 particles)"""
+    compliance: np.ndarray
+    """α [m/N], shape (constraints,)"""
+    mobility: np.ndarray
+    """w H² of each particle [m/N], shape (particles,)"""
+    passes: tuple[tuple[str, np.ndarray], ...]
+    """of one iteration: FORTH, BACK or WHOLE, and the rows that it takes"""
+    iterations: int = 1
+    coupling: sparse.csr_matrix = field(init=False)
+    """A [m/N], shape (constraints, constraints)"""
+
+    def __post_init__(self):
+        """Work out A and the factors of each pass."""
+        m = sparse.diags(np.repeat(self.mobility, 3))
+        coupling = (self.jacobian @ m @ self.jacobian.T).tocsr()
+        object.__setattr__(self, 'coupling', coupling)
+
+    def stretches(self, tension: np.ndarray) -> np.ndarray:
+        """Return C of each constraint [m] under these tensions [N]."""
+        alpha, A = self.compliance, self.coupling
+        if self.iterations == 1 and len(self.passes) == 1 and self.passes[0][0] == FORTH:
+            return alpha * tension - sparse.triu(A, 1) @ tension
+        system = (A + sparse.diags(alpha)).tocsr()
+        factors = [(rows, system[rows], _factor(kind, A[rows][:, rows], alpha[rows]))
+                   for kind, rows in self.passes if len(rows)]
+
+        def left(e):
+            e = e.copy()
+            for _ in range(self.iterations):
+                for rows, part, factor in factors:
+                    e[rows] -= factor.solve(part @ e)
+            return e
+
+        operator = LinearOperator(system.shape, lambda e: e - left(np.ravel(e)), dtype=float)
+        y = np.zeros_like(tension)
+        for _ in range(REFINEMENTS):    # scipy's names for a tolerance change; its default stays
+            y += gmres(operator, tension - (y - left(y)), restart=60, maxiter=20)[0]
+        return alpha * y + A @ left(y)
+
+
+def _factor(kind: str, A, alpha):
+    """Return the factors of what one pass solves exactly."""
+    if kind == WHOLE:
+        split = A + sparse.diags(np.maximum(alpha, TINY * A.diagonal()))
+        return splu(split.tocsc())
+    split = (sparse.tril if kind == FORTH else sparse.triu)(A + sparse.diags(alpha))
+    return splu(split.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,
+                options={'SymmetricMode': True})

@@ -1,0 +1,152 @@
+"""Everything that ``check`` has to say about a scene."""
+
+from dataclasses import dataclass, replace
+from math import ceil, inf
+
+import numpy as np
+
+from xpbd_ros.scene.auto import INTEGRATOR, NS
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.study.check.decay import Decay, decays
+from xpbd_ros.study.check.stiffness import Row, stiffness
+from xpbd_ros.study.check.substeps import needed
+
+ERRORS = (0.1, 0.01, 0.001)
+WORTH_SAYING = 0.1
+"""relative error of a stiffness that is warned about"""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a scene will be like."""
+
+    solver: Solver
+    particles: int
+    constraints: int
+    stiffness: list[Row]
+    decay: list[Decay]
+    substeps_for: dict[str, int | None]
+    frame_ms: float
+    """expected, on the machine of ``scene.auto``'s table"""
+    frame_dt_ms: float
+    warnings: list[str]
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is nothing to warn about."""
+        return not self.warnings
+
+
+def check(scene: Scene) -> Report:
+    """Predict; nothing is compiled to machine code."""
+    simulation = compile_scene(scene)
+    solver = simulation.solver
+    rows = stiffness(scene, simulation, solver)
+    counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS}
+    expected = frame_ms(simulation, solver)
+    frame_dt_ms = 1e3 * simulation.frame_dt
+    warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
+                *_unheld(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
+    return Report(solver, len(simulation.slot), _count(simulation), rows,
+                  decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings)
+
+
+def frame_ms(simulation: Simulation, solver: Solver) -> float:
+    """Return what a frame is expected to take [ms], contacts left out."""
+    table = NS[solver.method]
+    cost = table['slot'] * simulation.state.x.shape[1]
+    for built in simulation.effects.values():
+        if built.constraints is not None:
+            kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
+            cost += solver.iterations * table[kind] * len(built.constraints.particles)
+    return 1e-6 * solver.substeps * cost
+
+
+def _count(simulation: Simulation) -> int:
+    return sum(len(built.constraints.particles) for built in simulation.effects.values()
+               if built.constraints is not None)
+
+
+def size_of(scene: Scene, cloth: str) -> str:
+    """Return how large a cloth is, as people say it."""
+    grid = scene.cloths[cloth].grid
+    return cloth if grid is None else f'{cloth}: {grid.resolution[0]}x{grid.resolution[1]}'
+
+
+def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | None) -> list[str]:
+    """Say where the cloth will be softer, or stiffer, than asked."""
+    found, solver = [], simulation.solver
+    for row in rows:
+        if np.isinf(row.asked) or abs(row.error) <= WORTH_SAYING:
+            continue
+        where = f' along {row.direction}' if row.direction else ''
+        text = (f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
+                f'{row.effective:.3g} {row.unit}{where} ({row.effect}), not {row.asked:g}')
+        if row.effect == 'stretch':
+            text += f'; {_cure(scene, simulation, enough)}'
+        else:
+            count = ceil(solver.substeps * (abs(row.error) / WORTH_SAYING)**0.5)
+            text += f'; about {count} substeps would do'
+        found.append(text)
+    if not found and enough is not None and solver.substeps < enough:
+        found.append(f'{solver.substeps} substeps are too few for the stretch waves of this cloth:'
+                     f' errors above 10 %; {_cure(scene, simulation, enough)}')
+    return found
+
+
+def _cure(scene: Scene, simulation: Simulation, enough: int | None) -> str:
+    solver = simulation.solver
+    ways = [] if enough is None else [f'{enough} substeps']
+    if solver.method != 'line':
+        line = replace(solver, method='line', integrator=INTEGRATOR['line'])
+        count = needed(scene, simulation, line, WORTH_SAYING)
+        if count is not None:
+            ways.append('method line' if count <= solver.substeps
+                        else f'method line with {count} substeps')
+    return ' or '.join(ways) + ' would do' if ways else 'no number of substeps would do'
+
+
+def _slow(expected: float, frame_dt_ms: float) -> list[str]:
+    if expected <= frame_dt_ms:
+        return []
+    return [f'a frame takes about {expected:.3g} ms and there are {frame_dt_ms:.3g}: fewer '
+            'substeps, a coarser cloth or a lower frame_rate would hold real time']
+
+
+def _unheld(scene: Scene) -> list[str]:
+    held = scene.sections.get('pins') or 'pin' in scene.effects or 'contact' in scene.effects
+    if held or not any(scene.top.gravity):
+        return []
+    return ['no pins and no contact: the cloth falls for ever']
+
+
+def _thin(scene: Scene, simulation: Simulation) -> list[str]:
+    """Say which colliders slip between particles."""
+    found = []
+    spacing = max((max(cloth.mesh.spacing) for cloth in simulation.cloths), default=0.0)
+    for name, entry in scene.sections.get('colliders', {}).items():
+        size = inf
+        if entry.box is not None:
+            size = sorted(entry.box.size)[1]    # a plate is thin and still catches particles
+        elif entry.plane is None:
+            size = 2.0 * (entry.sphere or entry.capsule or entry.cylinder).radius
+        if size < spacing:
+            found.append(f'colliders.{name}: {size:g} m across, and particles are {spacing:.3g} m '
+                         'apart: it can slip between them; a finer cloth would feel it')
+    return found
+
+
+def _coarse(scene: Scene, simulation: Simulation) -> list[str]:
+    """Say where float32 loses gravity (NUMERICS 0.10)."""
+    if simulation.solver.precision != 'float32':
+        return []
+    h = simulation.frame_dt / simulation.solver.substeps
+    fall = max(map(abs, scene.top.gravity)) * h * h
+    grain = float(np.spacing(np.abs(simulation.state.x).max()))
+    if fall == 0.0 or 0.5 * grain <= 0.01 * fall:
+        return []
+    return [f'float32 rounds positions to {grain:.2g} m here, and gravity moves a particle by '
+            f'{fall:.2g} m in a substep: it is lost by up to {min(1.0, 0.5 * grain / fall):.0%}; '
+            'precision float64, or an origin nearer to the cloth']
