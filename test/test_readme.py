@@ -12,12 +12,14 @@ import time
 
 import numpy as np
 import pytest
+from sim.shapes import disc, obj_text
 import yaml
 
 from xpbd_ros.demo.domain import private_environment
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
+from xpbd_ros.scene.materials import MATERIALS, pulled
 from xpbd_ros.share import share_folder
 
 README = Path(__file__).parents[1] / 'README.md'
@@ -63,6 +65,39 @@ def test_example_scene_runs():
     for _ in range(5):
         frame = simulation.step()
     assert np.isfinite(frame.x).all()
+
+
+def indented(heading: str) -> str:
+    """Return the only indented block of a section."""
+    section = text().split(f'### {heading}\n')[1].split('\n#')[0]
+    (found,) = re.findall(r'\n\n((?:    .*\n)+)', section)
+    return re.sub('^    ', '', found, flags=re.M)
+
+
+def test_mesh_example_runs(tmp_path):
+    vertices, triangles = disc()
+    (tmp_path / 'shirt.obj').write_text(obj_text(100.0 * vertices, triangles))
+    simulation = compile_scene(scene_from_text(indented('Meshes'), where='README', name='readme',
+                                               folder=tmp_path))
+    assert simulation.cloths[0].mesh.warp == (0.0, 1.0, 0.0)
+    assert simulation.frame().inv_mass.min() == 0.0
+
+
+def test_material_example_means_denim():
+    (cloth,) = scene_from_text(indented('Materials'), where='README',
+                               name='readme').cloth_effects.values()
+    assert cloth['bend'].stiffness == MATERIALS['denim'].bend
+    assert set(cloth) == {'stretch', 'shear', 'bend'}
+    (solid,) = re.findall(r'or (\{young.*\}):', text())
+    assert scene_from_text(indented('Materials'), where='README', name='readme', overrides={
+        'cloths.jeans.material': yaml.safe_load(solid)}).cloths['jeans'].density == 0.9
+
+
+def test_table_of_materials_is_what_their_file_says():
+    for name, sheet in MATERIALS.items():
+        warp, weft = pulled(sheet)
+        assert (f'| `{name}` | {sheet.density:g} | {warp:.0f} | {weft:.0f} | {sheet.shear:.0f} | '
+                f'{1e6 * sheet.bend:.0f} |\n') in text()
 
 
 def test_every_picture_is_there():

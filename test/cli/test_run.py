@@ -16,6 +16,8 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
+from sim.shapes import disc, obj_text
+import yaml
 
 from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
@@ -127,6 +129,34 @@ def test_the_scene_in_the_log_makes_the_same_run_again(done, tmp_path):
     assert hashes(tmp_path / 'again') == hashes(done[1])
     numbers = json.loads((tmp_path / 'again.json').read_text())
     assert numbers['state_hash'] == json.loads(done[0].stdout)['state_hash']
+
+
+def test_a_mesh_is_mended_aloud_and_logged_unorganized(scene, tmp_path, capsys):
+    vertices, triangles = disc(2)
+    (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles) + 'v 0 0 0\n')
+    (tmp_path / 'disc.yaml').write_text(yaml.safe_dump({
+        'duration': 0.1, 'cloths': {'disc': {'mesh': {'file': 'disc.obj'}, 'density': 0.2}}}))
+    assert main(['run', str(tmp_path / 'disc.yaml'), '-o', str(tmp_path / 'run'), '--json',
+                 str(tmp_path / 'run.json')]) == 0
+    said = [line for line in capsys.readouterr().out.splitlines() if line.startswith('note')]
+    note = 'cloths.disc.mesh: 1 vertex that no triangle uses; left out'
+    assert said[0] == f'note     {note}'
+    assert json.loads((tmp_path / 'run.json').read_text())['notes'][0] == note
+    with open(tmp_path / 'run' / 'run_0.mcap', 'rb') as file:
+        found = {channel.topic: message for _, channel, _, message in make_reader(
+            file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(
+                ['/cloth/particles', '/cloth/mesh'])}
+    cloud = found['/cloth/particles']
+    assert (cloud.height, cloud.width, cloud.row_step) == (1, 19, 228)
+    places = np.frombuffer(bytes(cloud.data), np.float32).reshape(-1, 3)
+    np.testing.assert_allclose(places[:, :2], vertices[:, :2], atol=1e-6)
+    assert (places[:, 2] < -0.04).all(), 'it fell'
+    assert [list(t.vertex_indices) for t in found['/cloth/mesh'].triangles] == triangles.tolist()
+    assert main(['info', str(tmp_path / 'run')]) == 0
+    (tmp_path / 'log').mkdir()
+    (tmp_path / 'log' / 'scene.yaml').write_text(LogReader(tmp_path / 'run').scene)
+    assert main(['run', str(tmp_path / 'log' / 'scene.yaml'), '-o', str(tmp_path / 'again')]) == 0
+    assert hashes(tmp_path / 'again') == hashes(tmp_path / 'run')
 
 
 def hashes(run) -> list[int]:

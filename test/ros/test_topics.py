@@ -8,6 +8,7 @@ from ros.rig import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh
+from sim.shapes import disc, obj_text
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -120,6 +121,27 @@ def test_several_cloths_have_topics_each(use):
     mesh = first(cloth, Mesh, '/cloth/cloth/second/mesh')
     assert len(mesh.vertices) == 12
     assert max(i for t in mesh.triangles for i in t.vertex_indices) == 11
+
+
+def test_a_mesh_is_one_row_of_particles_in_the_order_of_its_file(use, tmp_path):
+    vertices, triangles = disc(2)
+    (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles) + 'v 0 0 0\n')
+    cloth = use(f'cloths: {{c: {{density: 0.2, mesh: {{file: {tmp_path}/disc.obj}}}}}}\n{PINS}')
+    cloth.meet()
+    cloth.mark(pin('hand', vertices[7]))
+    frame = cloth.step(30)
+    assert (cloth.clouds[-1].height, cloth.clouds[-1].width) == (1, 19)
+    place = cloth.cloud(frame).reshape(-1, 3)
+    assert place[7] == pytest.approx(vertices[7], abs=0.02), 'held, after a frame or two'
+    assert place[:, :2] == pytest.approx(vertices[:, :2], abs=1e-6)
+    assert (np.delete(place, 7, 0)[:, 2] < -0.5).all()
+    mesh = first(cloth, Mesh, '/cloth/mesh')
+    assert [t.vertex_indices.tolist() for t in mesh.triangles] == triangles.tolist()
+    assert [[p.x, p.y, p.z] for p in mesh.vertices] == vertices.tolist()
+    assert cloth.node.said('cloths.c.mesh: 1 vertex that no triangle uses; left out')
+    heard = cloth.peer.hear(MarkerArray, '/cloth/markers')
+    cloth.peer.until(lambda: cloth.trigger('step')[0] and heard, 'markers')
+    assert len(heard[0].markers[0].points) == 3 * len(triangles)
 
 
 def test_a_late_subscriber_can_rebuild_the_surface(use):
