@@ -129,7 +129,7 @@ def test_orientation_follows_the_majority_of_each_piece():
     rng = np.random.default_rng(1)
     apart = np.concatenate([vertices, vertices + [2.0, 0.0, 0.0]])
     both = np.concatenate([triangles, triangles[:, ::-1] + len(vertices)])
-    wrong = rng.permutation(len(both))[:len(both) // 4]
+    wrong = np.union1d([0], rng.permutation(len(both))[:len(both) // 4])
     both[wrong] = both[wrong][:, ::-1]
     mesh = surface_mesh(apart, both)
     assert mesh.notes[0] == f'{len(wrong)} triangles turned over; mended'

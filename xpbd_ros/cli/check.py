@@ -38,7 +38,7 @@ def run(arguments) -> int:
         'numerical_damping': [vars(row) for row in found.decay],
         'solver': vars(found.solver), 'substeps_for': found.substeps_for,
         'frame_ms': found.frame_ms, 'particles': found.particles,
-        'constraints': found.constraints,
+        'constraints': found.constraints, 'notes': found.notes,
     })
     if arguments.json != '-':
         print('\n'.join(lines(scene.name, found)))
@@ -67,4 +67,5 @@ def lines(name: str, found) -> list[str]:
     counts = ', '.join(f'{100 * float(error):g} %: {count or "out of reach"}'
                        for error, count in found.substeps_for.items())
     text += ['', f'substeps for a stretch true to  {counts}']
-    return text + [f'warning: {warning}' for warning in found.warnings]
+    return text + [*(f'note: {note}' for note in found.notes),
+                   *(f'warning: {warning}' for warning in found.warnings)]

@@ -72,7 +72,7 @@ def solid_mesh(vertices: np.ndarray, tetrahedra: np.ndarray,
 def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
     """Return positions and cells without what is double, collapsed or unused; and what was."""
     notes = []
-    vertices, cells = np.asarray(vertices, float) + 0.0, np.array(cells, np.int64)    # no -0.0
+    vertices, cells = np.asarray(vertices, float), np.array(cells, np.int64)
     if not len(cells):
         raise InputError(f'has no {_plural(kind)}')
     if cells.min() < 0 or cells.max() >= len(vertices):

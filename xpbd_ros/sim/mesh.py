@@ -36,6 +36,14 @@ class Mesh:
             (self.tetrahedra, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]))]))
 
     @cached_property
+    def gap(self) -> float:
+        """Largest distance of neighbours [m]."""
+        if self.spacing is not None:
+            return max(self.spacing)
+        a, b = (self.positions[self.edges[:, k]] for k in (0, 1))
+        return float(length(a - b).max())
+
+    @cached_property
     def hinges(self) -> np.ndarray:
         """Edge start, edge end and the two particles opposite, shape (hinges, 4)."""
         return hinges(self.triangles)

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from sim.shapes import disc, obj_text
 
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
@@ -128,3 +129,17 @@ def test_nothing_is_compiled_to_machine_code():
             'print([len(f.signatures) for f in step._COMPILED.values()])')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == '[0]'
+
+
+def test_a_mesh_is_checked_like_a_grid(tmp_path, capsys):
+    vertices, triangles = disc(4, 0.5)
+    (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles) + 'v 0 0 0\n')
+    (tmp_path / 'disc.yaml').write_text(
+        'cloths: {c: {mesh: {file: disc.obj}, density: 0.2}}\n'
+        'effects: {contact: {thickness: 0.01}}\n'
+        'colliders: {rod: {sphere: {radius: 0.05}, position: [0, 0, -1]}}\n')
+    assert main(['check', str(tmp_path / 'disc.yaml')]) == 1
+    said = capsys.readouterr().out
+    assert 'disc: 61 particles, 0 constraints' in said
+    assert 'note: cloths.c.mesh: 1 vertex that no triangle uses; left out' in said
+    assert 'warning: colliders.rod: 0.1 m across, and particles are 0.169 m apart' in said

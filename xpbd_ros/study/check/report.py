@@ -32,6 +32,8 @@ class Report:
     """expected, on the machine of ``scene.auto``'s table"""
     frame_dt_ms: float
     warnings: list[str]
+    notes: tuple[str, ...] = ()
+    """what was mended in meshes from files"""
 
     @property
     def ok(self) -> bool:
@@ -50,7 +52,8 @@ def check(scene: Scene) -> Report:
     warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
                 *_unheld(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
-                  decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings)
+                  decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
+                  simulation.notes)
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:
@@ -125,7 +128,7 @@ def _unheld(scene: Scene) -> list[str]:
 def _thin(scene: Scene, simulation: Simulation) -> list[str]:
     """Say which colliders slip between particles."""
     found = []
-    spacing = max((max(cloth.mesh.spacing) for cloth in simulation.cloths), default=0.0)
+    spacing = max((cloth.mesh.gap for cloth in simulation.cloths), default=0.0)
     for name, entry in scene.sections.get('colliders', {}).items():
         size = inf
         if entry.box is not None:
