@@ -7,7 +7,15 @@ from sim.small import GRAVITY, run, simulate, with_every_effect
 
 from xpbd_ros.effects.contact import DEPENETRATION
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.commands import MoveCollider, Pose
+from xpbd_ros.sim.commands import (
+    MoveCollider,
+    PlaceCollider,
+    Pose,
+    RemoveAllColliders,
+    RemoveCollider,
+    Reset,
+    SetKey,
+)
 
 R = 0.01
 SHAPES = {'plane': {'plane': {}}, 'sphere': {'sphere': {'radius': 0.3}},
@@ -234,7 +242,10 @@ def test_a_particle_that_flies_at_a_shape_is_met_from_any_side(shape):
     ({'plane': {'normal': [0, 0, 0]}}, 'colliders.s.plane: normal: must not be zero'),
     ({'plane': {}, 'orientation': [0, 0, 0, 3]},
      'colliders.s.orientation: must be a unit quaternion x y z w (got length 3)'),
-    ({'plane': {}, 'friction': -0.1}, 'colliders.s.friction: must be at least 0 (got -0.1)')])
+    ({'plane': {}, 'friction': -0.1}, 'colliders.s.friction: must be at least 0 (got -0.1)'),
+    ({'plane': {}, 'restitution': 1.1}, 'colliders.s.restitution: must be at most 1 (got 1.1)'),
+    ({'plane': {}, 'static_friction': 0.4},
+     'colliders.s: static_friction: must be at least friction (0.5) (got 0.4)')])
 def test_a_collider_without_sense_is_refused(collider, text):
     with pytest.raises(InputError) as error:
         particle({'s': collider})
@@ -346,3 +357,106 @@ def test_cloth_that_starts_deep_in_a_ball_comes_out_calmly(integrator, method):
     assert np.linalg.norm(frame.x, axis=1).min() >= 0.155 - 1e-6
     assert fastest < 3.0 * DEPENETRATION
     assert np.linalg.norm(frame.v, axis=1).max() < 0.1
+
+
+def bounces(e, substeps, frames=100, **options):
+    """Return the heights of a particle that falls 1 m onto a plane, and its energies by mass."""
+    simulation = particle({'s': {'plane': {}, 'restitution': e}}, (0.0, 0.0, 1.0 + R),
+                          substeps=substeps, **options)
+    frames = [simulation.step() for _ in range(frames)]
+    height = np.array([frame.x[0, 2] for frame in frames]) - R
+    speed = np.array([frame.v[0, 2] for frame in frames])
+    return height, GRAVITY * height + 0.5 * speed**2
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('e', [0.3, 0.7, 1.0])
+def test_it_bounces_to_the_square_of_the_restitution(e, integrator):
+    """Up to where in a substep it meets the plane: some v h of its height."""
+    errors = []
+    for substeps in (20, 160):
+        height, energy = bounces(e, substeps, integrator=integrator)
+        down = np.flatnonzero(np.diff(height) > 0.0)[0]
+        errors.append(abs(height[down:down + int(54 * e)].max() - e * e))
+        assert energy.max() <= GRAVITY * 1.0001
+    assert errors[1] < 0.01
+    assert errors[0] < 0.08
+
+
+def test_without_restitution_nothing_bounces_and_there_is_nothing_for_it():
+    height, _ = bounces(0.0, 4)
+    assert np.abs(height[40:]).max() < 1e-12
+    assert particle({'s': SHAPES['plane']}).effects['contact'].data.bounce is None
+
+
+def test_what_lies_does_not_hum_however_elastic():
+    height, _ = bounces(0.5, 8, frames=400)
+    assert np.abs(height[300:]).max() < 1e-9
+
+
+def test_a_bat_gives_twice_its_speed():
+    """e = 1, and what it meets rests: it flies off at 2 v."""
+    simulation = particle({'s': {'box': {'size': [0.1, 1.0, 1.0]}, 'restitution': 1.0,
+                                 'position': [-0.4, 0.0, 0.0], 'motion': [
+                                     [0.0, -0.4, 0.0, 0.0], [1.0, 1.6, 0.0, 0.0]]}},
+                          (0.0, 0.0, 0.0), gravity=(0, 0, 0), substeps=4)
+    np.testing.assert_allclose(run(simulation, 30).v[0], [4.0, 0.0, 0.0], atol=1e-3)
+
+
+FLOOR = Pose((0.0, 0.0, -0.1))
+
+
+def test_a_collider_may_come_change_and_go():
+    """What lies on it rests, is lifted when it grows, and falls when it is gone."""
+    simulation = particle({'far': {'sphere': {'radius': 0.1}, 'position': [9.0, 0.0, 0.0]}},
+                          (0.0, 0.0, 0.3), substeps=4)
+    frame = run(simulation, 60, [PlaceCollider('slab', 'box', (1.0, 1.0, 0.2), FLOOR)])
+    np.testing.assert_allclose(frame.x[0, 2], R, atol=1e-12)
+    assert list(frame.colliders) == ['far', 'slab']
+    frame = run(simulation, 60, [PlaceCollider('slab', 'sphere', (0.15,), FLOOR)])
+    np.testing.assert_allclose(frame.x[0, 2], 0.05 + R, atol=1e-12)
+    assert np.abs(frame.v).max() < 1e-9
+    up = PlaceCollider('slab', 'sphere', (0.15,), Pose((0.0, 0.0, 0.1)))
+    frame = run(simulation, 200, [up])    # it throws it up, at 5 m/s
+    np.testing.assert_allclose(frame.x[0, 2], 0.25 + R, atol=1e-12)
+    frame = simulation.step([RemoveCollider('slab')])
+    assert list(frame.colliders) == ['far']
+    assert run(simulation, 60).x[0, 2] < -3.0
+    frame = simulation.step([Reset()])
+    assert list(frame.colliders) == ['far']
+
+
+def test_what_is_new_has_friction_too_and_keeps_it_when_it_grows():
+    simulation = particle({'a': {'plane': {}, 'position': [0.0, 0.0, -9.0]}}, (0.0, 0.0, R),
+                          friction=0.5, substeps=2)
+    place = PlaceCollider('slab', 'box', (9.0, 9.0, 0.2), FLOOR)
+    simulation.step([place])
+    for change in (None, SetKey('colliders.a.friction', 0.1),
+                   PlaceCollider('slab', 'cylinder', (4.0, 0.2), FLOOR), RemoveCollider('a')):
+        simulation.state.v[:, 0] = (1.0, 0.0, 0.0)
+        simulation.state.x[:, 0] = (0.0, 0.0, R)
+        frame = simulation.step([change] if change else [])
+        assert not frame.refused
+        assert frame.v[0, 0] == pytest.approx(1.0 - 0.5 * GRAVITY / 60.0, rel=1e-9)
+
+
+def test_a_collider_with_a_lifetime_goes_unless_it_is_renewed():
+    """A dead man's switch: three frames."""
+    simulation = particle({}, (0.0, 0.0, 1.0))
+    place = PlaceCollider('s', 'sphere', (0.1,), FLOOR, lifetime_ns=50_000_000)
+    seen = [bool(simulation.step([place] if k in (0, 2) else []).colliders) for k in range(8)]
+    assert seen == [True] * 5 + [False] * 3
+
+
+def test_colliders_beyond_the_capacity_are_refused_with_the_number():
+    simulation = particle({'a': SHAPES['sphere']}, contact={'max_colliders': 2})
+    place = [PlaceCollider(name, 'sphere', (0.1,), FLOOR) for name in 'abcd']
+    frame = simulation.step(place)
+    assert frame.applied == tuple(place[:2])
+    assert frame.refused == tuple(
+        (command, f"collider '{command.collider}': all 2 colliders are in use "
+         '(effects.contact.max_colliders)') for command in place[2:])
+    frame = simulation.step([RemoveAllColliders(), *place[2:]])
+    assert (list(frame.colliders), frame.refused) == (['c', 'd'], ())
+    frame = simulation.step([RemoveCollider('a')])
+    assert frame.refused[0][1] == "unknown collider 'a' (known: c, d)"

@@ -7,7 +7,7 @@ from sim.small import GRAVITY, run, simulate, with_every_effect
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import stages
-from xpbd_ros.sim.commands import MoveCollider, Pose, Twist
+from xpbd_ros.sim.commands import MoveCollider, Pose, SetKey, Twist
 from xpbd_ros.sim.state import Substep
 
 MU, R = 0.4, 0.01
@@ -83,6 +83,7 @@ def test_a_pair_has_the_geometric_mean_unless_it_has_its_own():
         (1, 1), friction=0.9, pose={'position': [0.0, 0.0, R]}, colliders={
             'a': {'plane': {}, 'friction': 0.4}, 'b': {'plane': {}, 'friction': 0.0}},
         scene_effects={'contact': {'thickness': R}, 'friction': {'pairs': {'c': {'b': 0.7}}}})
+    simulation.step()
     np.testing.assert_allclose(simulation.effects['friction'].data.coefficient[0, :3],
                                [0.6, 0.7, 0.0], rtol=1e-15)
     simulation = on_a_plane(30.0, mu=0.0, pairs={'c': {'table': 0.6}})
@@ -93,7 +94,11 @@ def test_a_pair_has_the_geometric_mean_unless_it_has_its_own():
     ({'d': {'table': 0.1}}, "effects.friction.pairs: unknown cloth ['d']"),
     ({'c': {'chair': 0.1}},
      "effects.friction.pairs.c: unknown collider ['chair'] (known: table)"),
-    ({'c': {'table': -0.1}}, 'effects.friction.pairs.c.table: must be at least 0 (got -0.1)')])
+    ({'c': {'table': -0.1}}, 'effects.friction.pairs.c.table: must be at least 0 (got -0.1)'),
+    ({'c': {'table': {'friction': 0.3, 'static_friction': 0.2}}},
+     'effects.friction.pairs.c.table: static_friction: must be at least friction (0.3) (got 0.2)'),
+    ({'c': {'table': {'static_friction': 0.2}}},
+     'effects.friction.pairs.c.table.friction: missing')])
 def test_a_pair_of_strangers_is_refused(pairs, text):
     with pytest.raises(InputError) as error:
         on_a_plane(pairs=pairs)
@@ -139,6 +144,7 @@ def test_cloth_rides_on_a_table_that_moves_and_turns_without_slipping():
 def test_a_push_that_is_taken_back_takes_its_friction_back():
     """In a later iteration, when another constraint has lifted the particle off."""
     simulation = on_a_plane()
+    simulation.effects['friction'].begin(None, simulation.state)
     state, substep = simulation.state, Substep(0.01, 0.0, 1.0)
     contact, friction = (simulation.effects[name].data for name in ('contact', 'friction'))
     state.x[:, 0] = (0.05, 0.0, R - 0.02)
@@ -160,3 +166,70 @@ def test_what_only_undoes_an_old_overlap_presses_on_nothing():
     simulation.state.x[2, 0] = -0.1
     simulation.state.v[:, 0] = (0.3, 0.0, 0.0)
     np.testing.assert_allclose(run(simulation, 4).v[0], [0.3, 0.0, 0.0], atol=1e-12)
+
+
+def held(degrees, *, static, speed=0.0, **options):
+    """Return a particle on a slope with μ_k = MU and another μ_s, and the frame after a second."""
+    simulation = on_a_plane(degrees, pairs={'c': {'table': {
+        'friction': MU, 'static_friction': static}}}, **options)
+    angle = np.radians(degrees)
+    simulation.state.v[:, 0] = speed * np.array([np.cos(angle), 0.0, -np.sin(angle)])
+    return simulation, run(simulation, 60)
+
+
+@pytest.mark.parametrize('substeps, iterations', [(1, 1), (4, 1), (3, 5)])
+def test_what_sticks_holds_more_than_what_slides(substeps, iterations):
+    """V14 with two coefficients: atan 0.6 = 30.96°."""
+    options = {'static': 0.6, 'substeps': substeps, 'iterations': iterations}
+    simulation, frame = held(30.9, **options)
+    np.testing.assert_allclose(frame.x[0], simulation.natural(simulation._start)[0], atol=1e-12)
+    for degrees, speed in ((31.1, 0.0), (30.0, 0.5)):
+        _, frame = held(degrees, speed=speed, **options)
+        angle = np.radians(degrees)
+        expected = speed + GRAVITY * (np.sin(angle) - MU * np.cos(angle))
+        assert np.linalg.norm(frame.v[0]) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_surface_has_its_static_friction_and_the_pair_the_mean_of_both():
+    simulation = simulate(
+        (1, 1), friction=0.9, pose={'position': [0.0, 0.0, R]}, colliders={
+            'a': {'plane': {}, 'friction': 0.1, 'static_friction': 0.4},
+            'b': {'plane': {}, 'friction': 0.4}},
+        scene_effects={'contact': {'thickness': R}, 'friction': {'pairs': {'c': {'b': 0.7}}}})
+    simulation.step()
+    data = simulation.effects['friction'].data
+    np.testing.assert_allclose(data.coefficient[0, :2], [0.3, 0.7], rtol=1e-15)
+    np.testing.assert_allclose(data.static[0, :2], [0.6, 0.7], rtol=1e-15)
+    simulation.step([SetKey('colliders.a.static_friction', 0.9)])
+    assert simulation.effects['friction'].data.static[0, 0] == pytest.approx(0.9)
+    frame = simulation.step([SetKey('colliders.a.friction', 1.0)])
+    assert 'static_friction: must be at least friction (1) (got 0.9)' in frame.refused[0][1]
+
+
+def test_without_a_static_coefficient_there_is_no_array_of_them():
+    assert on_a_plane().effects['friction'].data.static is None
+
+
+@pytest.mark.parametrize('mu', [0.0, 0.2, 0.5])
+def test_a_strip_that_slides_round_a_cylinder_is_pulled_harder_where_it_leaves(mu):
+    """V16, the capstan: T2 / T1 = exp(μ φ) with φ = 90°, here without inertia to speak of."""
+    n, radius, thickness = 61, 0.1, 0.002
+    bend = radius + thickness
+    simulation = simulate(
+        (n, 1), (0.6, 0.1), effects={'stretch': {'warp': 200.0, 'weft': 200.0}}, friction=mu,
+        density=0.05, gravity=(0, 0, 0), substeps=40, pose={'position': [-0.45, 0.0, bend]},
+        scene_effects={'contact': {'thickness': thickness}, 'friction': {},
+                       'damping': {'rate': 40.0}},
+        colliders={'drum': {'cylinder': {'radius': radius, 'length': 0.5}, 'friction': mu,
+                            'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5]}},
+        pins={'back': {'cloth': 'c', 'at': [0]},
+              'front': {'cloth': 'c', 'at': [n - 1], 'motion': [
+                  [0.0, 0.15, 0.0, bend], [0.6, bend, 0.0, -0.1], [2.0, bend, 0.0, -0.2]]}})
+    pulls = []
+    for k in range(120):
+        frame = simulation.step()
+        if k >= 100:
+            pulls.append([np.linalg.norm(frame.pins[name].force) for name in ('front', 'back')])
+    front, back = np.mean(pulls, 0)
+    assert back > 0.3
+    assert front / back == pytest.approx(np.exp(0.5 * np.pi * mu), rel=0.04)

@@ -61,5 +61,6 @@ def lockstep(start, peer, towel) -> Cloth:
     """Return a node that steps the towel on request, and has been met."""
     cloth = Cloth(peer, start(scene=towel, mode='lockstep'))
     cloth.meet(pins=MarkerArray(), pin_targets=targets(), collider_states=targets(),
+               colliders=MarkerArray(),
                collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))
     return cloth

@@ -339,6 +339,15 @@ def pin(name: str, place=(0.0, 0.0, 0.0), *, action: int = Marker.ADD, radius: f
     return marker
 
 
+def collider(name: str, place=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1), *, kind: int = Marker.CUBE,
+             action: int = Marker.ADD, lifetime_ns: int = 0) -> Marker:
+    """Return a marker for ~/colliders; ``size`` is its scale [m]."""
+    marker = pin(name, place, action=action, lifetime_ns=lifetime_ns)
+    marker.type = kind
+    marker.scale.x, marker.scale.y, marker.scale.z = map(float, size)
+    return marker
+
+
 def transform(place, orientation=(0.0, 0.0, 0.0, 1.0)) -> Transform:
     """Return a place and an orientation."""
     found = Transform()

@@ -5,8 +5,8 @@ from math import cos, pi, sin
 from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
-from ros.rig import pin, pose_stamped, targets, transform, WEIGHT
-from visualization_msgs.msg import Marker
+from ros.rig import collider, pin, pose_stamped, targets, transform, WEIGHT
+from visualization_msgs.msg import Marker, MarkerArray
 
 CORNER = (-0.2, -0.2, 0.004)
 """row 0, column 0 of the towel at the start [m]"""
@@ -174,3 +174,24 @@ def test_the_speed_of_a_surface_rubs(cloth):
     cloth.peer.say('/cloth/collider_states', targets(table=(0.0, 0.0, 0.0), twist=belt))
     after = cloth.cloud(cloth.step(30))
     assert (after - before)[..., 0].mean() > 0.02
+
+
+def test_colliders_come_change_and_go(cloth):
+    """A box under the towel lifts it, grows, and when it is gone the towel lies down again."""
+    def put(*markers):
+        cloth.peer.say('/cloth/colliders', MarkerArray(markers=list(markers)))
+        return cloth.cloud(cloth.step(120))[4, 4, 2]
+    assert put() == pytest.approx(0.004, abs=1e-5)
+    crate = collider('crate', (0, 0, -0.01), (0.1, 0.1, 0.06))
+    assert put(crate) == pytest.approx(0.024, abs=1e-4)
+    grown = collider('crate', (0, 0, 0), (0.1, 0.1, 0.08), kind=Marker.CYLINDER)
+    assert put(grown) == pytest.approx(0.044, abs=1e-4)
+    assert cloth.status()['colliders'] == '3'
+    assert put(collider('crate', action=Marker.DELETE)) == pytest.approx(0.004, abs=1e-4)
+    crate.lifetime.nanosec = 200_000_000
+    assert put(crate) == pytest.approx(0.004, abs=1e-4), 'nobody renewed it'
+    crowd = [collider(f'c{k}', (5.0, k, 0.0)) for k in range(31)]
+    cloth.peer.say('/cloth/colliders', MarkerArray(markers=crowd))
+    cloth.step()
+    cloth.node.wait_for("/cloth/colliders: refused: collider 'c30': all 32 colliders are in use")
+    assert put(collider('', action=Marker.DELETEALL)) < -1.0, 'there is no table any more'

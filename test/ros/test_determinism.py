@@ -8,7 +8,7 @@ import sys
 
 from geometry_msgs.msg import Twist
 import pytest
-from ros.rig import child_environment, Cloth, pin, pose_stamped, targets
+from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targets
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.log.reader import LogReader
@@ -48,6 +48,7 @@ def cloth(start, peer, scene):
     """Return a node in a namespace of its own."""
     cloth = Cloth(peer, start('-r', '__ns:=/robot', scene=scene, mode='lockstep'), '/robot/cloth')
     cloth.meet(pins=MarkerArray(), pin_targets=targets(), collider_states=targets(),
+               colliders=MarkerArray(),
                collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))
     return cloth
 
@@ -63,7 +64,7 @@ def hashes(run) -> dict[int, int]:
 
 def inputs(run) -> list[tuple[int, str]]:
     """Return the frames at which there was an input, and its topic."""
-    known = ('pins', 'pin_targets', 'collider_states', 'parameter_events', 'resets')
+    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events', 'resets')
     return [(message.frame, message.topic.rsplit('/', 1)[-1])
             for message in LogReader(run).messages()
             if message.topic.rsplit('/', 1)[-1] in known]
@@ -86,7 +87,13 @@ def play(cloth, wait) -> None:
     wait(10)
     cloth.peer.say(f'{cloth.name}/collider_states', targets(ball=(0.05, 0.1, 0.15), twist=rub))
     assert cloth.set(**{STIFF: 2500.0}) == (True, '')
+    cloth.peer.say(f'{cloth.name}/colliders', MarkerArray(markers=[
+        collider('crate', (-0.05, 0.0, 0.02), (0.1, 0.1, 0.04)),
+        collider('brief', (0.1, 0.0, 0.0), kind=Marker.SPHERE, lifetime_ns=100_000_000)]))
     wait(8)
+    cloth.peer.say(f'{cloth.name}/colliders', MarkerArray(markers=[
+        collider('crate', (0.05, 0.0, 0.03), kind=Marker.CYLINDER),
+        collider('ball', action=Marker.DELETE)]))
     assert cloth.set(gravity=[1.0, 0.0, -7.0], solver__iterations=2) == (True, '')
     assert cloth.set(colliders__table__friction=0.1) == (True, '')
     wait(8)
@@ -145,7 +152,8 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
     run = tmp_path / 'run'
     first = record(cloth, run, 'realtime', wait)
     kinds = {topic for _, topic in inputs(run)}
-    assert kinds == {'pins', 'pin_targets', 'collider_states', 'parameter_events', 'resets'}
+    assert kinds == {'pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events',
+                     'resets'}
     assert cloth.get('solver.substeps') == [11]
     assert set(first) == set(range(max(first) + 1)), 'every frame'
     assert repeated(run, tmp_path) == first

@@ -17,6 +17,7 @@ from xpbd_ros.ros.inbox import Inbox
 from xpbd_ros.ros.inputs import (
     as_messages,
     count_in,
+    read_colliders,
     read_pins,
     read_pose,
     read_targets,
@@ -28,9 +29,12 @@ from xpbd_ros.sim.commands import (
     Grasp,
     MoveCollider,
     MovePin,
+    PlaceCollider,
     Pose,
     Release,
     ReleaseAll,
+    RemoveAllColliders,
+    RemoveCollider,
     Reset,
     SetKey,
 )
@@ -90,6 +94,42 @@ def test_a_grasp_that_makes_no_sense(changes, reason):
     with pytest.raises(InputError) as error:
         read_pins(MarkerArray(markers=[good, changed(pin('a'), **changes)]), 'world')
     assert reason in str(error.value)
+
+
+@pytest.mark.parametrize(('changes', 'reason'), [
+    ({'header__frame_id': 'map'}, "marker a/0: TF frame 'map' is not the scene's 'world'"),
+    ({'pose__position__x': nan}, 'marker a/0: position or orientation is not finite'),
+    ({'scale__y': 0.3}, 'marker a/0: scale [0.2, 0.3, 0.2] must be the same across'),
+    ({'scale__z': 0.3}, 'marker a/0: scale [0.2, 0.2, 0.3] must be the same across'),
+    ({'scale__z': 0.0}, 'marker a/0: scale [0.2, 0.2, 0.0] must be > 0 m'),
+    ({'scale__z': -0.2}, 'must be > 0 m'),
+    ({'scale__x': nan}, 'must be > 0 m'),
+    ({'scale__x': inf}, 'must be > 0 m'),
+    ({'scale__x': 5e-324}, 'must be > 0 m'),
+    ({'type': Marker.ARROW}, 'marker a/0: type 0 is no collider (known: CUBE, SPHERE, CYLINDER'),
+    ({'type': Marker.CYLINDER, 'scale__x': 0.3}, 'must be the same across'),
+    ({'ns': 'no good!'}, "bad name 'no good!'"),
+    ({'id': -1}, "bad name 'a_-1'"),
+    ({'action': 7}, 'marker a/0: unknown action 7'),
+    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns make no sense'),
+])
+def test_a_collider_that_makes_no_sense(changes, reason):
+    good = pin('good', (0.0, 0.0, 0.0))
+    with pytest.raises(InputError) as error:
+        read_colliders(MarkerArray(markers=[good, changed(pin('a', radius=0.1), **changes)]),
+                       'world')
+    assert reason in str(error.value)
+
+
+def test_markers_become_colliders():
+    ball, tube, box = pin('a', radius=0.1), pin('', (1, 2, 3)), pin('c', lifetime_ns=7)
+    changed(tube, type=Marker.CYLINDER, id=4, scale__x=0.2, scale__y=0.2, scale__z=0.5)
+    changed(box, type=Marker.CUBE, scale__x=0.1, scale__y=0.2, scale__z=0.3)
+    wipe, gone = pin('', action=Marker.DELETEALL), pin('b', action=Marker.DELETE)
+    assert read_colliders(MarkerArray(markers=[wipe, ball, tube, box, gone]), 'world') == [
+        RemoveAllColliders(), PlaceCollider('a', 'sphere', (0.1,), Pose()),
+        PlaceCollider('collider_4', 'cylinder', (0.1, 0.5), Pose((1.0, 2.0, 3.0))),
+        PlaceCollider('c', 'box', (0.1, 0.2, 0.3), Pose(), 7), RemoveCollider('b')]
 
 
 @pytest.mark.parametrize(('message', 'reason'), [
@@ -182,9 +222,15 @@ def random_commands(count: int) -> list[commands.Command]:
         speed = commands.Twist((number(), number(), number()), (number(), number(), number()))
         return kind(noise.choice(['left', 'right']), pose(), noise.choice([None, speed]),
                     noise.choice([0, 1, 1_700_000_000_999_999_999]))
+
+    def place():
+        shape, count = noise.choice([('box', 3), ('sphere', 1), ('cylinder', 2)])
+        size = tuple(noise.random() + 1e-9 for _ in range(count))
+        return PlaceCollider('ball', shape, size, pose(), noise.choice([0, 1, 10**10 + 1]))
     kinds = [lambda: Grasp('a', pose(), noise.random() + 1e-9, noise.choice([0, 1, 10**10 + 1])),
              lambda: Release('a'), ReleaseAll, Reset,
              lambda: move(MovePin), lambda: move(MoveCollider),
+             lambda: RemoveCollider('ball'), RemoveAllColliders, place,
              lambda: SetKey('solver.substeps', noise.randint(1, 99)),
              lambda: SetKey('gravity', [number(), number(), number()]),
              lambda: SetKey('cloths.towel.friction', noise.random())]

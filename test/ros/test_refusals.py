@@ -9,7 +9,7 @@ from geometry_msgs.msg import PoseStamped, Twist
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import Cloth, PATIENCE, pin, points, pose_stamped, targets
+from ros.rig import Cloth, collider, PATIENCE, pin, points, pose_stamped, targets
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -19,7 +19,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
 KINDS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
-         'collider_states': MultiDOFJointState, 'collider/ball/pose': PoseStamped}
+         'colliders': MarkerArray, 'collider_states': MultiDOFJointState,
+         'collider/ball/pose': PoseStamped}
 TINY = Twist()
 TINY.linear.x = 1e-200
 """its square is 0"""
@@ -55,6 +56,12 @@ BAD = {
         (uneven(), '2 names but 1 transforms and 0 twists'),
         (targets(**{'no good!': (0, 0, 0)}), "joint_names: bad name 'no good!'"),
         (b'\0\1\0\0' + b'\xff' * 40, 'cannot be unpacked'),
+    ],
+    'colliders': [
+        (markers(collider('a', size=(0.1, 0.0, 0.1))), 'marker a/0: scale [0.1, 0.0, 0.1] must'),
+        (markers(collider('a'), collider('a', (0, 0, nan))), 'marker a/0: position or'),
+        (markers(collider('nobody', action=Marker.DELETE)), "unknown collider 'nobody' (known: "),
+        (markers(*[Marker()] * 66), '66 entries, and there is room for 65'),
     ],
     'collider_states': [
         (targets(nobody=(0, 0, 0)), "unknown collider 'nobody' (known: table, ball)"),

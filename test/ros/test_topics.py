@@ -86,14 +86,14 @@ CONTACT = 'effects: {contact: {thickness: 0.004}}\n'
 BALL = 'colliders: {ball: {sphere: {radius: 0.1}, position: [9, 0, 0]}}\n'
 ONE = {'/cloth/markers', '/cloth/scene', '/cloth/particles', '/cloth/mesh'}
 OF_PINS = {'/cloth/pins', '/cloth/pin_targets'}
-OF_COLLIDERS = {'/cloth/collider_states', '/cloth/collider/ball/pose'}
+OF_COLLIDERS = {'/cloth/colliders', '/cloth/collider_states', '/cloth/collider/ball/pose'}
 
 
 @pytest.mark.parametrize(('text', 'publishes', 'listens'), [
     (SHEET, ONE, set()),
     (SHEET + PINS, ONE | {'/cloth/pin_states'}, OF_PINS),
     (SHEET + CORNER, ONE | {'/cloth/pin_states'}, OF_PINS),
-    (SHEET + CONTACT, ONE, {'/cloth/collider_states'}),
+    (SHEET + CONTACT, ONE, {'/cloth/colliders', '/cloth/collider_states'}),
     (SHEET + BALL + CONTACT, ONE, OF_COLLIDERS),
 ], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders'])
 def test_topics_follow_the_scene(use, text, publishes, listens):

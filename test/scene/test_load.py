@@ -205,7 +205,7 @@ def test_overrides_stand_in_for_what_the_file_says():
 @pytest.mark.parametrize('key, value, text', [
     ('cloths.flag.density.x', 1, "'density' holds a value, so it has no key 'x'"),
     ('cloths.flag.densty', 1, "cloths.flag.densty: unknown key; did you mean 'density'? "
-     '(known: grid, mesh, density, material, pose, friction, effects)'),
+     '(known: grid, mesh, density, material, pose, friction, static_friction, effects)'),
     ('', 1, "'' is not a key"),
     ('cloths..density', 1, "'.density' is not a key"),
     ('solver.substeps', 3.5, 'solver.substeps: must be a whole number (got 3.5)'),

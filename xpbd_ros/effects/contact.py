@@ -15,6 +15,9 @@ away from the surface is taken back at the substep's end (the aim of pre-stabili
 al. 2014; moving x_prev instead leaves a velocity where another collider pushes back). Colliders
 move through the frame from pose to pose and carry the cloth along.
 
+A collider's restitution e turns the velocity with which a particle came into -e times that, along
+the normal, at the substep's end (Müller et al. 2020); slower than 2 g h nothing bounces.
+
 A particle that moves, relative to a collider, more than a quarter of the collider's thickness in
 a substep is followed on its way (``sim.crossing``): where that first comes within r, the surface's
 tangent plane is what it stays in front of. So it ends on the side that it came from, however fast
@@ -24,22 +27,37 @@ Limits: particles are tested, not triangles, so what is thinner than the spacing
 slip between them.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import colliders as shapes
-from xpbd_ros.sim.colliders import Colliders, signed_distance, to_local
-from xpbd_ros.sim.commands import MoveCollider, Pose
+from xpbd_ros.sim.colliders import (
+    Colliders,
+    inner,
+    new_colliders,
+    reach,
+    signed_distance,
+    to_local,
+)
+from xpbd_ros.sim.commands import (
+    MoveCollider,
+    PlaceCollider,
+    Pose,
+    RemoveAllColliders,
+    RemoveCollider,
+    Twist,
+)
 from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, surface_motion
 from xpbd_ros.sim.crossing import look_back
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
-from xpbd_ros.sim.rotation import from_z_axis, multiply, rotate
+from xpbd_ros.sim.motion import monotone_cubic, Motion
+from xpbd_ros.sim.rotation import rotate
+from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES
 from xpbd_ros.sim.stages import finish, prepare, stage, touch
 from xpbd_ros.sim.state import lose_history
 from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
@@ -61,102 +79,13 @@ class Parameters:
     max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
 
 
-@dataclass(frozen=True)
-class Plane:
-    """The half space below a plane."""
+class Bounce(NamedTuple):
+    """What only bouncing needs."""
 
-    normal: tuple[float, float, float] = quantity((0.0, 0.0, 1.0), doc='pointing out of it')
-
-    def __post_init__(self):
-        """Refuse a direction that is none."""
-        if not any(self.normal):
-            raise InputError('normal: must not be zero')
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A ball."""
-
-    radius: float = quantity(unit='m', above=0.0)
-
-
-@dataclass(frozen=True)
-class Capsule:
-    """A ball swept along z."""
-
-    radius: float = quantity(unit='m', above=0.0)
-    length: float = quantity(unit='m', minimum=0.0, doc='between the centres')
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """A cylinder along z."""
-
-    radius: float = quantity(unit='m', above=0.0)
-    length: float = quantity(unit='m', above=0.0)
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box."""
-
-    size: tuple[float, float, float] = quantity(unit='m', above=0.0, doc='full extents')
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One entry of the scene's ``colliders``: exactly one shape, and where it is."""
-
-    plane: Plane | None = quantity(None)
-    sphere: Sphere | None = quantity(None)
-    capsule: Capsule | None = quantity(None)
-    cylinder: Cylinder | None = quantity(None)
-    box: Box | None = quantity(None)
-    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
-    orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
-                                                              doc='quaternion x y z w')
-    friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ')
-    motion: tuple[tuple[float, ...], ...] | None = quantity(
-        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
-    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
-
-    def __post_init__(self):
-        """Refuse no shape and two shapes."""
-        given = [name for name in SHAPES if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise InputError(f'needs exactly one shape of {", ".join(SHAPES)} '
-                             f'(got {", ".join(given) or "none"})')
-        check_motion(self.motion)
-
-    @property
-    def shape(self) -> str:
-        """The name of its shape."""
-        return next(name for name in SHAPES if getattr(self, name) is not None)
-
-    @property
-    def pose(self) -> Pose:
-        """Where it is at the start; a plane's normal is its z axis."""
-        n = sqrt(sum(c * c for c in self.orientation))
-        orientation = tuple(c / n for c in self.orientation)
-        if self.plane is not None:
-            orientation = multiply(orientation, from_z_axis(self.plane.normal))
-        return Pose(self.position, orientation)
-
-
-SHAPES = {'plane': shapes.PLANE, 'sphere': shapes.SPHERE, 'capsule': shapes.CAPSULE,
-          'cylinder': shapes.CYLINDER, 'box': shapes.BOX}
-
-
-def shape_size(entry: Entry) -> tuple[float, float, float]:
-    """Return the numbers that the kernels want of a shape."""
-    if entry.sphere is not None:
-        return entry.sphere.radius, 0.0, 0.0
-    if entry.box is not None:
-        return tuple(0.5 * c for c in entry.box.size)
-    if entry.plane is not None:
-        return 0.0, 0.0, 0.0
-    tube = entry.capsule or entry.cylinder
-    return tube.radius, 0.5 * tube.length, 0.0
+    restitution: np.ndarray
+    """e by collider, shape (capacity,)"""
+    approach: np.ndarray
+    """velocity of each candidate before the substep [m/s], shape (room, 3)"""
 
 
 class Contact(NamedTuple):
@@ -165,6 +94,8 @@ class Contact(NamedTuple):
     contacts: Contacts
     thickness: np.ndarray
     """[m], shape (1,)"""
+    bounce: Bounce | None
+    """None in a scene where no collider bounces"""
 
 
 @stage(prepare, Contact)
@@ -203,11 +134,11 @@ def find_candidates(contact, state, substep):
             if any_lane(both(free, close)):
                 for i in range(q, q + lanes(w)):
                     if w[i] > 0.0:
-                        consider(contacts, state, i, c, thickness, substep)
+                        consider(contacts, contact.bounce, state, i, c, thickness, substep)
 
 
 @jit(inline=True)
-def consider(contacts, state, i, c, thickness, substep):
+def consider(contacts, bounce, state, i, c, thickness, substep):
     """Make a pair a candidate if it is within twice what both may move in this substep."""
     p = contacts.after
     x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
@@ -232,6 +163,9 @@ def consider(contacts, state, i, c, thickness, substep):
     contacts.crossed[k] = False
     for a in range(3):
         contacts.slip[k, a] = 0.0
+    if bounce is not None:
+        for a in range(3):
+            bounce.approach[k, a] = state.v[a, i] - substep.h * state.gravity[a]
     contacts.count[0] = k + 1
 
 
@@ -272,20 +206,62 @@ def push_out(contact, state, substep):
 @stage(finish, Contact)
 @jit
 def calm(contact, state, substep):
-    """Take back the velocity that came from undoing an old overlap, down to the surface's own."""
-    contacts, v, n, h = contact.contacts, state.v, contact.contacts.normal, substep.h
+    """Take back the velocity that came from undoing an old overlap; let bounce what bounces."""
+    contacts, h = contact.contacts, substep.h
     for k in range(contacts.count[0]):
         still = min(contacts.overlap[k], contacts.push[k])
-        if still == 0.0:
-            continue
-        i = contacts.particle[k]
-        ux, uy, uz = surface_motion(contacts, k, state, substep)
-        away = ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
-                + (v[2, i] - uz / h) * n[k, 2])
-        excess = min(away, still / h)
-        if excess > 0.0:
-            for a in range(3):
-                v[a, i] -= excess * n[k, a]
+        if still > 0.0:
+            excess = min(speed_away(contacts, k, state, substep), still / h)
+            if excess > 0.0:
+                drive_away(contacts, k, state, -excess)
+    rebound(contact.bounce, contacts, state, substep)
+
+
+@jit(inline=True)
+def speed_away(contacts, k, state, substep):
+    """Return how fast the particle of contact k leaves the surface [m/s]."""
+    i, v, n, h = contacts.particle[k], state.v, contacts.normal, substep.h
+    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    return ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
+            + (v[2, i] - uz / h) * n[k, 2])
+
+
+@jit(inline=True)
+def drive_away(contacts, k, state, speed):
+    """Add a velocity along the normal [m/s]."""
+    for a in range(3):
+        state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
+
+
+@jit
+def rebound(bounce, contacts, state, substep):
+    """Newton's law of restitution: v_n = -e (v_n before), unless that is what gravity gives."""
+    if bounce is not None:
+        g, h = state.gravity, substep.h
+        least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h
+        for k in range(contacts.count[0]):
+            e = bounce.restitution[contacts.collider[k]]
+            if e == 0.0 or contacts.push[k] == 0.0:
+                continue
+            ux, uy, uz = surface_motion(contacts, k, state, substep)
+            w, n = bounce.approach[k], contacts.normal[k]
+            before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
+            if before < -least:
+                missing = -e * before - speed_away(contacts, k, state, substep)
+                if missing > 0.0:
+                    drive_away(contacts, k, state, missing)
+
+
+@dataclass
+class Placed:
+    """One collider that is there."""
+
+    entry: Entry
+    motion: Motion
+    twist: Twist | None = None
+    """velocity of its surface, where that is not the pose's"""
+    expires_ns: int | None = None
+    """when it goes away by itself"""
 
 
 @dataclass(frozen=True)
@@ -299,7 +275,7 @@ class ColliderState:
 
 
 class BuiltContact(Built):
-    """All colliders of a scene."""
+    """All colliders of a scene: those that it names, and room for those to come."""
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -309,64 +285,110 @@ class BuiltContact(Built):
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
-        poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
-        colliders = Colliders(
-            np.array([len(self.entries)]), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
-            np.zeros(capacity), np.zeros(capacity),
-            poses.copy(), poses.copy(), np.zeros(capacity, np.bool_), np.zeros((capacity, 6)),
-            np.zeros(capacity, np.bool_),
-            np.zeros(capacity))
-        for c, entry in enumerate(self.entries.values()):
-            colliders.shape[c] = SHAPES[entry.shape]
-            colliders.size[c] = shape_size(entry)
-            colliders.reach[c] = shapes.reach(colliders.shape[c], colliders.size[c])
-            colliders.inner[c] = shapes.inner(colliders.shape[c], colliders.size[c])
-            colliders.friction[c] = entry.friction
-        self.colliders = colliders
-        self.contacts = new_contacts(colliders, room)
-        self.data = Contact(self.contacts, np.array([parameters.thickness]))
-        self.commands = {MoveCollider: self.move}
-        self.motions: dict[str, Motion] = {}
+        self.colliders: Colliders = new_colliders(capacity)
+        self.contacts = new_contacts(self.colliders, room)
+        bounce = None
+        if any(entry.restitution > 0.0 for entry in self.entries.values()):
+            bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
+        self.data = Contact(self.contacts, np.array([parameters.thickness]), bounce)
+        self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
+                         RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
+        self.placed: dict[str, Placed] = {}
+        self.changes = 0
+        """how often it has become another set of colliders"""
 
     def reset(self, state, now_ns):
-        self.motions = {name: self._motion(entry, now_ns * 1e-9)
-                        for name, entry in self.entries.items()}
-        self.colliders.has_twist[:] = False
-        for c, motion in enumerate(self.motions.values()):
-            pose = (*motion.pose.position, *motion.pose.orientation)
-            self.colliders.start[c] = self.colliders.goal[c] = pose
+        self.placed = {name: Placed(entry, motion_of(entry, now_ns * 1e-9))
+                       for name, entry in self.entries.items()}
+        self._changed()
 
     def adopt(self, old):
-        self.motions = old.motions
-        for ours, theirs in zip(self.colliders[5:10], old.colliders[5:10]):
-            ours[:] = theirs
+        for name, placed in old.placed.items():
+            if placed.entry is old.entries.get(name):
+                placed.entry = self.entries[name]
+        self.placed, self.changes = old.placed, old.changes
+        self._changed()
 
-    @staticmethod
-    def _motion(entry: Entry, now: float) -> Motion:
-        keyframes, pose = None, entry.pose
-        if entry.motion is not None:
-            keyframes = monotone_cubic(entry.motion, now)
-            pose = Pose(keyframes(now), pose.orientation)
-        lever = shapes.reach(SHAPES[entry.shape], shape_size(entry))
-        return Motion(pose, entry.max_speed, keyframes=keyframes,
-                      lever=lever if lever > 0.0 else 1.0)
+    def _changed(self) -> None:
+        """Write the colliders where the kernels find them."""
+        colliders = self.colliders
+        for c, placed in enumerate(self.placed.values()):
+            shape, size = SHAPES[placed.entry.shape], np.array(shape_size(placed.entry))
+            colliders.shape[c], colliders.size[c] = shape, size
+            colliders.reach[c], colliders.inner[c] = reach(shape, size), inner(shape, size)
+            if self.data.bounce is not None:
+                self.data.bounce.restitution[c] = placed.entry.restitution
+            self._write_twist(c, placed)
+            pose = placed.motion.pose
+            colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
+        colliders.count[0] = len(self.placed)
+        self.changes += 1
+
+    def _write_twist(self, c: int, placed: Placed) -> None:
+        self.colliders.has_twist[c] = placed.twist is not None
+        if placed.twist is not None:
+            self.colliders.twist[c] = (*placed.twist.linear, *placed.twist.angular)
+
+    def _unknown(self, name: str) -> str:
+        return f"unknown collider '{name}' (known: {', '.join(self.placed) or 'none'})"
 
     def move(self, command, clock, state) -> str | None:
         """Set where a collider goes, and the velocity of its surface where that is given."""
-        if command.collider not in self.motions:
-            return (f"unknown collider '{command.collider}' "
-                    f'(known: {", ".join(self.motions) or "none"})')
-        self.motions[command.collider].aim(command.pose, None, command.stamp_ns, clock.begin_ns)
-        c = list(self.motions).index(command.collider)
-        twist = command.twist
-        moving = twist is not None and any((*twist.linear, *twist.angular))
-        self.colliders.has_twist[c] = moving
-        if moving:
-            self.colliders.twist[c] = (*twist.linear, *twist.angular)
+        if command.collider not in self.placed:
+            return self._unknown(command.collider)
+        placed, twist = self.placed[command.collider], command.twist
+        placed.motion.aim(command.pose, None, command.stamp_ns, clock.begin_ns)
+        given = twist is not None and any((*twist.linear, *twist.angular))
+        placed.twist = twist if given else None
+        self._write_twist(list(self.placed).index(command.collider), placed)
         return None
 
+    def place(self, command, clock, state) -> str | None:
+        """Add a collider; or, if it is there already, let it have this shape and go there."""
+        expires_ns = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
+        placed = self.placed.get(command.collider)
+        shape = shape_of(command.shape, command.size)
+        if placed is None:
+            if len(self.placed) == len(self.colliders.shape):
+                return (f"collider '{command.collider}': all {len(self.placed)} colliders are in "
+                        'use (effects.contact.max_colliders)')
+            entry = Entry(position=command.pose.position, orientation=command.pose.orientation,
+                          **{command.shape: shape})
+            self.placed[command.collider] = Placed(entry, motion_of(entry, 0.0), None, expires_ns)
+            self._changed()
+            return None
+        placed.expires_ns = expires_ns
+        placed.motion.aim(command.pose, None, 0, clock.begin_ns)
+        if getattr(placed.entry, command.shape) != shape:
+            placed.entry = replace(placed.entry, **{placed.entry.shape: None,
+                                                    command.shape: shape})
+            placed.motion.lever = lever_of(placed.entry)
+            self._changed()
+        return None
+
+    def remove(self, command, clock, state) -> str | None:
+        """Take a collider away."""
+        if command.collider not in self.placed:
+            return self._unknown(command.collider)
+        self._remove([command.collider])
+        return None
+
+    def remove_all(self, command, clock, state) -> None:
+        """Take all colliders away."""
+        self._remove(list(self.placed))
+
+    def _remove(self, names: Iterable[str]) -> None:
+        for name in names:
+            del self.placed[name]
+        self._changed()
+
     def begin(self, clock, state):
-        for c, motion in enumerate(self.motions.values()):
+        gone = [name for name, placed in self.placed.items()
+                if placed.expires_ns is not None and placed.expires_ns <= clock.begin_ns]
+        if gone:
+            self._remove(gone)
+        for c, placed in enumerate(self.placed.values()):
+            motion = placed.motion
             motion.advance(clock.end_ns, clock.dt)
             start, pose = motion.start, motion.pose
             self.colliders.start[c] = (*start.position, *start.orientation)
@@ -376,14 +398,32 @@ class BuiltContact(Built):
     def states(self, dt: float) -> dict[str, ColliderState]:
         """Return where the colliders are now."""
         return {name: ColliderState(
-            self.entries[name], motion.pose,
-            np.subtract(motion.pose.position, motion.start.position) / dt)
-            for name, motion in self.motions.items()}
+            placed.entry, placed.motion.pose,
+            np.subtract(placed.motion.pose.position, placed.motion.start.position) / dt)
+            for name, placed in self.placed.items()}
 
     def stats(self):
-        return {'contacts': int((self.contacts.push[:max(0, self.contacts.count[0])] > 0.0).sum()),
+        found = max(0, self.contacts.count[0])
+        return {'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
-                'colliders_at_max_speed': sum(m.limited for m in self.motions.values())}
+                'colliders': len(self.placed),
+                'colliders_at_max_speed': sum(
+                    placed.motion.limited for placed in self.placed.values())}
+
+
+def motion_of(entry: Entry, now: float) -> Motion:
+    """Return how a collider moves from the start, at the simulation time ``now`` [s]."""
+    keyframes, pose = None, entry.pose
+    if entry.motion is not None:
+        keyframes = monotone_cubic(entry.motion, now)
+        pose = Pose(keyframes(now), pose.orientation)
+    return Motion(pose, entry.max_speed, keyframes=keyframes, lever=lever_of(entry))
+
+
+def lever_of(entry: Entry) -> float:
+    """Return how far from its position a collider has to keep to its speed when it turns [m]."""
+    far = reach(SHAPES[entry.shape], np.array(shape_size(entry)))
+    return far if far > 0.0 else 1.0
 
 
 EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

@@ -5,14 +5,16 @@ With Δp = (x - x_prev) - (motion of the collider's surface), its tangential par
 contact's push d along the normal (Macklin et al. 2014, eq 24; without what only undoes an old
 overlap),
 
-    s <- s - Δp_t, shortened to |s| ≤ μ d,   x += change of s
+    s <- s - Δp_t, if |s| > μ_s d shortened to μ_k d,   x += change of s
 
-stick where |Δp_t| ≤ μ d, else slide with the friction μ d. In rest on a slope d = g cos(θ) h², so
-sticking is exact and a sliding particle slows by exactly μ g cos(θ). μ of a pair is the geometric
-mean of the two coefficients unless one is given for the pair.
+stick where |Δp_t| ≤ μ_s d, else slide with the friction μ_k d. In rest on a slope d = g cos(θ) h²,
+so sticking is exact and a sliding particle slows by exactly μ_k g cos(θ). ``friction`` of a
+surface is its μ_k, and its μ_s too unless it has a ``static_friction``. μ of a pair is the
+geometric mean of the two coefficients unless one is given for the pair.
 
-Limits: one coefficient for sticking and sliding. A collider's velocity changes where frames meet,
-at once, so cloth on one that speeds up slips a little where smooth motion would carry it along.
+Limits: what slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity changes where
+frames meet, at once, so cloth on one that speeds up slips a little where smooth motion would carry
+it along.
 """
 
 from dataclasses import dataclass
@@ -23,17 +25,29 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, surface_motion
-from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.effect import Built, check_static, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import stage, touch
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What a cloth and a collider have in common."""
+
+    friction: float = quantity(minimum=0.0, doc='coefficient while it slides')
+    static_friction: float | None = quantity(None, minimum=0.0, doc='while it sticks')
+
+    def __post_init__(self):
+        """Refuse what slides harder than it sticks."""
+        check_static(self.static_friction, self.friction)
 
 
 @dataclass(frozen=True)
 class Parameters:
     """Coefficients of pairs; all other pairs take the geometric mean of the two surfaces."""
 
-    pairs: dict[str, dict[str, float]] = quantity(
-        {}, minimum=0.0, doc='cloth: {collider: coefficient μ}')
+    pairs: dict[str, dict[str, float | Pair]] = quantity(
+        {}, minimum=0.0, doc='cloth: {collider: coefficient μ, or both of them}')
 
 
 class Friction(NamedTuple):
@@ -43,7 +57,18 @@ class Friction(NamedTuple):
     cloth: np.ndarray
     """index of each particle's cloth, shape (slots,)"""
     coefficient: np.ndarray
-    """μ by cloth and collider, shape (cloths, capacity)"""
+    """μ_k by cloth and collider, shape (cloths, capacity)"""
+    static: np.ndarray | None
+    """μ_s likewise; None where it is μ_k everywhere"""
+
+
+@jit(inline=True)
+def holds(static, a, c, kinetic):
+    """Return μ_s of cloth a and collider c."""
+    if static is None:
+        return kinetic
+    else:    # Numba prunes the branch that is not taken
+        return static[a, c]
 
 
 @stage(touch, Friction)
@@ -64,9 +89,10 @@ def resist(friction, state, substep):
         sz = s[k, 2] - (pz - pn * n[k, 2])
         l = sqrt(sx * sx + sy * sy + sz * sz)
         load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
-        limit = friction.coefficient[friction.cloth[i], contacts.collider[k]] * load
-        if l > limit:
-            f = limit / l
+        a, c = friction.cloth[i], contacts.collider[k]
+        mu = friction.coefficient[a, c]
+        if l > holds(friction.static, a, c, mu) * load:
+            f = mu * load / l
             sx, sy, sz = f * sx, f * sy, f * sz
         x[0, i] += sx - s[k, 0]
         x[1, i] += sy - s[k, 1]
@@ -75,27 +101,54 @@ def resist(friction, state, substep):
 
 
 class BuiltFriction(Built):
-    """Friction has no state of its own: it reads the contacts."""
+    """The coefficients of all pairs that there are."""
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
-        contact = world.built['contact']
-        coefficient = np.zeros((len(world.cloths), len(contact.colliders.friction)))
+        self.contact = contact = world.built['contact']
+        self.cloths = world.cloths
+        self.pairs = parameters.pairs
         cloth_of = np.zeros(world.slots, np.int64)
-        unknown = set(parameters.pairs) - {cloth.name for cloth in world.cloths}
+        unknown = set(self.pairs) - {cloth.name for cloth in world.cloths}
         if unknown:
             raise InputError(f'effects.friction.pairs: unknown cloth {sorted(unknown)}')
         for k, cloth in enumerate(world.cloths):
             cloth_of[cloth.slots] = k
-            pairs = parameters.pairs.get(cloth.name, {})
-            unknown = set(pairs) - set(contact.entries)
+            unknown = set(self.pairs.get(cloth.name, {})) - set(contact.entries)
             if unknown:
                 raise InputError(f'effects.friction.pairs.{cloth.name}: unknown collider '
                                  f'{sorted(unknown)} (known: {", ".join(contact.entries)})')
-            for c, name in enumerate(contact.entries):
-                coefficient[k, c] = pairs.get(
-                    name, sqrt(cloth.friction * contact.colliders.friction[c]))
-        self.data = Friction(contact.contacts, cloth_of, coefficient)
+        surfaces = [*world.cloths, *contact.entries.values(), *(
+            pair for pairs in self.pairs.values() for pair in pairs.values())]
+        sticks = any(getattr(s, 'static_friction', None) is not None for s in surfaces)
+        shape = len(world.cloths), len(contact.colliders.shape)
+        self.data = Friction(contact.contacts, cloth_of, np.zeros(shape),
+                             np.zeros(shape) if sticks else None)
+        self.changes = None
+        """the set of colliders that the coefficients are for"""
+
+    def begin(self, clock, state):
+        if self.changes != self.contact.changes:
+            self.changes = self.contact.changes
+            for k, cloth in enumerate(self.cloths):
+                for c, (name, placed) in enumerate(self.contact.placed.items()):
+                    kinetic, static = self._pair(cloth, name, placed.entry)
+                    self.data.coefficient[k, c] = kinetic
+                    if self.data.static is not None:
+                        self.data.static[k, c] = static
+
+    def _pair(self, cloth, name: str, entry) -> tuple[float, float]:
+        """Return μ_k and μ_s of a cloth and a collider."""
+        given = self.pairs.get(cloth.name, {}).get(name)
+        if given is not None:
+            return both_of(given if isinstance(given, Pair) else Pair(given))
+        return tuple(sqrt(a * b) for a, b in zip(both_of(cloth), both_of(entry)))
+
+
+def both_of(surface) -> tuple[float, float]:
+    """Return μ_k and μ_s of a surface or a pair."""
+    static = surface.static_friction
+    return surface.friction, surface.friction if static is None else static
 
 
 EFFECT = Effect('friction', Parameters, BuiltFriction, needs=('contact', 'self_collision'))

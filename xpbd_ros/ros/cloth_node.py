@@ -39,7 +39,16 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim import measure
-from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Release, Reset, SetKey
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    PlaceCollider,
+    Release,
+    RemoveCollider,
+    Reset,
+    SetKey,
+)
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """for streams of poses: any publisher will do, and only the last counts"""
@@ -47,7 +56,8 @@ EVERY = QoSProfile(depth=10)
 ANSWER_SECONDS = 10.0
 """how long a service waits for the frame in hand"""
 TOPIC_OF = {Grasp: 'pins', Release: 'pins', MovePin: 'pin_targets',
-            MoveCollider: 'collider_states', SetKey: 'parameters'}
+            MoveCollider: 'collider_states', PlaceCollider: 'colliders',
+            RemoveCollider: 'colliders', SetKey: 'parameters'}
 
 
 class ClothNode(LifecycleNode):
@@ -164,6 +174,7 @@ class ClothNode(LifecycleNode):
             self._listen('pins', EVERY)
             self._listen('pin_targets', LATEST)
         if 'contact' in self.simulation.effects:
+            self._listen('colliders', EVERY)
             self._listen('collider_states', LATEST)
             for name in self.scene.sections.get('colliders', {}):
                 self._listen(f'collider/{name}/pose', LATEST, PoseStamped,

@@ -12,7 +12,7 @@ import time
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.inputs import count_in, unpacked
-from xpbd_ros.sim.commands import Command, MoveCollider, MovePin
+from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider
 
 ROOM = 4096
 """commands from messages that may wait for the next frame"""
@@ -64,7 +64,7 @@ class Inbox:
 
     def _keep(self, command: Command) -> None:
         """Let a new target take the place of one that nobody has seen yet."""
-        if isinstance(command, MovePin | MoveCollider):
+        if isinstance(command, MovePin | MoveCollider | PlaceCollider):
             name = _name(command)
             for k in range(len(self._waiting) - 1, -1, -1):
                 if _name(self._waiting[k]) in (name, None):

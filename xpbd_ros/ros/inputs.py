@@ -25,9 +25,12 @@ from xpbd_ros.sim.commands import (
     Grasp,
     MoveCollider,
     MovePin,
+    PlaceCollider,
     Pose,
     Release,
     ReleaseAll,
+    RemoveAllColliders,
+    RemoveCollider,
     Reset,
     SetKey,
     Twist,
@@ -97,8 +100,7 @@ def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
         if marker.action == Marker.DELETEALL:
             commands.append(ReleaseAll())
             continue
-        name = f'{marker.ns or "pin"}_{marker.id}' if marker.id or not marker.ns else marker.ns
-        check_name(name, what)
+        name = marker_name(marker, 'pin', what)
         if marker.action == Marker.DELETE:
             commands.append(Release(name))
         elif marker.action == Marker.ADD:
@@ -112,6 +114,53 @@ def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
         else:
             raise InputError(f'{what}: unknown action {marker.action}')
     return commands
+
+
+def marker_name(marker: Marker, nameless: str, what: str) -> str:
+    """Return the name that a marker's ns and id are for: ns, or ns_id where there is an id."""
+    if marker.ns and not marker.id:
+        return check_name(marker.ns, what)
+    return check_name(f'{marker.ns or nameless}_{marker.id}', what)
+
+
+def read_colliders(message: MarkerArray, frame_id: str) -> list[Command]:
+    """``~/colliders``: ADD adds, moves or reshapes, DELETE and DELETEALL take away."""
+    commands: list[Command] = []
+    for marker in message.markers:
+        what = f'marker {marker.ns}/{marker.id}'
+        check_frame(marker.header, frame_id, what)
+        if marker.action == Marker.DELETEALL:
+            commands.append(RemoveAllColliders())
+            continue
+        name = marker_name(marker, 'collider', what)
+        if marker.action == Marker.DELETE:
+            commands.append(RemoveCollider(name))
+        elif marker.action == Marker.ADD:
+            shape, size = read_shape(marker, what)
+            commands.append(PlaceCollider(
+                name, shape, size, pose(marker.pose.position, marker.pose.orientation, what),
+                nanoseconds(marker.lifetime, f'{what}: lifetime')))
+        else:
+            raise InputError(f'{what}: unknown action {marker.action}')
+    return commands
+
+
+def read_shape(marker: Marker, what: str) -> tuple[str, tuple[float, ...]]:
+    """Return the shape of a marker and its size [m], as ``PlaceCollider`` has them."""
+    size = marker.scale.x, marker.scale.y, marker.scale.z
+    if not all(isfinite(c) and 0.0 < 0.5 * c <= FAR for c in size):
+        raise InputError(f'{what}: scale {list(size)} must be > 0 m and no more than {2 * FAR:g}')
+    if marker.type == Marker.CUBE:
+        return 'box', size
+    if marker.type not in (Marker.SPHERE, Marker.CYLINDER):
+        raise InputError(f'{what}: type {marker.type} is no collider (known: CUBE, SPHERE, '
+                         'CYLINDER)')
+    if size[0] != size[1] or marker.type == Marker.SPHERE and size[0] != size[2]:
+        raise InputError(f'{what}: scale {list(size)} must be the same across: a collider is '
+                         'round')
+    radius = 0.5 * size[0]
+    return ('sphere', (radius,)) if marker.type == Marker.SPHERE else (
+        'cylinder', (radius, size[2]))
 
 
 def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list[Command]:
@@ -181,6 +230,9 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
         if kind in (Grasp, Release, ReleaseAll):
             found.append(('pins', MarkerArray(
                 markers=[_marker(c, frame_id, time_ns) for c in group])))
+        elif kind is PlaceCollider:
+            found.append(('colliders', MarkerArray(
+                markers=[_collider(c, frame_id, time_ns) for c in group])))
         elif kind in (MovePin, MoveCollider):
             topic = 'pin_targets' if kind is MovePin else 'collider_states'
             found.append((topic, _targets(group, frame_id)))
@@ -197,6 +249,7 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
 READERS = {
     'pins': (MarkerArray, read_pins),
     'pin_targets': (MultiDOFJointState, lambda m, f: read_targets(m, f, MovePin)),
+    'colliders': (MarkerArray, read_colliders),
     'collider_states': (MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider)),
     'parameter_events': (ParameterEvent, lambda m, f: read_events(m)),
     'resets': (UInt64, lambda m, f: [Reset()] * m.data),
@@ -208,6 +261,8 @@ def _batch(command) -> tuple:
     kind = type(command)
     if kind in (MovePin, MoveCollider):
         return kind, command.stamp_ns, command.twist is None
+    if kind in (RemoveCollider, RemoveAllColliders):
+        kind = PlaceCollider
     return (Grasp if kind in (Release, ReleaseAll) else kind,)
 
 
@@ -226,6 +281,27 @@ def _marker(command, frame_id: str, time_ns: int) -> Marker:
         marker.pose.orientation = quaternion(command.pose.orientation)
         size = 2.0 * command.radius
         marker.scale = Vector3(x=size, y=size, z=size)
+        marker.color.a = 1.0
+        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, SECOND)
+    return marker
+
+
+def _collider(command, frame_id: str, time_ns: int) -> Marker:
+    marker = Marker(ns=getattr(command, 'collider', ''), action=Marker.DELETE)
+    marker.header.frame_id = frame_id
+    set_stamp(marker.header.stamp, time_ns)
+    if isinstance(command, RemoveAllColliders):
+        marker.action = Marker.DELETEALL
+    elif isinstance(command, PlaceCollider):
+        marker.action, size = Marker.ADD, command.size
+        marker.type = {'box': Marker.CUBE, 'sphere': Marker.SPHERE,
+                       'cylinder': Marker.CYLINDER}[command.shape]
+        if command.shape != 'box':
+            across = 2.0 * size[0]
+            size = across, across, size[-1] if command.shape == 'cylinder' else across
+        marker.scale = vector(Vector3, size)
+        marker.pose.position = vector(Point, command.pose.position)
+        marker.pose.orientation = quaternion(command.pose.orientation)
         marker.color.a = 1.0
         marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, SECOND)
     return marker

@@ -16,7 +16,7 @@ from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
 INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
-          'collider_states': MultiDOFJointState, 'resets': UInt64,
+          'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'resets': UInt64,
           '/parameter_events': ParameterEvent}
 
 

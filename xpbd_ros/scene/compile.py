@@ -34,7 +34,8 @@ def compile_scene(scene: Scene) -> Simulation:
                             for mesh in meshes], dtype)
     first = 0
     for (name, keys), mesh, block in zip(scene.cloths.items(), meshes, places):
-        cloths.append(Cloth(name, mesh, block, first, keys.friction))
+        cloths.append(Cloth(name, mesh, block, first, keys.friction,
+                            keys.static_friction))
         q, p = keys.pose.orientation, keys.pose.position
         x.append(np.stack(rotate.py_func(*q, *mesh.positions.T), 1) + p)
         mass.append(mesh.area * keys.density)
@@ -122,7 +123,8 @@ class Retune:
     def __call__(self, key: str, value) -> Change:
         """Return the change, or raise InputError; nothing has happened yet."""
         scene = self.check({key: value})
-        cloths = tuple(replace(c, friction=scene.cloths[c.name].friction)
+        cloths = tuple(replace(c, friction=scene.cloths[c.name].friction,
+                               static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
         effects = _build(scene, cloths, self.state)
         for name, built in effects.items():

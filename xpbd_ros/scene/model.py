@@ -5,7 +5,7 @@ from typing import Any
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.materials import Isotropic
-from xpbd_ros.sim.effect import quantity
+from xpbd_ros.sim.effect import check_static, quantity
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,14 @@ class ClothKeys:
     material: str | Isotropic | None = quantity(None, doc='a fabric by name, or a solid')
     pose: PoseKeys = quantity(PoseKeys())
     friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ of its surface')
+    static_friction: float | None = quantity(
+        None, minimum=0.0, live=True, doc='coefficient while it sticks; friction unless given')
 
     def __post_init__(self):
         """Refuse what has no shape or two."""
         if (self.grid is None) == (self.mesh is None):
             raise InputError("needs either 'grid' or 'mesh', and only one of them")
+        check_static(self.static_friction, self.friction)
 
 
 @dataclass(frozen=True)

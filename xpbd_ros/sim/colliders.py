@@ -40,8 +40,15 @@ class Colliders(NamedTuple):
     """surface velocity, linear [m/s] and angular [rad/s], where given; shape (capacity, 6)"""
     has_twist: np.ndarray
     """shape (capacity,)"""
-    friction: np.ndarray
-    """coefficient, shape (capacity,)"""
+
+
+def new_colliders(capacity: int) -> Colliders:
+    """Return room for that many colliders, and none."""
+    poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
+    return Colliders(
+        np.zeros(1, np.int64), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
+        np.zeros(capacity), np.zeros(capacity), poses.copy(), poses,
+        np.zeros(capacity, np.bool_), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_))
 
 
 @jit

@@ -79,6 +79,32 @@ class MoveCollider:
 
 
 @dataclass(frozen=True)
+class PlaceCollider:
+    """Add a collider; one that is there already takes this shape and goes there."""
+
+    collider: str
+    shape: str
+    """box, sphere or cylinder"""
+    size: tuple[float, ...]
+    """[m]: full extents; radius; radius and length along z"""
+    pose: Pose
+    lifetime_ns: int = 0
+    """it goes away by itself after this long without a new one [ns]; 0: never"""
+
+
+@dataclass(frozen=True)
+class RemoveCollider:
+    """Take a collider away."""
+
+    collider: str
+
+
+@dataclass(frozen=True)
+class RemoveAllColliders:
+    """Take all colliders away, those of the scene too."""
+
+
+@dataclass(frozen=True)
 class SetKey:
     """Change one live key of the scene, such as ``solver.substeps``."""
 
@@ -91,4 +117,5 @@ class Reset:
     """Back to the scene's start; time goes on rising."""
 
 
-Command = Grasp | Release | ReleaseAll | MovePin | MoveCollider | SetKey | Reset
+Command = (Grasp | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider | RemoveCollider
+           | RemoveAllColliders | SetKey | Reset)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.layout import Block, Span
 from xpbd_ros.sim.mesh import Mesh
@@ -30,6 +31,13 @@ def quantity(default: Any = MISSING, *, unit: str = '', above: float | None = No
     return field(default=default, metadata=metadata)
 
 
+def check_static(static: float | None, friction: float) -> None:
+    """Refuse what slides harder than it sticks."""
+    if static is not None and static < friction:
+        raise InputError(f'static_friction: must be at least friction ({friction:g}) '
+                         f'(got {static:g})')
+
+
 @dataclass(frozen=True, eq=False)
 class Cloth:
     """One cloth of a scene and where its particles are among all of them."""
@@ -41,6 +49,8 @@ class Cloth:
     """number of its first particle, among those of all cloths in natural order"""
     friction: float
     """coefficient μ of its surface"""
+    static_friction: float | None = None
+    """while nothing slides, where that is another"""
 
     @property
     def particles(self) -> slice:
