@@ -19,6 +19,7 @@ VERBS = {
     'run': 'run a scene as fast as it can, without DDS, and write the same log as the node',
     'replay': 'publish a log again',
     'info': 'what a log holds, and whether it is whole',
+    'verify': 'compare the simulation with answers that are known',
     'check': 'check a scene, and predict what its setting will give',
     'cost': 'what each effect of a scene costs: time, memory, code',
 }

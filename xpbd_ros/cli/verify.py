@@ -1,0 +1,82 @@
+"""
+Compare the simulation with answers that are known.
+
+Closed forms and independent solutions, errors in a named norm, and measured beside expected orders
+of convergence. Schemes known to be wrong solve some of the same cases, as controls: each must
+fail. The exit code is 1 where a case fails, or a control does not.
+"""
+
+from pathlib import Path
+
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.progress import progress
+
+EXAMPLE = 'xpbd_ros verify --case V6'
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('--case', metavar='ID', help='only this case, such as V6')
+    parser.add_argument('--quick', action='store_true', help='leave out what takes minutes')
+    parser.add_argument('-o', '--output', metavar='DIR',
+                        help='draw a picture per family into this folder; must not exist')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Run the cases and print what came of them."""
+    from xpbd_ros.study.cases.controls import controls
+    from xpbd_ros.study.verify import draw, verify
+    for output in (arguments.json, arguments.output):
+        refuse_existing(output)
+    answers = verify(arguments.case, slow=not arguments.quick, progress=progress)
+    wrong = [one for one in controls() if arguments.case in (None, one.id)]
+    rows = [row for answer in answers for row in answer.rows]
+    failed = sum(not row.good for row in rows) + sum(not one.fails for one in wrong)
+    numbers = {
+        'cases': [{'id': answer.id, 'family': answer.family, 'title': answer.title,
+                   'known': answer.known,
+                   **numbers_of(row)} for answer in answers for row in answer.rows],
+        'seconds': {answer.id: answer.seconds for answer in answers},
+        'controls': [{'id': one.id, 'scheme': one.scheme, 'error': one.error,
+                      'tolerance': one.tolerance, 'fails': one.fails} for one in wrong],
+        'passed': len(rows) + len(wrong) - failed, 'failed': failed,
+    }
+    if arguments.output:
+        folder = Path(arguments.output)
+        folder.mkdir(parents=True)
+        numbers['pictures'] = draw(answers, folder)
+    write_json(arguments.json, numbers)
+    if arguments.json != '-':
+        print('\n'.join(lines(answers, wrong)))
+        print(f"{numbers['passed']} passed, {failed} failed")
+    return 1 if failed else 0
+
+
+def numbers_of(row) -> dict:
+    """Return a row as JSON has it."""
+    return {'name': row.name, 'expected': row.expected, 'got': row.got, 'unit': row.unit,
+            'error': row.error, 'norm': row.norm, 'tolerance': row.tolerance,
+            'order_expected': row.order_expected, 'order': row.order, 'ladder': row.ladder,
+            'step': row.step, 'pass': row.good}
+
+
+def lines(answers, wrong) -> list[str]:
+    """Return the table."""
+    text = []
+    for answer in answers:
+        text.append(f'{answer.id} {answer.title} ({answer.seconds:.1f} s)')
+        if answer.known:
+            text.append(f'  known to fail: {answer.known}')
+        for row in answer.rows:
+            order = ('' if row.order is None
+                     else f', order {row.order:.2f} ({row.order_expected:g})')
+            text.append(f'  {"pass" if row.good else "FAIL"}  {row.name:<46} '
+                        f'{row.got:>12.6g} {row.unit:<4} ({row.expected:.6g}), '
+                        f'error {row.error:.1e} {row.norm} of {row.tolerance:.0e}{order}')
+    if wrong:
+        text.append('controls: schemes known to be wrong, each of which must fail')
+    for one in wrong:
+        text.append(f'  {"pass" if one.fails else "FAIL"}  {one.id} {one.scheme}: error '
+                    f'{one.error:.1e} of {one.tolerance:.0e}')
+    return text

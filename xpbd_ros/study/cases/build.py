@@ -1,0 +1,65 @@
+"""Scenes of the cases: one cloth, ``c``, flat in x and y unless posed."""
+
+import numpy as np
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.simulation import Frame, Simulation
+
+G = 9.80665
+DOWN = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
+"""turns a cloth so that its warp points down"""
+BE, BDF2 = 'backward_euler', 'bdf2'
+
+
+def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0.0, 0.0, -G),
+          pose=None, rate=60.0, substeps=1, iterations=1, method='gauss_seidel', integrator=BE,
+          friction=0.5, effects_=None, **sections) -> Simulation:
+    """
+    Return the simulation of one cloth.
+
+    ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second.
+    """
+    scene = {'gravity': list(gravity), 'frame_rate': rate,
+             'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
+                        'iterations': iterations},
+             'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
+                              'density': density, 'friction': friction, 'pose': pose or {},
+                              'effects': effects or {}}}, **sections}
+    if effects_:
+        scene['effects'] = effects_
+    return compile_scene(scene_from_mapping(scene, where='a case', name='case'))
+
+
+def hold(**pins) -> dict:
+    """Return pins by name; each is a place, particle indices, or a whole entry."""
+    return {name: {'cloth': 'c', **(pin if isinstance(pin, dict) else {'at': pin})}
+            for name, pin in pins.items()}
+
+
+def place(simulation: Simulation, x, v=None) -> None:
+    """Put all particles somewhere, in natural order [m, m/s]; shapes (particles, 3)."""
+    simulation.state.x[:, simulation.slot] = np.asarray(x, float).T
+    simulation.state.x_prev[:] = simulation.state.x
+    if v is not None:
+        simulation.state.v[:, simulation.slot] = np.asarray(v, float).T
+
+
+def run(simulation: Simulation, frames: int) -> Frame:
+    """Advance and return the last frame."""
+    for _ in range(frames):
+        frame = simulation.step()
+    return frame
+
+
+def crossing(times, values, level: float = 0.0) -> float:
+    """Return the first time at which values pass a level, by the cubic through four of them."""
+    y = np.asarray(values, float) - level
+    k = int(np.flatnonzero(np.sign(y[:-1]) * np.sign(y[1:]) <= 0.0)[0])
+    a = min(max(k - 1, 0), len(y) - 4)
+    t = np.asarray(times, float)[a:a + 4]
+    middle = t[0]
+    roots = np.roots(np.polyfit(t - middle, y[a:a + 4], 3))
+    real = roots[np.abs(roots.imag) < 1e-9].real + middle
+    low, high = times[k] - 1e-12, times[k + 1] + 1e-12
+    return float(real[(real >= low) & (real <= high)][0])

@@ -1,0 +1,82 @@
+"""Run the cases with known answers, and the schemes known to be wrong."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+import time
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.study.cases import all_cases, Row
+from xpbd_ros.study.chart import COLOURS, page, save
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A case that was run."""
+
+    id: str
+    title: str
+    family: str
+    rows: tuple[Row, ...]
+    seconds: float
+    known: str = ''
+    """why it is known to fail today"""
+
+
+def verify(chosen: str | None = None, *, slow: bool = True,
+           progress: Callable[[Iterable, str], Iterable] = lambda items, _: items
+           ) -> list[Answer]:
+    """
+    Run all cases, or those of one id.
+
+    Parameters
+    ----------
+    chosen : an id, such as V6
+    slow : whether those that take minutes are run too
+    progress : passes cases on, and shows how far it is
+
+    """
+    cases = [one for family in all_cases().values() for one in family
+             if (slow or not one.slow) and chosen in (None, one.id)]
+    if not cases:
+        known = sorted({one.id for family in all_cases().values() for one in family}, key=number)
+        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
+    found = []
+    for one in progress(sorted(cases, key=lambda one: number(one.id)), 'cases'):
+        start = time.perf_counter()
+        rows = tuple(one.rows())
+        found.append(Answer(one.id, one.title, one.family, rows, time.perf_counter() - start,
+                            one.known))
+    return found
+
+
+def number(id_: str) -> int:
+    """Return the number of an id, to sort by."""
+    return int(''.join(c for c in id_ if c.isdigit()) or 0)
+
+
+def draw(answers: list[Answer], folder: Path) -> list[Path]:
+    """Draw, for each family, its errors over their steps; return the files."""
+    written = []
+    for family in dict.fromkeys(answer.family for answer in answers):
+        rows = [(answer.id, row) for answer in answers if answer.family == family
+                for row in answer.rows if row.ladder]
+        if not rows:
+            continue
+        figure, axes = page(8.0, 5.5)
+        axis = axes[0, 0]
+        for k, (id_, row) in enumerate(rows):
+            # relative to the coarsest step, so that steps of all kinds share an axis
+            steps = [step / row.ladder[0][0] for step, _ in row.ladder]
+            axis.loglog(steps, [error for _, error in row.ladder], marker='o', markersize=3.5,
+                        linewidth=1.2, color=COLOURS[k % len(COLOURS)],
+                        linestyle=('-', '--', ':')[k // len(COLOURS) % 3],
+                        label=f'{id_} {row.name}: order {row.order:.2f} '
+                              f'({row.order_expected:g})')
+        axis.set_xlabel('step, relative to the coarsest', fontsize=8)
+        axis.set_ylabel('error', fontsize=8)
+        axis.set_title(f'{family}: errors against known answers', fontsize=10, loc='left')
+        axis.grid(alpha=0.25)
+        axis.legend(fontsize=7, frameon=False)
+        written.append(save(figure, folder / f'verify_{family}.png'))
+    return written
