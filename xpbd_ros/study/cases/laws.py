@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xpbd_ros.study.cases.build import build, place, run
+from xpbd_ros.study.cases.build import build, G, hold, place, run
 from xpbd_ros.study.cases.case import case, value
 
 
@@ -23,3 +23,92 @@ def momentum():
         after = mass @ run(simulation, 60).v
         yield value(f'change in 240 substeps, {method}', 0.0,
                     np.abs(after - before).max() / size, '', 240e-12, absolute=True)
+
+
+def sheet(*, turn=0.0, shift=(0.0, 0.0, 0.0), units=(1.0, 1.0), frames=30, **solver):
+    """
+    Let a pinned sheet with all elastic effects swing; return its positions.
+
+    Parameters
+    ----------
+    turn : about the z axis [rad]; pins and all
+    shift : of everything [m]
+    units : what a metre and a kilogram are called
+
+    """
+    metre, kilogram = units
+    q = [0.0, 0.0, np.sin(0.5 * turn), np.cos(0.5 * turn)]
+    simulation = build((7, 6), (0.6 * metre, 0.5 * metre), {
+        'stretch': {'warp': 200.0 * kilogram, 'weft': 150.0 * kilogram},
+        'shear': {'stiffness': 10.0 * kilogram},
+        'bend': {'stiffness': 1e-3 * kilogram * metre**2}},
+        density=0.2 * kilogram / metre**2, gravity=(0.0, 0.0, -G * metre),
+        pose={'orientation': q, 'position': [metre * s for s in shift]},
+        pins=hold(a='corner_00', b='corner_10'), **{'substeps': 8, **solver})
+    return run(simulation, frames).x
+
+
+METHODS = ({'method': 'gauss_seidel'}, {'method': 'line', 'integrator': 'bdf2'})
+
+
+@case('V24', 'invariance')
+def invariance():
+    """Turned, moved, in other units: the same but for rounding."""
+    for solver in METHODS:
+        method, x = solver['method'], sheet(**solver)
+        a = 0.7
+        turn = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+        for name, got in (('turned by 0.7 rad', sheet(turn=a, **solver) @ turn),
+                          ('moved by 3 m', sheet(shift=(1.0, -2.0, 2.0), **solver) - [1, -2, 2]),
+                          ('in mm and g', sheet(units=(1e3, 1e3), **solver) * 1e-3)):
+            yield value(f'{name}, {method}', 0.0, np.abs(got - x).max(), 'm', 1e-9, absolute=True)
+
+
+@case('V25', 'symmetry')
+def symmetry():
+    """A symmetric scene stays so, to within what its setting is off the limit of small steps."""
+    for solver in METHODS:
+        x, exact = (run(build((9, 9), (1.0, 1.0), {
+            'stretch': {'warp': 100.0, 'weft': 100.0}, 'shear': {'stiffness': 5.0}},
+            density=0.2, pins=hold(a='corner_10', b='corner_11'), substeps=substeps, **solver),
+            24).x for substeps in (8, 256))
+        grid = x.reshape(9, 9, 3)
+        mirrored = grid[:, ::-1] * [-1, 1, 1] + [1.0, 0, 0]
+        uneven = np.sqrt(((grid - mirrored)**2).sum(-1).mean())
+        error = np.sqrt(((x - exact)**2).sum(-1).mean())
+        yield value(f'asymmetry, {solver["method"]}, of its own error', 0.0, uneven / error, '',
+                    1.0, absolute=True)
+
+
+def sag(n: int, iterations: int, frames: int) -> float:
+    """Return how far the lowest particle of a cloth hung by its edge is down [m]."""
+    simulation = build((n, n), (1.0, 1.0), {'stretch': {'warp': 5.0, 'weft': 5.0},
+                                            'shear': {'stiffness': 1.0}}, density=0.1,
+                       iterations=iterations, pose={'orientation': [0, 0.5**0.5, 0, 0.5**0.5]},
+                       effects_={'damping': {'rate': 6.0}}, pins=hold(top='edge_x0'))
+    return -run(simulation, frames).x[:, 2].min()
+
+
+@case('V26', 'stiffness does not depend on iterations')
+def iterations():
+    """Macklin et al. 2016, figure 6: the sag for more and more iterations."""
+    found = {k: sag(12, k, 180) for k in (20, 40, 80, 160)}
+    for k in (20, 40, 80):
+        yield value(f'sag, {k} iterations against 160', found[160], found[k], 'm', 0.01)
+
+
+@case('V28', 'repeatability')
+def repeatable():
+    """A second run has the same bits."""
+    for solver in METHODS:
+        name = solver['method']
+        runs = []
+        for _ in range(2):
+            simulation = build((7, 6), (0.6, 0.5), {
+                'stretch': {'warp': 200.0, 'weft': 150.0}, 'shear': {'stiffness': 10.0},
+                'bend': {'stiffness': 1e-3}}, substeps=8, density=0.2,
+                pins=hold(a='corner_00', b='corner_10'), **solver)
+            run(simulation, 20)
+            runs.append(simulation)
+        differ = runs[0].hash() != runs[1].hash()
+        yield value(f'runs that differ, {name}', 0.0, float(differ), '', 0.0, absolute=True)
