@@ -1,5 +1,7 @@
 """Every case with a known answer is met, and every wrong scheme is found out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from xpbd_ros.study.cases.case import order, value
 from xpbd_ros.study.cases.controls import controls
 from xpbd_ros.study.cases.wrong import chain, RIGHT
 
+README = Path(__file__).parents[3] / 'README.md'
 EVERY = [one for family in all_cases().values() for one in family]
 
 
@@ -22,6 +25,14 @@ def test_case(case):
     for row in rows:
         assert np.isfinite([row.expected, row.got, row.error]).all(), row
         assert row.good, row
+
+
+def test_the_readme_lists_every_case():
+    if not README.is_file():
+        pytest.skip('the README is not installed')
+    text = ' '.join(README.read_text(encoding='utf-8').split())
+    for one in {one.id: one for one in reversed(EVERY)}.values():
+        assert f'{one.id} {one.title}' in text
 
 
 def test_every_family_has_cases_with_ids_and_titles():

@@ -118,6 +118,15 @@ def test_the_verb_prints_and_fails_where_there_is_something_to_warn_about(capsys
         assert f'warning: {warning}' in said
 
 
+def test_a_mesh_is_checked_as_far_as_it_can_be(tmp_path):
+    (tmp_path / 'quad.obj').write_text('v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n')
+    found = check(scene_from_mapping({'cloths': {'c': {
+        'mesh': {'file': str(tmp_path / 'quad.obj')}, 'density': 0.2}},
+        'pins': {'a': {'cloth': 'c', 'at': [0]}}}, where='x', name='x'))
+    assert (found.ok, found.stiffness, found.particles) == (True, [], 4)
+    assert [row.mode for row in found.decay] == ['swing']
+
+
 def test_a_scene_that_makes_no_sense_is_refused(capsys):
     assert main(['check', 'swing', '--set', 'cloths.sheet.density=-1']) == 2
     assert 'must be > 0 kg/m²' in capsys.readouterr().err

@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose
 from xpbd_ros.study.cases.build import build, G, place, run
 from xpbd_ros.study.cases.case import case, order, value
 
 MU = 0.4
 GAP = 0.001
+CAPSTAN = 0.3
 
 
 def on_plane(degrees: float, *, speed: float = 0.0, **options):
@@ -43,3 +45,43 @@ def stop():
     yield value('what the step takes of it', -0.5 * 2.0 * h, got[-1] - expected, 'm', 0.02)
     yield order('way', expected, [1 / 60 / k for k in counts], got, 'm', 1.0, 5e-3,
                 step='substep [s]')
+
+
+def drawn(n: int, radius: float = 0.1) -> float:
+    """
+    Return the ratio of pull to hold of a strip that two pins draw slowly over half a cylinder.
+
+    Stretched by 2 % at the start, and without gravity.
+    """
+    arc, straight, speed = np.pi * radius, 0.15, 0.05
+    total = arc + 2.0 * straight
+    strip = build((n + 1, 1), (total / 1.02, 1.0), {'stretch': {'warp': 200.0, 'weft': 200.0}},
+                  density=0.2, gravity=(0, 0, 0), substeps=32, method='line', integrator='bdf2',
+                  friction=CAPSTAN,
+                  colliders={'bar': {'cylinder': {'radius': radius - GAP, 'length': 1.0},
+                                     'orientation': [0.5**0.5, 0, 0, 0.5**0.5],
+                                     'friction': CAPSTAN}},
+                  effects_={'contact': {'thickness': GAP}, 'friction': {}, 'pin': {},
+                            'damping': {'rate': 5.0}})
+    s = np.linspace(-straight, arc + straight, n + 1)
+    angle = np.clip(s / radius, 0.0, np.pi)
+    x = np.stack([-radius * np.cos(angle), np.zeros(n + 1), radius * np.sin(angle)], 1)
+    x[:, 2] -= np.maximum(-s, 0.0) + np.maximum(s - arc, 0.0)
+    place(strip, x)
+    ends = {'hold': x[0], 'pull': x[-1]}
+    strip.step([Grasp(name, Pose(tuple(end.tolist())), 1e-3) for name, end in ends.items()])
+    ratios = []
+    for k in range(1, 91):
+        way = {'hold': speed * k / 60.0, 'pull': -speed * k / 60.0}
+        frame = strip.step([MovePin(name, Pose((end[0], 0.0, end[2] + way[name])))
+                            for name, end in ends.items()])
+        ratios.append(frame.pins['pull'].force[2] / frame.pins['hold'].force[2])
+    return float(np.mean(ratios[45:]))
+
+
+@case('V16', 'capstan')
+def capstan():
+    """A strip that slides over a cylinder pulls with e^(μ φ) times the force that holds it."""
+    for n in (40, 80):
+        yield value(f'pull over hold, half a turn, {n} edges', np.exp(CAPSTAN * np.pi), drawn(n),
+                    '', 0.03)

@@ -40,7 +40,9 @@ def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
     g = sqrt(sum(c * c for c in scene.top.gravity))
     h = simulation.frame_dt / solver.substeps
     for cloth in simulation.cloths:
-        keys, effects = scene.cloths[cloth.name], scene.cloth_effects[cloth.name]
+        effects = scene.cloth_effects[cloth.name]
+        mass = simulation.state.mass[simulation.slot[cloth.particles]]
+        density = float(mass.sum(dtype=float) / cloth.mesh.area.sum())
         long = float((cloth.mesh.positions.max(0) - cloth.mesh.positions.min(0)).max())
         modes = {}
         if g > 0.0 and long > 0.0:
@@ -48,7 +50,7 @@ def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
         stretch = effects.get('stretch')
         if long > 0.0 and stretch is not None and stretch.warp is not None:
             modes['stretch'] = 0.5 * pi / long * sqrt(max(stretch.warp, stretch.weft)
-                                                      / keys.density)
+                                                      / density)
         found += [Decay(cloth.name, mode, omega / (2.0 * pi),
                         1.0 - factor(solver.integrator, omega * h)**(1.0 / h))
                   for mode, omega in modes.items()]

@@ -46,11 +46,13 @@ class Part:
 
 
 def sheets(simulation: Simulation) -> list[Sheet]:
-    """Return the cloths of a simulation, with the constraints of their stretch, shear and bend."""
+    """Return the grids of a simulation, with the constraints of their stretch, shear and bend."""
     number = np.full(simulation.state.x.shape[1], -1)
     number[simulation.slot] = np.arange(len(simulation.slot))
     found = []
     for cloth in simulation.cloths:
+        if cloth.mesh.grid is None:
+            continue
         rest, first = cloth.mesh.positions, cloth.particles.start
         slots = simulation.slot[cloth.particles]
         effects = {}
