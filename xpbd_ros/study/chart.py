@@ -16,7 +16,7 @@ def page(width: float = 8.0, height: float = 5.0, *, rows: int = 1, columns: int
     axes = figure.subplots(rows, columns, squeeze=False)
     for axis in axes.flat:
         axis.spines[['top', 'right']].set_visible(False)
-        axis.tick_params(colors=INK, labelsize=8)
+        axis.tick_params(which='both', colors=INK, labelsize=7)
     return figure, axes
 
 

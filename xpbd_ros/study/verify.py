@@ -7,7 +7,7 @@ import time
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.study.cases import all_cases, Row
-from xpbd_ros.study.chart import COLOURS, page, save
+from xpbd_ros.study.chart import COLOURS, INK, page, save
 
 
 @dataclass(frozen=True)
@@ -56,27 +56,47 @@ def number(id_: str) -> int:
 
 
 def draw(answers: list[Answer], folder: Path) -> list[Path]:
-    """Draw, for each family, its errors over their steps; return the files."""
+    """Draw, for each family, errors over steps and beside their tolerances; return the files."""
     written = []
     for family in dict.fromkeys(answer.family for answer in answers):
         rows = [(answer.id, row) for answer in answers if answer.family == family
-                for row in answer.rows if row.ladder]
-        if not rows:
-            continue
-        figure, axes = page(8.0, 5.5)
-        axis = axes[0, 0]
-        for k, (id_, row) in enumerate(rows):
-            # relative to the coarsest step, so that steps of all kinds share an axis
-            steps = [step / row.ladder[0][0] for step, _ in row.ladder]
-            axis.loglog(steps, [error for _, error in row.ladder], marker='o', markersize=3.5,
-                        linewidth=1.2, color=COLOURS[k % len(COLOURS)],
-                        linestyle=('-', '--', ':')[k // len(COLOURS) % 3],
-                        label=f'{id_} {row.name}: order {row.order:.2f} '
-                              f'({row.order_expected:g})')
-        axis.set_xlabel('step, relative to the coarsest', fontsize=8)
-        axis.set_ylabel('error', fontsize=8)
-        axis.set_title(f'{family}: errors against known answers', fontsize=10, loc='left')
-        axis.grid(alpha=0.25)
-        axis.legend(fontsize=7, frameon=False)
-        written.append(save(figure, folder / f'verify_{family}.png'))
+                for row in answer.rows]
+        ladders = [(id_, row) for id_, row in rows if row.ladder]
+        figure, axes = page(6.5 * (1 + bool(ladders)), max(5.0, 0.2 * len(rows)),
+                            columns=1 + bool(ladders))
+        _bars(axes[0, 0], rows, family)
+        written.append(folder / f'verify_{family}.png')
+        for axis in axes[0, 1:]:
+            _ladders(axis, ladders)
+        save(figure, written[-1])
     return written
+
+
+def _bars(axis, rows, family: str) -> None:
+    """Draw how much of its tolerance each error takes."""
+    part = [max(row.error / row.tolerance, 1e-9) if row.tolerance else float(row.error > 0.0)
+            for _, row in rows][::-1]
+    axis.barh(range(len(rows)), part, color=[COLOURS[0] if row.good else COLOURS[3]
+                                             for _, row in reversed(rows)])
+    axis.set_yticks(range(len(rows)), [f'{id_} {row.name}' for id_, row in reversed(rows)],
+                    fontsize=6.5)
+    axis.set_xscale('log')
+    axis.axvline(1.0, color=INK, linewidth=1.0)
+    axis.set_xlabel('error over tolerance', fontsize=8)
+    axis.set_title(f'{family}: errors against known answers', fontsize=10, loc='left')
+
+
+def _ladders(axis, rows) -> None:
+    """Draw errors over their steps."""
+    for k, (id_, row) in enumerate(rows):
+        # relative to the coarsest step, so that steps of all kinds share an axis
+        steps = [step / row.ladder[0][0] for step, _ in row.ladder]
+        axis.loglog(steps, [error for _, error in row.ladder], marker='o', markersize=3.5,
+                    linewidth=1.2, color=COLOURS[k % len(COLOURS)],
+                    linestyle=('-', '--', ':')[k // len(COLOURS) % 3],
+                    label=f'{id_} {row.name}: order {row.order:.2f} '
+                          f'({row.order_expected:g})')
+    axis.set_xlabel('step, relative to the coarsest', fontsize=8)
+    axis.set_ylabel('error', fontsize=8)
+    axis.grid(alpha=0.25)
+    axis.legend(fontsize=6.5, frameon=False)

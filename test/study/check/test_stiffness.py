@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy import sparse
 from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.study.check.law import APART, Law
 from xpbd_ros.study.check.loads import sheets
 from xpbd_ros.study.check.stiffness import law_of, SEEN, stiffness
 
@@ -137,3 +139,23 @@ def test_without_artefact_every_modulus_is_what_was_asked():
         'bend': {'stiffness': 1e-3}}, substeps=4000, gravity=(0, 0, -GRAVITY))
     for row in stiffness(simulation._retune.scene, simulation, simulation.solver):
         assert row.effective == pytest.approx(row.asked, rel=1e-3), row
+
+
+@pytest.mark.parametrize('iterations', [1, 7])
+def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
+    """A straight chain, swept densely: what it gives is where a substep changes nothing."""
+    n, load, relaxation = 5, 3.0, 0.4
+    alpha, mobility = np.full(n, 2e-3), np.array([0.0, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3])
+    J = np.diff(np.eye(n + 1), axis=0)
+    law = Law(sparse.csr_matrix(np.kron(J, [1.0, 0.0, 0.0])), alpha, mobility,
+              ((APART, np.arange(n)),), iterations, relaxation)
+    gives, A = np.zeros(n), J * mobility @ J.T
+    push = mobility * np.eye(n + 1)[-1] * load
+    for _ in range(20_000):
+        stretch, force = gives + J @ push, np.zeros(n)
+        start = stretch.copy()
+        for _ in range(iterations):
+            force -= relaxation * (stretch + alpha * force) / (np.diag(A) + alpha)
+            stretch = start + A @ force
+        gives = stretch
+    np.testing.assert_allclose(law.stretches(np.full(n, load)), gives, rtol=1e-8)

@@ -23,7 +23,10 @@ def factor(integrator: str, angle: float) -> float:
     Return |z| of one step for x'' = -ω² x, angle = ω h.
 
     Backward Euler: 1 / (1 - i angle). BDF2: the root near 1 of (3/2 - i angle) z² - 2 z + 1/2.
+    Leapfrog, where it is stable: 1.
     """
+    if integrator == 'leapfrog':
+        return 1.0
     if integrator == 'bdf2':
         return abs((2.0 + (1.0 + 2j * angle)**0.5) / (3.0 - 2j * angle))
     return 1.0 / sqrt(1.0 + angle * angle)

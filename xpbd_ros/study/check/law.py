@@ -21,8 +21,8 @@ from scipy.sparse.linalg import gmres, LinearOperator, splu
 
 from xpbd_ros.sim.lines import TINY
 
-FORTH, BACK, WHOLE = 'forth', 'back', 'whole'
-"""Gauss-Seidel in order, in reverse, or all at once"""
+FORTH, BACK, WHOLE, APART = 'forth', 'back', 'whole', 'apart'
+"""Gauss-Seidel in order, in reverse, all solved at once, or each for itself (Jacobi)"""
 REFINEMENTS = 3
 """solutions of what is left, each to 1e-5"""
 
@@ -38,8 +38,11 @@ class Law:
     mobility: np.ndarray
     """w H² of each particle [m/N], shape (particles,)"""
     passes: tuple[tuple[str, np.ndarray], ...]
-    """of one iteration: FORTH, BACK or WHOLE, and the rows that it takes"""
+    """of one iteration: FORTH, BACK, WHOLE or APART, and the rows that it takes; none: forces are
+    those where the substep starts, and there is no artefact"""
     iterations: int = 1
+    relaxation: float = 1.0
+    """ω of APART"""
     coupling: sparse.csr_matrix = field(init=False)
     """A [m/N], shape (constraints, constraints)"""
 
@@ -52,10 +55,13 @@ class Law:
     def stretches(self, tension: np.ndarray) -> np.ndarray:
         """Return C of each constraint [m] under these tensions [N]."""
         alpha, A = self.compliance, self.coupling
+        if not self.passes:
+            return alpha * tension
         if self.iterations == 1 and len(self.passes) == 1 and self.passes[0][0] == FORTH:
             return alpha * tension - sparse.triu(A, 1) @ tension
         system = (A + sparse.diags(alpha)).tocsr()
-        factors = [(rows, system[rows], _factor(kind, A[rows][:, rows], alpha[rows]))
+        factors = [(rows, system[rows],
+                    _factor(kind, A[rows][:, rows], alpha[rows], self.relaxation))
                    for kind, rows in self.passes if len(rows)]
 
         def left(e):
@@ -72,11 +78,13 @@ class Law:
         return alpha * y + A @ left(y)
 
 
-def _factor(kind: str, A, alpha):
+def _factor(kind: str, A, alpha, relaxation):
     """Return the factors of what one pass solves exactly."""
     if kind == WHOLE:
         split = A + sparse.diags(np.maximum(alpha, TINY * A.diagonal()))
         return splu(split.tocsc())
+    if kind == APART:
+        return splu(sparse.diags((A.diagonal() + alpha) / relaxation).tocsc())
     split = (sparse.tril if kind == FORTH else sparse.triu)(A + sparse.diags(alpha))
     return splu(split.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,
                 options={'SymmetricMode': True})

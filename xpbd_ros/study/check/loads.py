@@ -31,6 +31,8 @@ class Sheet:
     held: np.ndarray
     """particles that the scene pins"""
     effects: dict[str, 'Part']
+    crowd: int
+    """most constraints at a particle, of the whole scene"""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,10 @@ def sheets(simulation: Simulation) -> list[Sheet]:
     """Return the grids of a simulation, with the constraints of their stretch, shear and bend."""
     number = np.full(simulation.state.x.shape[1], -1)
     number[simulation.slot] = np.arange(len(simulation.slot))
+    count = np.zeros(simulation.state.x.shape[1], int)
+    for built in simulation.effects.values():
+        if built.constraints is not None:
+            np.add.at(count, built.constraints.particles, 1)
     found = []
     for cloth in simulation.cloths:
         if cloth.mesh.grid is None:
@@ -65,7 +71,8 @@ def sheets(simulation: Simulation) -> list[Sheet]:
             if here.any():
                 effects[name] = _part(rest, particles[here], listed, here)
         found.append(Sheet(cloth.name, rest, 1.0 / simulation.state.mass[slots].astype(float),
-                           np.flatnonzero(simulation.state.inv_mass[slots] == 0.0), effects))
+                           np.flatnonzero(simulation.state.inv_mass[slots] == 0.0), effects,
+                           int(count.max(initial=1))))
     return found
 
 

@@ -7,7 +7,7 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
-from xpbd_ros.study.check.law import BACK, FORTH, Law, WHOLE
+from xpbd_ros.study.check.law import APART, BACK, FORTH, Law, WHOLE
 from xpbd_ros.study.check.loads import hanging, hung_side, Sheet, sheets
 
 WARP, WEFT = 0, 1
@@ -74,11 +74,15 @@ def law_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
             passes.append((BACK, others))
     elif solver.method == 'gauss_seidel_symmetric':
         passes = [(FORTH, everything), (BACK, everything)]
+    elif solver.method == 'jacobi':
+        passes = [(APART, everything)]
+    elif solver.method == 'explicit':
+        passes = []
     else:
         passes = [(FORTH, everything)]
     return Law(sparse.vstack([part.jacobian for part in parts]).tocsr(),
                np.concatenate([part.compliance for part in parts]), mobility, tuple(passes),
-               solver.iterations)
+               solver.iterations, 1.0 / sheet.crowd)
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:

@@ -43,14 +43,16 @@ def needed(scene: Scene, simulation: Simulation, solver: Solver, error: float) -
 
 def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
     """Return the substeps that follow the waves; 1 where the stiffness says it all."""
-    if solver.integrator != 'bdf2':
+    if solver.integrator == 'backward_euler':
         return 1.0
     rate = sum(largest_rate(built.constraints, simulation.state.mass)
                for name, built in simulation.effects.items() if name in ('shear', 'stretch'))
     if rate == inf:
         return 1.0
-    return (RESOLVE[solver.method] * simulation.frame_dt * sqrt(rate)
-            * min(1.0, sqrt(RESOLVED / error)))
+    wanted = RESOLVE[solver.method] * simulation.frame_dt * sqrt(rate)
+    if solver.method == 'explicit':    # stable or not
+        return wanted
+    return wanted * min(1.0, sqrt(RESOLVED / error))
 
 
 def stretch_error(rows: list[Row]) -> float:

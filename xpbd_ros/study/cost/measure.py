@@ -81,13 +81,20 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
     commands = commands or {}
     plain, timed = compile_scene(scene), compile_scene(scene)
     count = len(timed._tuple)
-    timed_kernel = timed_step(timed._tuple, timed.solver.method)
     book = np.zeros((count + 2, 2), np.int64)
+    kernels = {}
+
+    def clocked(effects, state, method, *arguments):
+        kind = type(method)
+        if kind not in kernels:
+            kernels[kind] = timed_step(effects, kind)
+        kernels[kind](effects, state, method, *arguments, book)
+
     _watch(plain, plain._step)
-    _watch(timed, lambda *arguments: timed_kernel(*arguments, book))
+    _watch(timed, clocked)
     plain.compile()
-    timed._step(timed._tuple, timed.state, timed._method(), timed.frame_dt, 0)
-    text = ''.join(timed_kernel.inspect_asm().values())
+    timed.compile()
+    text = ''.join(text for kernel in kernels.values() for text in kernel.inspect_asm().values())
     clock = lap_ns()
     whole, native = np.zeros((2, rounds, frames, 1))
     parts = np.zeros((rounds, frames, count + 1))
@@ -105,6 +112,11 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
         parts[r, f] = (book[:-1, 0] - clock * book[:-1, 1]) / substeps
     assert plain.hash() == timed.hash(), 'the step with a clock in it computes something else'
     return _tabulate(plain, text, whole, native, parts)
+
+
+def parts_of(built) -> tuple:
+    """Return what the kernels get of an effect."""
+    return tuple(getattr(built, 'parts', (built.data,)))
 
 
 def _watch(simulation: Simulation, kernel: Callable) -> None:
@@ -132,15 +144,16 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
                    share=time / total, **about)
 
     effects, seen = [], set()
-    order = list(simulation.effects)
+    owner = [name for name, built in simulation.effects.items() for _ in parts_of(built)]
     for name in EFFECTS:
         if name not in simulation.effects:
             assert f'xpbd_ros.effects.{name}' not in sys.modules or not _in_code(name, text)
             effects.append(Row(name, False))
             continue
-        k, built = order.index(name), simulation.effects[name]
-        listed = built.constraints
-        effects.append(row(name, times[k], spreads[k], bytes=_bytes(built.data, seen),
+        built = simulation.effects[name]
+        mine, listed = np.array([one == name for one in owner]), built.constraints
+        effects.append(row(name, times[:-1][mine].sum(), spreads[:-1][mine].sum(),
+                           bytes=_bytes(parts_of(built), seen),
                            constraints=0 if listed is None else len(listed.particles),
                            kernels=_in_code(name, text)))
     rest = inside - times.sum()

@@ -8,6 +8,7 @@ the caches as the others leave them.
 
 from numba import njit, typeof
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.stages import (
     finish,
@@ -21,22 +22,31 @@ from xpbd_ros.sim.stages import (
     touch,
 )
 from xpbd_ros.sim.state import begin, Substep, update_velocity
-from xpbd_ros.sim.sweeps import back, close, forth
+from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Line, METHODS, Symmetric
 from xpbd_ros.study.cost.clock import lap
 
-SWEEPS = {'gauss_seidel': ((project, False),),
-          'gauss_seidel_symmetric': ((project, False), (project_back, True)),
-          'line': ((forth, False), (back, True), (close, False))}
+SWEEPS = {GaussSeidel: ((project, False),),
+          Symmetric: ((project, False), (project_back, True)),
+          Line: ((forth, False), (back, True), (close, False))}
 """the walks of each method (``sim.sweeps``), and whether they go backwards"""
 SWEPT = (project, project_back, solve_lines)
 
 
-def timed_step(effects: tuple, method: str):
+def timed_step(effects: tuple, method: type):
     """
     Return ``advance(effects, state, method, frame_dt, substeps, book)`` for a scene.
 
     Row k of the book is effect k, the row after them the integration.
+
+    Raises
+    ------
+    InputError : naming a method whose step cannot be taken apart
+
     """
+    if method not in SWEEPS:
+        known = {kind: name for name, kind in METHODS.items()}
+        raise InputError(f"solver.method: cost cannot take a step of '{known[method]}' apart "
+                         f'(it can: {", ".join(known[kind] for kind in SWEEPS)})')
     names = {'begin': begin, 'update_velocity': update_velocity, 'Substep': Substep, 'lap': lap}
     integration = len(effects)
 
