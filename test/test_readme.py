@@ -83,6 +83,18 @@ def test_mesh_example_runs(tmp_path):
     assert simulation.frame().inv_mass.min() == 0.0
 
 
+def test_collider_example_runs(tmp_path):
+    corners = [(x, y, z) for x in (0, 90) for y in (0, 90) for z in (0, 90)]
+    faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+    (tmp_path / 'bust.obj').write_text('\n'.join(
+        [f'v {x} {y} {z}' for x, y, z in corners] + ['f ' + ' '.join(map(str, f)) for f in faces]))
+    scene, more = yaml.safe_load(block('yaml')), yaml.safe_load(indented('Colliders'))
+    simulation = compile_scene(scene_from_text(
+        yaml.safe_dump({**scene, **more}), where='README', name='readme', folder=tmp_path))
+    assert set(simulation.effects['contact'].placed) == {'floor', 'bust', 'ground'}
+    assert simulation.effects['friction'].data.static is not None
+
+
 def test_material_example_means_denim():
     (cloth,) = scene_from_text(indented('Materials'), where='README',
                                name='readme').cloth_effects.values()

@@ -231,11 +231,11 @@ def test_a_particle_that_flies_at_a_shape_is_met_from_any_side(shape):
 
 
 @pytest.mark.parametrize('collider, text', [
-    ({}, 'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box '
-     '(got none)'),
+    ({}, 'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box, '
+     'mesh, heights (got none)'),
     ({'sphere': {'radius': 1}, 'box': {'size': [1, 1, 1]}},
-     'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box '
-     '(got sphere, box)'),
+     'colliders.s: needs exactly one shape of plane, sphere, capsule, cylinder, box, '
+     'mesh, heights (got sphere, box)'),
     ({'sphere': {'radius': 0}}, 'colliders.s.sphere.radius: must be > 0 m (got 0)'),
     ({'capsule': {'radius': 1}}, 'colliders.s.capsule.length: missing (m)'),
     ({'box': {'size': [1, -1, 1]}}, 'colliders.s.box.size[1]: must be > 0 m (got -1)'),

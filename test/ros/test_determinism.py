@@ -6,7 +6,7 @@ import struct
 import subprocess
 import sys
 
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Point, Twist
 import pytest
 from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targets
 from visualization_msgs.msg import Marker, MarkerArray
@@ -26,7 +26,7 @@ colliders:
   ball: {sphere: {radius: 0.1}, position: [0.0, 1.0, 0.15], friction: 0.3}
 effects:
   pin: {max_pins: 4}
-  contact: {thickness: 0.004}
+  contact: {thickness: 0.004, mesh_nodes: 50000}
   friction: {}
   damping: {rate: 2.0}
 solver: {method: gauss_seidel, integrator: backward_euler}
@@ -87,8 +87,12 @@ def play(cloth, wait) -> None:
     wait(10)
     cloth.peer.say(f'{cloth.name}/collider_states', targets(ball=(0.05, 0.1, 0.15), twist=rub))
     assert cloth.set(**{STIFF: 2500.0}) == (True, '')
+    wedge = collider('wedge', (0.0, 0.1, -0.03), (0.1, 0.1, 0.1), kind=Marker.TRIANGLE_LIST)
+    a, b, c, d = (Point(x=x, y=y, z=z) for x, y, z in (
+        (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    wedge.points = [a, c, b, a, b, d, a, d, c, b, c, d]
     cloth.peer.say(f'{cloth.name}/colliders', MarkerArray(markers=[
-        collider('crate', (-0.05, 0.0, 0.02), (0.1, 0.1, 0.04)),
+        wedge, collider('crate', (-0.05, 0.0, 0.02), (0.1, 0.1, 0.04)),
         collider('brief', (0.1, 0.0, 0.0), kind=Marker.SPHERE, lifetime_ns=100_000_000)]))
     wait(8)
     cloth.peer.say(f'{cloth.name}/colliders', MarkerArray(markers=[

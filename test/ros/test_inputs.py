@@ -3,7 +3,7 @@
 from math import inf, nan
 import random
 
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import Point, PoseStamped, Twist
 import pytest
 from rclpy.serialization import serialize_message
 from ros.rig import pin, pose_stamped, targets, transform
@@ -108,6 +108,9 @@ def test_a_grasp_that_makes_no_sense(changes, reason):
     ({'scale__x': 5e-324}, 'must be > 0 m'),
     ({'type': Marker.ARROW}, 'marker a/0: type 0 is no collider (known: CUBE, SPHERE, CYLINDER'),
     ({'type': Marker.CYLINDER, 'scale__x': 0.3}, 'must be the same across'),
+    ({'type': Marker.TRIANGLE_LIST}, 'marker a/0: 0 points are no triangles'),
+    ({'type': Marker.TRIANGLE_LIST, 'points': [Point()] * 4}, '4 points are no triangles'),
+    ({'type': Marker.TRIANGLE_LIST, 'points': [Point(x=nan)] * 3}, '3 points are no triangles'),
     ({'ns': 'no good!'}, "bad name 'no good!'"),
     ({'id': -1}, "bad name 'a_-1'"),
     ({'action': 7}, 'marker a/0: unknown action 7'),
@@ -224,7 +227,8 @@ def random_commands(count: int) -> list[commands.Command]:
                     noise.choice([0, 1, 1_700_000_000_999_999_999]))
 
     def place():
-        shape, count = noise.choice([('box', 3), ('sphere', 1), ('cylinder', 2)])
+        shape, count = noise.choice([('box', 3), ('sphere', 1), ('cylinder', 2),
+                                      ('mesh', 36)])
         size = tuple(noise.random() + 1e-9 for _ in range(count))
         return PlaceCollider('ball', shape, size, pose(), noise.choice([0, 1, 10**10 + 1]))
     kinds = [lambda: Grasp('a', pose(), noise.random() + 1e-9, noise.choice([0, 1, 10**10 + 1])),

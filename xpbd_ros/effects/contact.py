@@ -1,5 +1,5 @@
 """
-Contact: particles stay outside moving planes, spheres, capsules, cylinders and boxes.
+Contact: particles stay outside moving colliders: planes, round shapes, boxes, meshes, ground.
 
 C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
 
@@ -24,7 +24,8 @@ tangent plane is what it stays in front of. So it ends on the side that it came 
 either is and however thin the collider.
 
 Limits: particles are tested, not triangles, so what is thinner than the spacing of particles can
-slip between them.
+slip between them. A mesh is as sharp as its grid (``sim.field``). The distance to ground is that
+to the plane that touches it right below.
 """
 
 from collections.abc import Iterable
@@ -42,6 +43,8 @@ from xpbd_ros.sim.colliders import (
     reach,
     signed_distance,
     to_local,
+    write_grid,
+    write_heights,
 )
 from xpbd_ros.sim.commands import (
     MoveCollider,
@@ -54,10 +57,11 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, surface_motion
 from xpbd_ros.sim.crossing import look_back
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.field import distance_field, Field
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import monotone_cubic, Motion
 from xpbd_ros.sim.rotation import rotate
-from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES
+from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
 from xpbd_ros.sim.stages import finish, prepare, stage, touch
 from xpbd_ros.sim.state import lose_history
 from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
@@ -77,6 +81,8 @@ class Parameters:
     thickness: float = quantity(unit='m', above=0.0, live=True,
                                 doc='distance kept between particles and surfaces')
     max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
+    mesh_nodes: int = quantity(0, minimum=0, maximum=100_000_000, doc=(
+        'room for the grids of meshes that come while it runs (4 bytes each)'))
 
 
 class Bounce(NamedTuple):
@@ -130,7 +136,8 @@ def find_candidates(contact, state, substep):
             if bound >= 0.0:
                 close = arm < bound + near
             else:
-                close = ax * up[c, 0] + ay * up[c, 1] + az * up[c, 2] < near
+                top = -1.0 - bound
+                close = ax * up[c, 0] + ay * up[c, 1] + az * up[c, 2] < near + top
             if any_lane(both(free, close)):
                 for i in range(q, q + lanes(w)):
                     if w[i] > 0.0:
@@ -262,6 +269,30 @@ class Placed:
     """velocity of its surface, where that is not the pose's"""
     expires_ns: int | None = None
     """when it goes away by itself"""
+    field: Field | None = None
+    """the distances to it, if it is a mesh"""
+    heights: np.ndarray | None = None
+    """[m], if it is ground; shape (along y, along x)"""
+
+    @property
+    def reach(self) -> float:
+        """The ball or half space that holds it, as the kernels have it."""
+        if self.field is not None:
+            return self.field.reach
+        if self.heights is not None:
+            return -1.0 - max(0.0, float(self.heights.max()))
+        return reach(SHAPES[self.entry.shape], np.array(shape_size(self.entry)))
+
+    @property
+    def inner(self) -> float:
+        """What moves no further in a substep cannot get through it [m]."""
+        if self.field is not None:
+            return 0.5 * self.field.spacing
+        if self.heights is not None:
+            across, along = self.entry.heights.size
+            rows, columns = self.heights.shape
+            return 0.5 * min(across / (columns - 1), along / (rows - 1))
+        return inner(SHAPES[self.entry.shape], np.array(shape_size(self.entry)))
 
 
 @dataclass(frozen=True)
@@ -285,7 +316,14 @@ class BuiltContact(Built):
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
-        self.colliders: Colliders = new_colliders(capacity)
+        self.thickness = parameters.thickness
+        self.shapes = (self._shapes(world) if 'contact' not in world.before
+                       else world.before['contact'].shapes)
+        """the distance fields and heights of the scene's entries, by name"""
+        nodes = parameters.mesh_nodes + sum(
+            shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
+        places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
+        self.colliders: Colliders = new_colliders(capacity, nodes, places)
         self.contacts = new_contacts(self.colliders, room)
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
@@ -297,9 +335,34 @@ class BuiltContact(Built):
         self.changes = 0
         """how often it has become another set of colliders"""
 
+    def _shapes(self, world) -> dict[str, Field | np.ndarray]:
+        """Return the distance fields and heights that the scene's entries are of."""
+        found = {}
+        for name, entry in self.entries.items():
+            keys = entry.mesh or entry.heights
+            if keys is None:
+                continue
+            try:
+                if entry.mesh is not None:
+                    vertices, triangles = world.read_mesh(keys.file)
+                    found[name] = distance_field(vertices * keys.scale, triangles,
+                                                 gap=self.thickness, spacing=keys.spacing)
+                else:
+                    rows = keys.values if keys.file is None else world.read_table(keys.file)
+                    found[name] = keys.scale * table(rows)
+            except InputError as error:
+                file = f'{keys.file}: ' if keys.file and keys.file not in str(error) else ''
+                raise InputError(f'colliders.{name}.{entry.shape}: {file}{error}') from None
+        return found
+
     def reset(self, state, now_ns):
-        self.placed = {name: Placed(entry, motion_of(entry, now_ns * 1e-9))
-                       for name, entry in self.entries.items()}
+        self.placed = {}
+        for name, entry in self.entries.items():
+            shape = self.shapes.get(name)
+            self.placed[name] = placed = Placed(entry, motion_of(entry, now_ns * 1e-9))
+            placed.field = shape if isinstance(shape, Field) else None
+            placed.heights = shape if placed.field is None else None
+            placed.motion.lever = max(placed.reach, 0.0) or 1.0
         self._changed()
 
     def adopt(self, old):
@@ -311,11 +374,17 @@ class BuiltContact(Built):
 
     def _changed(self) -> None:
         """Write the colliders where the kernels find them."""
-        colliders = self.colliders
+        colliders, nodes, places = self.colliders, 0, 0
         for c, placed in enumerate(self.placed.values()):
-            shape, size = SHAPES[placed.entry.shape], np.array(shape_size(placed.entry))
-            colliders.shape[c], colliders.size[c] = shape, size
-            colliders.reach[c], colliders.inner[c] = reach(shape, size), inner(shape, size)
+            colliders.shape[c] = SHAPES[placed.entry.shape]
+            colliders.size[c] = shape_size(placed.entry)
+            colliders.reach[c], colliders.inner[c] = placed.reach, placed.inner
+            if placed.field is not None:
+                write_grid(colliders.grids, c, placed.field, nodes)
+                nodes += placed.field.values.size
+            if placed.heights is not None:
+                write_heights(colliders.heights, c, placed.heights, places)
+                places += placed.heights.size
             if self.data.bounce is not None:
                 self.data.bounce.restitution[c] = placed.entry.restitution
             self._write_twist(c, placed)
@@ -345,26 +414,48 @@ class BuiltContact(Built):
 
     def place(self, command, clock, state) -> str | None:
         """Add a collider; or, if it is there already, let it have this shape and go there."""
-        expires_ns = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
-        placed = self.placed.get(command.collider)
+        name, placed = command.collider, self.placed.get(command.collider)
+        if placed is None and len(self.placed) == len(self.colliders.shape):
+            return (f"collider '{name}': all {len(self.placed)} colliders are in use "
+                    '(effects.contact.max_colliders)')
         shape = shape_of(command.shape, command.size)
+        same = placed is not None and getattr(placed.entry, command.shape) == shape
+        field = placed.field if same else None
+        if command.shape == 'mesh' and not same:
+            try:
+                field = self._field(name, command.size)
+            except InputError as error:
+                return f"collider '{name}': {error}"
         if placed is None:
-            if len(self.placed) == len(self.colliders.shape):
-                return (f"collider '{command.collider}': all {len(self.placed)} colliders are in "
-                        'use (effects.contact.max_colliders)')
             entry = Entry(position=command.pose.position, orientation=command.pose.orientation,
                           **{command.shape: shape})
-            self.placed[command.collider] = Placed(entry, motion_of(entry, 0.0), None, expires_ns)
-            self._changed()
-            return None
-        placed.expires_ns = expires_ns
-        placed.motion.aim(command.pose, None, 0, clock.begin_ns)
-        if getattr(placed.entry, command.shape) != shape:
+            self.placed[name] = placed = Placed(entry, motion_of(entry, 0.0))
+        else:
+            placed.motion.aim(command.pose, None, 0, clock.begin_ns)
+        placed.expires_ns = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
+        if not same:
             placed.entry = replace(placed.entry, **{placed.entry.shape: None,
                                                     command.shape: shape})
-            placed.motion.lever = lever_of(placed.entry)
+            placed.field, placed.heights = field, None
+            placed.motion.lever = max(placed.reach, 0.0) or 1.0
             self._changed()
         return None
+
+    def _field(self, name: str, corners: tuple[float, ...]) -> Field:
+        """Return the distances to a mesh that has come, if there is room for them."""
+        grids = self.colliders.grids
+        room = 0 if grids is None else grids.values.size - sum(
+            placed.field.values.size for other, placed in self.placed.items()
+            if placed.field is not None and other != name)
+        if not room:
+            raise InputError('no room for the grid of a mesh (effects.contact.mesh_nodes)')
+        vertices = np.array(corners).reshape(-1, 3)
+        field = distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
+                               gap=self.thickness)
+        if field.values.size > room:
+            raise InputError(f'its grid has {field.values.size} nodes, and there is room for '
+                             f'{room} (effects.contact.mesh_nodes)')
+        return field
 
     def remove(self, command, clock, state) -> str | None:
         """Take a collider away."""
@@ -404,7 +495,9 @@ class BuiltContact(Built):
 
     def stats(self):
         found = max(0, self.contacts.count[0])
-        return {'contacts': int((self.contacts.push[:found] > 0.0).sum()),
+        grids = self.colliders.grids
+        return {**({} if grids is None else {'collider_grid_bytes': grids.values.nbytes}),
+                'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
                 'colliders': len(self.placed),
                 'colliders_at_max_speed': sum(
@@ -417,13 +510,7 @@ def motion_of(entry: Entry, now: float) -> Motion:
     if entry.motion is not None:
         keyframes = monotone_cubic(entry.motion, now)
         pose = Pose(keyframes(now), pose.orientation)
-    return Motion(pose, entry.max_speed, keyframes=keyframes, lever=lever_of(entry))
-
-
-def lever_of(entry: Entry) -> float:
-    """Return how far from its position a collider has to keep to its speed when it turns [m]."""
-    far = reach(SHAPES[entry.shape], np.array(shape_size(entry)))
-    return far if far > 0.0 else 1.0
+    return Motion(pose, entry.max_speed, keyframes=keyframes)
 
 
 EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

@@ -152,9 +152,15 @@ def read_shape(marker: Marker, what: str) -> tuple[str, tuple[float, ...]]:
         raise InputError(f'{what}: scale {list(size)} must be > 0 m and no more than {2 * FAR:g}')
     if marker.type == Marker.CUBE:
         return 'box', size
+    if marker.type == Marker.TRIANGLE_LIST:
+        corners = tuple(c * s for p in marker.points for c, s in zip((p.x, p.y, p.z), size))
+        if not corners or len(corners) % 9 or not all(-FAR <= c <= FAR for c in corners):
+            raise InputError(f'{what}: {len(marker.points)} points are no triangles within '
+                             f'{FAR:g} m')
+        return 'mesh', corners
     if marker.type not in (Marker.SPHERE, Marker.CYLINDER):
         raise InputError(f'{what}: type {marker.type} is no collider (known: CUBE, SPHERE, '
-                         'CYLINDER)')
+                         'CYLINDER, TRIANGLE_LIST)')
     if size[0] != size[1] or marker.type == Marker.SPHERE and size[0] != size[2]:
         raise InputError(f'{what}: scale {list(size)} must be the same across: a collider is '
                          'round')
@@ -294,9 +300,12 @@ def _collider(command, frame_id: str, time_ns: int) -> Marker:
         marker.action = Marker.DELETEALL
     elif isinstance(command, PlaceCollider):
         marker.action, size = Marker.ADD, command.size
-        marker.type = {'box': Marker.CUBE, 'sphere': Marker.SPHERE,
-                       'cylinder': Marker.CYLINDER}[command.shape]
-        if command.shape != 'box':
+        marker.type = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER,
+                       'mesh': Marker.TRIANGLE_LIST}[command.shape]
+        if command.shape == 'mesh':
+            marker.points = [Point(x=x, y=y, z=z) for x, y, z in zip(*[iter(size)] * 3)]
+            size = 1.0, 1.0, 1.0
+        elif command.shape != 'box':
             across = 2.0 * size[0]
             size = across, across, size[-1] if command.shape == 'cylinder' else across
         marker.scale = vector(Vector3, size)

@@ -10,7 +10,7 @@ from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import INTEGRATOR, resolve
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.scene.mesh_file import read_mesh_file
+from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.sim.effect import Built, Cloth, World
 from xpbd_ros.sim.layout import blocks
@@ -94,10 +94,12 @@ def frame_rate(scene: Scene) -> Fraction:
     return Fraction(repr(scene.top.frame_rate))
 
 
-def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State) -> dict[str, Built]:
+def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
+           before: dict[str, Built] | None = None) -> dict[str, Built]:
     built: dict[str, Built] = {}
     world = World(cloths, state, scene.sections, built, 'pin' in scene.effects,
-                  scene.top.solver.compliance_scale)
+                  scene.top.solver.compliance_scale, before or {},
+                  lambda file: read_mesh_file(Path(file))[:2], read_table)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]
@@ -126,7 +128,7 @@ class Retune:
         cloths = tuple(replace(c, friction=scene.cloths[c.name].friction,
                                static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
-        effects = _build(scene, cloths, self.state)
+        effects = _build(scene, cloths, self.state, self.effects)
         for name, built in effects.items():
             built.adopt(self.effects[name])
         solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)))

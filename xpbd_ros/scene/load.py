@@ -132,12 +132,21 @@ def _resolved(raw: dict, folder: Path) -> dict:
     """Return a scene that says all: values of materials, and files that are found anywhere."""
     cloths = {}
     for name, cloth in names(raw.get('cloths'), 'cloths').items():
-        cloths[name] = cloth = with_material(cloth, f'cloths.{name}')
-        mesh = cloth.get('mesh') if isinstance(cloth, dict) else None
-        if isinstance(mesh, dict) and isinstance(mesh.get('file'), str) and mesh['file']:
-            file = str((folder / mesh['file']).absolute())
-            cloths[name] = {**cloth, 'mesh': {**mesh, 'file': file}}
-    return {**raw, 'cloths': cloths} if cloths else raw
+        cloths[name] = _found(with_material(cloth, f'cloths.{name}'), 'mesh', folder)
+    raw = {**raw, 'cloths': cloths} if cloths else raw
+    colliders = raw.get('colliders')
+    if not isinstance(colliders, dict):
+        return raw
+    return {**raw, 'colliders': {name: _found(_found(entry, 'mesh', folder), 'heights', folder)
+                                 for name, entry in colliders.items()}}
+
+
+def _found(entry: Any, key: str, folder: Path) -> Any:
+    """Return an entry of the scene, the file under one of its keys with its whole path."""
+    keys = entry.get(key) if isinstance(entry, dict) else None
+    if isinstance(keys, dict) and isinstance(keys.get('file'), str) and keys['file']:
+        return {**entry, key: {**keys, 'file': str((folder / keys['file']).absolute())}}
+    return entry
 
 
 def _scene(raw: dict, where: str, name: str) -> Scene:

@@ -96,3 +96,19 @@ def _read_with_meshio(path: Path):
                              'polygons and tetrahedra can be simulated, so convert it')
     return (vertices, np.array(triangles, np.int64).reshape(-1, 3),
             np.concatenate(tetrahedra) if tetrahedra else np.zeros((0, 4), np.int64))
+
+
+def read_table(file: str) -> np.ndarray:
+    """Return the rows of numbers in a .npy file, or in a text with commas or blanks between."""
+    path = Path(file)
+    if not path.is_file():
+        raise InputError(f'no such file: {path}; put it back, or name it anew')
+    try:
+        if path.suffix.lower() == '.npy':
+            return np.load(path, allow_pickle=False)
+        text = path.read_text(encoding='utf-8').replace(',', ' ')
+        return np.array([line.split() for line in text.splitlines() if line.strip()], float)
+    except OSError as error:
+        raise InputError(f'{path}: {error.strerror or error}') from error
+    except ValueError as error:
+        raise InputError(f'{path}: cannot be read as rows of numbers ({error})') from None

@@ -14,7 +14,35 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.rotation import interpolate, rotate
 
-PLANE, SPHERE, CAPSULE, CYLINDER, BOX = range(5)
+PLANE, SPHERE, CAPSULE, CYLINDER, BOX, MESH, HEIGHTS = range(7)
+
+
+class Grids(NamedTuple):
+    """Signed distances on grids (``sim.field``), of the colliders that are meshes."""
+
+    values: np.ndarray
+    """φ [m], one grid after another; x slowest, z fastest"""
+    first: np.ndarray
+    """where each collider's grid begins, shape (capacity,)"""
+    nodes: np.ndarray
+    """along x, y, z; shape (capacity, 3)"""
+    origin: np.ndarray
+    """place of the first node in the collider's axes [m], shape (capacity, 3)"""
+    spacing: np.ndarray
+    """[m], shape (capacity,)"""
+    pad: np.ndarray
+    """least distance from the rim of the grid to the surface [m], shape (capacity,)"""
+
+
+class Heights(NamedTuple):
+    """Heights of the colliders that are ground."""
+
+    values: np.ndarray
+    """[m], one field after another; y slowest, x fastest"""
+    first: np.ndarray
+    """where each collider's field begins, shape (capacity,)"""
+    nodes: np.ndarray
+    """along x, y; shape (capacity, 2)"""
 
 
 class Colliders(NamedTuple):
@@ -25,9 +53,11 @@ class Colliders(NamedTuple):
     shape: np.ndarray
     """PLANE …, shape (capacity,)"""
     size: np.ndarray
-    """[m]: radius, half length along z, –; or half extents of a box; shape (capacity, 3)"""
+    """[m]: radius, half length along z, –; or half extents of a box or of ground; shape
+    (capacity, 3)"""
     reach: np.ndarray
-    """radius of a ball around the position that holds the shape [m]; -1: unbounded"""
+    """radius of a ball around the position that holds the shape [m]; -1 - z: the half space below
+    z does"""
     inner: np.ndarray
     """what moves no further than this in a substep cannot get through it [m]; inf: nothing can"""
     start: np.ndarray
@@ -40,15 +70,38 @@ class Colliders(NamedTuple):
     """surface velocity, linear [m/s] and angular [rad/s], where given; shape (capacity, 6)"""
     has_twist: np.ndarray
     """shape (capacity,)"""
+    grids: Grids | None
+    """None where no collider is a mesh"""
+    heights: Heights | None
+    """None where none is ground"""
 
 
-def new_colliders(capacity: int) -> Colliders:
-    """Return room for that many colliders, and none."""
+def new_colliders(capacity: int, nodes: int = 0, places: int = 0) -> Colliders:
+    """Return room for that many colliders, nodes of grids and heights, and none of them."""
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
     return Colliders(
         np.zeros(1, np.int64), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
         np.zeros(capacity), np.zeros(capacity), poses.copy(), poses,
-        np.zeros(capacity, np.bool_), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_))
+        np.zeros(capacity, np.bool_), np.zeros((capacity, 6)), np.zeros(capacity, np.bool_),
+        Grids(np.zeros(nodes, np.float32), np.zeros(capacity, np.int64),
+              np.zeros((capacity, 3), np.int64), np.zeros((capacity, 3)), np.zeros(capacity),
+              np.zeros(capacity)) if nodes else None,
+        Heights(np.zeros(places), np.zeros(capacity, np.int64),
+                np.zeros((capacity, 2), np.int64)) if places else None)
+
+
+def write_grid(grids: Grids, c: int, field, first: int) -> None:
+    """Write the distance field of collider c, from a node on."""
+    values = field.values.ravel()
+    grids.values[first:first + values.size] = values
+    grids.first[c], grids.nodes[c] = first, field.values.shape
+    grids.origin[c], grids.spacing[c], grids.pad[c] = field.origin, field.spacing, field.pad
+
+
+def write_heights(heights: Heights, c: int, values: np.ndarray, first: int) -> None:
+    """Write the heights of collider c [m], shape (along y, along x), from a place on."""
+    heights.values[first:first + values.size] = values.ravel()
+    heights.first[c], heights.nodes[c] = first, values.shape[::-1]
 
 
 @jit
@@ -108,8 +161,19 @@ def inner(shape, size):
 @jit(inline=True)
 def signed_distance(colliders, c, x, y, z):
     """Return φ [m] and the unit normal at a point in the axes of collider c."""
-    return shape_distance(colliders.shape[c], colliders.size[c, 0], colliders.size[c, 1],
-                          colliders.size[c, 2], x, y, z)
+    return _distance(colliders.grids, colliders.heights, colliders, c, x, y, z)
+
+
+@jit(inline=True)
+def _distance(grids, heights, colliders, c, x, y, z):
+    shape, size = colliders.shape[c], colliders.size
+    if grids is not None:    # noqa: SIM102  Numba prunes only branches on None alone
+        if shape == MESH:
+            return grid_distance(grids, c, x, y, z)
+    if heights is not None:    # noqa: SIM102
+        if shape == HEIGHTS:
+            return ground_distance(heights, c, size[c, 0], size[c, 1], x, y, z)
+    return shape_distance(shape, size[c, 0], size[c, 1], size[c, 2], x, y, z)
 
 
 @jit(inline=True)
@@ -166,3 +230,53 @@ def _box(x, y, z, a, b, c):
     if qy >= qz:
         return qy, 0.0, sy, 0.0
     return qz, 0.0, 0.0, sz
+
+
+@jit
+def grid_distance(grids, c, x, y, z):
+    """Return φ and its direction of ascent, trilinear; outside the grid no more than the truth."""
+    s, o, n = grids.spacing[c], grids.origin, grids.nodes
+    u, v, w = (x - o[c, 0]) / s, (y - o[c, 1]) / s, (z - o[c, 2]) / s
+    eu = u - min(max(u, 0.0), n[c, 0] - 1.0)
+    ev = v - min(max(v, 0.0), n[c, 1] - 1.0)
+    ew = w - min(max(w, 0.0), n[c, 2] - 1.0)
+    out = sqrt(eu * eu + ev * ev + ew * ew)
+    if out > 0.0:
+        return out * s + grids.pad[c], eu / out, ev / out, ew / out
+    i, j = min(int(u), n[c, 0] - 2), min(int(v), n[c, 1] - 2)
+    k = min(int(w), n[c, 2] - 2)
+    a, b, g = u - i, v - j, w - k
+    dy, dx = n[c, 2], n[c, 1] * n[c, 2]
+    f, q = grids.values, grids.first[c] + (i * n[c, 1] + j) * n[c, 2] + k
+    f00, d00 = f[q] + g * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    q += dy
+    f01, d01 = f[q] + g * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    q += dx
+    f11, d11 = f[q] + g * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    q -= dy
+    f10, d10 = f[q] + g * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    f0, f1 = f00 + b * (f01 - f00), f10 + b * (f11 - f10)
+    gx, gy = f1 - f0, (1.0 - a) * (f01 - f00) + a * (f11 - f10)
+    gz = (1.0 - a) * (d00 + b * (d01 - d00)) + a * (d10 + b * (d11 - d10))
+    phi, l = f0 + a * gx, sqrt(gx * gx + gy * gy + gz * gz)
+    if l > 0.0:
+        return phi, gx / l, gy / l, gz / l
+    return phi, 0.0, 0.0, 1.0
+
+
+@jit
+def ground_distance(heights, c, half_x, half_y, x, y, z):
+    """Return the distance to the plane that touches the ground below; its rim goes on for ever."""
+    n, f = heights.nodes, heights.values
+    across, up = 0.5 * (n[c, 0] - 1), 0.5 * (n[c, 1] - 1)
+    u = min(max((x / half_x + 1.0) * across, 0.0), n[c, 0] - 1.0)
+    v = min(max((y / half_y + 1.0) * up, 0.0), n[c, 1] - 1.0)
+    i, j = min(int(u), n[c, 0] - 2), min(int(v), n[c, 1] - 2)
+    a, b, q = u - i, v - j, heights.first[c] + j * n[c, 0] + i
+    f0, d0 = f[q] + a * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    q += n[c, 0]
+    f1, d1 = f[q] + a * (f[q + 1] - f[q]), f[q + 1] - f[q]
+    gx = (d0 + b * (d1 - d0)) * across / half_x if abs(x) <= half_x else 0.0
+    gy = (f1 - f0) * up / half_y if abs(y) <= half_y else 0.0
+    l = sqrt(1.0 + gx * gx + gy * gy)
+    return (z - (f0 + b * (f1 - f0))) / l, -gx / l, -gy / l, 1.0 / l

@@ -84,9 +84,9 @@ class PlaceCollider:
 
     collider: str
     shape: str
-    """box, sphere or cylinder"""
+    """box, sphere, cylinder or mesh"""
     size: tuple[float, ...]
-    """[m]: full extents; radius; radius and length along z"""
+    """[m]: full extents; radius; radius and length along z; x y z of each triangle's corners"""
     pose: Pose
     lifetime_ns: int = 0
     """it goes away by itself after this long without a new one [ns]; 0: never"""

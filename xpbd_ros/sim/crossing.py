@@ -6,12 +6,15 @@ distance φ to a convex shape is a convex function, so Newton's step from outsid
 
     t <- t + (φ - r) / -(n · (l1 - l0)),
 
-never goes past the first place where φ = r; where n · (l1 - l0) >= 0 there is none.
+never goes past the first place where φ = r; where n · (l1 - l0) >= 0 there is none. Towards a mesh
+or ground it goes on by φ - r, but at least half a cell of it and, for ground, at most one.
 
 Limits: a turn within the substep is taken as a straight line between its ends.
 """
 
-from xpbd_ros.sim.colliders import signed_distance, to_local, to_world
+from math import sqrt
+
+from xpbd_ros.sim.colliders import BOX, HEIGHTS, signed_distance, to_local, to_world
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.rotation import rotate
 
@@ -28,16 +31,24 @@ def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
     ax, ay, az = to_local(contacts.before, c, x0, y0, z0)
     bx, by, bz = to_local(contacts.after, c, x, y, z)
     dx, dy, dz = bx - ax, by - ay, bz - az
-    t = 0.0
-    for _ in range(LOOKS):
+    shape, cell = contacts.colliders.shape[c], 2.0 * contacts.colliders.inner[c]
+    t, looks, length = 0.0, 0, sqrt(dx * dx + dy * dy + dz * dz)
+    while True:
         px, py, pz = ax + t * dx, ay + t * dy, az + t * dz
         phi, nx, ny, nz = signed_distance(contacts.colliders, c, px, py, pz)
         nearer = -(nx * dx + ny * dy + nz * dz)
-        if nearer <= 0.0:
+        if nearer <= 0.0 and shape <= BOX:
             return
-        if phi - gap <= CLOSE * thickness:
+        looks += 1
+        if nearer > 0.0 and (phi - gap <= CLOSE * thickness or shape <= BOX and looks == LOOKS):
             break
-        t += (phi - gap) / nearer
+        if shape <= BOX:
+            t += (phi - gap) / nearer
+        elif length > 0.0:
+            step = max(phi - gap, 0.5 * cell)
+            t += (min(step, cell) if shape == HEIGHTS else step) / length
+        else:
+            return
         if t > 1.0:
             return
     q = contacts.after

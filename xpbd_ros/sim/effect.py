@@ -91,6 +91,12 @@ class World:
     pins: bool
     """whether the scene has pins, so that somebody will ask for forces"""
     compliance_scale: float = 1.0
+    before: dict[str, 'Built'] = field(default_factory=dict)
+    """the effects that this one takes over from, where a live key changed"""
+    read_mesh: Callable[[str], tuple[np.ndarray, np.ndarray]] | None = None
+    """vertices and triangles of a file"""
+    read_table: Callable[[str], np.ndarray] | None = None
+    """rows of numbers in a file"""
 
     @property
     def slots(self) -> int:

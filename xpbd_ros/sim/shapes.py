@@ -3,8 +3,10 @@
 from dataclasses import dataclass
 from math import sqrt
 
+import numpy as np
+
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.colliders import BOX, CAPSULE, CYLINDER, PLANE, SPHERE
+from xpbd_ros.sim.colliders import BOX, CAPSULE, CYLINDER, HEIGHTS, MESH, PLANE, SPHERE
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.effect import check_static, quantity
 from xpbd_ros.sim.motion import check_motion
@@ -54,6 +56,47 @@ class Box:
 
 
 @dataclass(frozen=True)
+class Body:
+    """What a closed surface of triangles holds, of any shape."""
+
+    file: str = quantity(doc='beside the scene file, or an absolute path')
+    scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
+    spacing: float | None = quantity(None, unit='m', above=0.0, doc=(
+        'of the grid of distances; the thickness unless given, or a 96th of the longest side'))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What lies below a field of heights; beyond the rim, as low as there."""
+
+    size: tuple[float, float] = quantity(unit='m', above=0.0, doc='extent along x, y')
+    values: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='m', doc='rows from -y to +y, each from -x to +x')
+    file: str | None = quantity(None, doc='or a .npy or .csv file with the same rows')
+    scale: float = quantity(1.0, doc='metres in the unit of the heights')
+
+    def __post_init__(self):
+        """Refuse both and neither, and what is no table."""
+        if (self.values is None) == (self.file is None):
+            raise InputError("needs either 'values' or 'file', and only one of them")
+        if self.values is not None:
+            table(self.values)
+
+
+def table(rows) -> np.ndarray:
+    """Return heights as an array, or refuse what is none."""
+    try:
+        found = np.array(rows, float)
+    except ValueError:
+        raise InputError('values: must be rows of equal length') from None
+    if found.ndim != 2 or min(found.shape) < 2:
+        raise InputError(f'must be at least 2 rows of 2 heights (got {found.shape})')
+    if not np.isfinite(found).all():
+        raise InputError('has heights that are not finite')
+    return found
+
+
+@dataclass(frozen=True)
 class Entry:
     """One entry of the scene's ``colliders``: exactly one shape, and where it is."""
 
@@ -62,6 +105,8 @@ class Entry:
     capsule: Capsule | None = quantity(None)
     cylinder: Cylinder | None = quantity(None)
     box: Box | None = quantity(None)
+    mesh: Body | None = quantity(None)
+    heights: Ground | None = quantity(None)
     position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
     orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
                                                               doc='quaternion x y z w')
@@ -98,7 +143,8 @@ class Entry:
         return Pose(self.position, orientation)
 
 
-SHAPES = {'plane': PLANE, 'sphere': SPHERE, 'capsule': CAPSULE, 'cylinder': CYLINDER, 'box': BOX}
+SHAPES = {'plane': PLANE, 'sphere': SPHERE, 'capsule': CAPSULE, 'cylinder': CYLINDER, 'box': BOX,
+          'mesh': MESH, 'heights': HEIGHTS}
 
 
 def shape_size(entry: Entry) -> tuple[float, float, float]:
@@ -107,14 +153,18 @@ def shape_size(entry: Entry) -> tuple[float, float, float]:
         return entry.sphere.radius, 0.0, 0.0
     if entry.box is not None:
         return tuple(0.5 * c for c in entry.box.size)
-    if entry.plane is not None:
+    if entry.heights is not None:
+        return (*(0.5 * c for c in entry.heights.size), 0.0)
+    if entry.plane is not None or entry.mesh is not None:
         return 0.0, 0.0, 0.0
     tube = entry.capsule or entry.cylinder
     return tube.radius, 0.5 * tube.length, 0.0
 
 
 def shape_of(name: str, size: tuple[float, ...]):
-    """Return a box, a sphere or a cylinder of a size: extents; radius; radius and length."""
+    """Return a shape that came while it runs, of a size as ``PlaceCollider`` has it."""
     if name == 'box':
         return Box(size)
+    if name == 'mesh':
+        return Body(f'{len(size) // 9} triangles, {hash(size):x}')
     return Sphere(*size) if name == 'sphere' else Cylinder(*size)

@@ -1,0 +1,123 @@
+"""Signed distance fields of closed surfaces, against the shapes that they are of."""
+
+import numpy as np
+import pytest
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.colliders import BOX, grid_distance, Grids, shape_distance, SPHERE
+from xpbd_ros.sim.field import distance_field
+
+FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7],
+                  [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]])
+
+
+def box(a=0.3, b=0.5, c=0.2):
+    """Return the surface of a box of half extents a, b, c."""
+    return np.array([[x, y, z] for x in (-a, a) for y in (-b, b) for z in (-c, c)]), FACES
+
+
+def ball(radius=0.3, rounds=5):
+    """Return the surface of a ball as an octahedron, divided a few times."""
+    points = [np.array(p, float) for p in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1),
+                                           (0, 0, -1))]
+    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    for _ in range(rounds):
+        middle, found = {}, []
+        for f in faces:
+            m = []
+            for p, q in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0])):
+                key = min(p, q), max(p, q)
+                if key not in middle:
+                    middle[key] = len(points)
+                    points.append(points[p] + points[q])
+                    points[-1] /= np.linalg.norm(points[-1])
+                m.append(middle[key])
+            found += [(f[0], m[0], m[2]), (m[0], f[1], m[1]), (m[2], m[1], f[2]), tuple(m)]
+        faces = found
+    return radius * np.array(points), np.array(faces)
+
+
+def look_up(field, points):
+    """Return φ and the normals at some points."""
+    grids = Grids(field.values.ravel(), np.array([0]), np.array([field.values.shape]),
+                  field.origin[None], np.array([field.spacing]), np.array([field.pad]))
+    found = np.array([grid_distance(grids, 0, *p) for p in points.tolist()])
+    return found[:, 0], found[:, 1:]
+
+
+def exact(shape, size, points):
+    """Return φ and the normals of a shape."""
+    found = np.array([shape_distance(shape, *size, *p) for p in points.tolist()])
+    return found[:, 0], found[:, 1:]
+
+
+def nodes(field):
+    """Return the places of all nodes."""
+    return field.origin + field.spacing * np.stack(np.meshgrid(
+        *map(np.arange, field.values.shape), indexing='ij'), -1).reshape(-1, 3)
+
+
+def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside():
+    field = distance_field(*box(), gap=0.01, spacing=0.031)
+    expected, _ = exact(BOX, (0.3, 0.5, 0.2), nodes(field))
+    np.testing.assert_allclose(field.values.ravel(), expected, atol=1e-6)
+    assert field.reach == pytest.approx(np.sqrt(0.38))
+
+
+def test_between_the_nodes_of_a_ball_it_errs_with_the_square_of_the_spacing():
+    points = np.random.default_rng(2).uniform(-0.33, 0.33, (2000, 3))
+    points = points[np.linalg.norm(points, axis=1) > 0.15]
+    expected, normals = exact(SPHERE, (0.3, 0.0, 0.0), points)
+    errors = []
+    for spacing in (0.06, 0.03):
+        phi, found = look_up(distance_field(*ball(), gap=0.01, spacing=spacing), points)
+        errors.append(np.abs(phi - expected).max())
+        np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-12)
+        assert np.linalg.norm(found - normals, axis=1).max() < 8.0 * spacing
+    assert errors[1] < 0.4 * errors[0] < 0.1 * 0.06
+
+
+def test_off_the_grid_it_is_never_more_than_the_distance():
+    points = np.random.default_rng(3).uniform(-3.0, 3.0, (2000, 3))
+    field = distance_field(*box(), gap=0.01, spacing=0.05)
+    expected, _ = exact(BOX, (0.3, 0.5, 0.2), points)
+    phi, normals = look_up(field, points)
+    out = expected > field.pad + 0.2
+    assert (phi <= expected + 0.02).all()
+    assert (phi[out] > 0.1 * expected[out]).all()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)
+
+
+def test_faces_may_look_anywhere_vertices_may_be_double_and_pieces_may_overlap():
+    rng = np.random.default_rng(4)
+    vertices, faces = box()
+    soup = vertices[np.array([f[::-1] if rng.random() < 0.5 else f for f in faces])]
+    again = distance_field(soup.reshape(-1, 3), np.arange(36).reshape(-1, 3), gap=0.01,
+                           spacing=0.05)
+    np.testing.assert_array_equal(
+        again.values, distance_field(vertices, faces, gap=0.01, spacing=0.05).values)
+    both = np.concatenate([vertices, vertices + [0.2, 0.0, 0.0]])
+    field = distance_field(both, np.concatenate([faces, faces + 8]), gap=0.01, spacing=0.05)
+    inside = (np.abs(nodes(field) - [0.1, 0.0, 0.0]) < [0.4, 0.5, 0.2]).all(1)
+    phi = field.values.ravel()
+    assert (inside == (phi < 0.0))[np.abs(phi) > 1e-6].all()
+    assert inside.sum() > 500
+
+
+def test_the_spacing_is_the_gap_unless_that_is_too_fine():
+    assert distance_field(*box(), gap=0.05).spacing == 0.05
+    assert distance_field(*box(), gap=0.001).spacing == pytest.approx(1.0 / 96.0)
+
+
+@pytest.mark.parametrize('surface, text', [
+    ((box()[0], FACES[1:]), 'is not closed (3 open edges), so it has no inside; close it, or use '
+     'a box'),
+    ((box()[0], FACES[:0]), 'has no triangles'),
+    ((box()[0] * np.nan, FACES), 'has vertices that are not finite'),
+    ((box()[0], FACES + 1), 'names vertex 8, and has 8'),
+    ((box()[0] * 1e4, FACES), 'a spacing of 1 m takes 6005 × 10005 × 4005 nodes, more than '
+     '16000000; use a larger one')])
+def test_what_is_no_body_is_refused(surface, text):
+    with pytest.raises(InputError) as error:
+        distance_field(*surface, gap=0.01, spacing=1.0)
+    assert str(error.value) == text
