@@ -19,6 +19,7 @@ def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0
     Return the simulation of one cloth.
 
     ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second.
+    There may always be pins, so that cases with the same effects share their machine code.
     """
     scene = {'gravity': list(gravity), 'frame_rate': rate,
              'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
@@ -26,8 +27,7 @@ def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0
              'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
                               'density': density, 'friction': friction, 'pose': pose or {},
                               'effects': effects or {}}}, **sections}
-    if effects_:
-        scene['effects'] = effects_
+    scene['effects'] = {'pin': {}, **(effects_ or {})}
     return compile_scene(scene_from_mapping(scene, where='a case', name='case'))
 
 

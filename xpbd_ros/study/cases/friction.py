@@ -61,7 +61,7 @@ def drawn(n: int, radius: float = 0.1) -> float:
                   colliders={'bar': {'cylinder': {'radius': radius - GAP, 'length': 1.0},
                                      'orientation': [0.5**0.5, 0, 0, 0.5**0.5],
                                      'friction': CAPSTAN}},
-                  effects_={'contact': {'thickness': GAP}, 'friction': {}, 'pin': {},
+                  effects_={'contact': {'thickness': GAP}, 'friction': {},
                             'damping': {'rate': 5.0}})
     s = np.linspace(-straight, arc + straight, n + 1)
     angle = np.clip(s / radius, 0.0, np.pi)
