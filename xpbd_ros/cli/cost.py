@@ -1,7 +1,7 @@
 """
 What each effect of a scene costs on this machine: time, memory, code.
 
-The scene runs for its duration, three times over, with a clock between the effects' kernels; a
+The scene runs for its duration, five times over, with a clock between the effects' kernels; a
 second simulation without one runs in turn, and says what the whole takes. Effects that the scene
 does not name are listed as absent: they have no arrays and no machine code.
 """

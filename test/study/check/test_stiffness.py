@@ -124,6 +124,19 @@ def test_rigid_edges_have_the_stiffness_of_the_artefact_alone():
     assert found[1] / found[0] == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize('method', ['gauss_seidel', 'gauss_seidel_symmetric', 'line'])
+@pytest.mark.parametrize('grid', [(5, 4), (1, 4), (4, 1), (2, 2)])
+def test_rigid_edges_of_a_cloth_are_predicted_by_any_method(grid, method):
+    """Also those along the side that it hangs from, which nothing moves."""
+    simulation = simulate(grid, (0.4, 0.3), effects={'stretch': {'compliance': 0.0}}, substeps=8,
+                          method=method, integrator='bdf2')
+    rows = stiffness(simulation._retune.scene, simulation, simulation.solver)
+    assert [row.direction for row in rows] == ['warp'] * (grid[0] > 1) + ['weft'] * (grid[1] > 1)
+    for row in rows:
+        assert row.effective > 10.0
+        assert row.effective_min > 0.0
+
+
 def test_a_compliance_scale_is_part_of_what_is_asked():
     simulation = hang(5, effects={'stretch': {'warp': 100.0, 'weft': 100.0}}, scale=4.0,
                       substeps=64)

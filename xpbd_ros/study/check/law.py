@@ -79,7 +79,8 @@ class Law:
 
 
 def _factor(kind: str, A, alpha, relaxation):
-    """Return the factors of what one pass solves exactly."""
+    """Return the factors of what one pass solves exactly; what cannot move does nothing."""
+    A = A + sparse.diags((A.diagonal() + alpha == 0.0).astype(float))
     if kind == WHOLE:
         split = A + sparse.diags(np.maximum(alpha, TINY * A.diagonal()))
         return splu(split.tocsc())

@@ -144,5 +144,6 @@ def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float
             mean = asked * (sign * wanted).sum() / (sign * given).sum()
             each = asked * wanted / given
     each = np.where(sign * given > 0.0, each, np.inf)
+    mean = mean if mean > 0.0 else np.inf    # gives nothing, but for rounding
     return Row(cloth, effect, direction, unit, float(asked), float(mean), float(each.min()),
                float(each.max()))

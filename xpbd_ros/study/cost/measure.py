@@ -22,7 +22,7 @@ from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.cost.clock import lap_ns
 from xpbd_ros.study.cost.timed_step import timed_step
 
-ROUNDS = 3
+ROUNDS = 5
 
 
 @dataclass(frozen=True)
