@@ -54,6 +54,18 @@ def test_the_substeps_asked_for_are_the_fewest_that_do():
         assert at <= float(error) < below
 
 
+def test_what_is_rigid_is_out_of_reach_or_there_already():
+    rigid = {'cloths.c.effects.stretch': {'compliance': 0.0}}
+    for grid, method, counts in (([5, 4], 'gauss_seidel', [None] * 3), ([2, 2], 'line', [1] * 3)):
+        found = check(scene_from_mapping(
+            {'cloths': {'c': {'grid': {'size': [0.4, 0.3], 'resolution': grid}, 'density': 0.2,
+                              'effects': {}}}, 'solver': {'method': method},
+             'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}}, where='x', name='x',
+            overrides=rigid))
+        assert list(found.substeps_for.values()) == counts
+        assert found.ok, found.warnings
+
+
 def test_lines_that_cannot_follow_the_waves_are_warned_about():
     found = check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 2}))
     assert any('behaves like' in text or 'too few for the stretch waves' in text

@@ -35,7 +35,7 @@ class Row:
     @property
     def error(self) -> float:
         """How much more it gives than it was asked to, relative; inf where it should be rigid."""
-        return self.asked / self.effective - 1.0
+        return 0.0 if np.isinf(self.effective) else self.asked / self.effective - 1.0
 
 
 def step_length(solver: Solver, frame_dt: float) -> float:
