@@ -209,8 +209,8 @@ def test_what_is_pinned_passes_through():
 
 
 def test_candidates_without_room_are_counted():
-    """There is room for four per particle; the rest is told, not silently dropped."""
-    simulation = particle({f's{k}': {'sphere': {'radius': 0.3}} for k in range(7)},
+    """There is room for sixteen per particle; the rest is told, not silently dropped."""
+    simulation = particle({f's{k}': {'sphere': {'radius': 0.3}} for k in range(19)},
                           (0.0, 0.0, 0.2), gravity=(0, 0, 0), substeps=2)
     simulation.step()
     assert simulation.stats()['contacts_without_room'] == 2 * 3
@@ -460,3 +460,24 @@ def test_colliders_beyond_the_capacity_are_refused_with_the_number():
     assert (list(frame.colliders), frame.refused) == (['c', 'd'], ())
     frame = simulation.step([RemoveCollider('a')])
     assert frame.refused[0][1] == "unknown collider 'a' (known: c, d)"
+
+
+@pytest.mark.parametrize('substeps', [1, 4])
+def test_nothing_gets_out_of_a_room_with_thin_walls_that_turns(substeps):
+    """64 particles at 60 m/s, walls of 2 mm that come at them with up to 7 m/s, for 2 s."""
+    walls = {f'w{axis}{side}': np.where(np.arange(3) == axis, 0.5 * side - 0.25, 0.0)
+             for axis in range(3) for side in (0, 1)}
+    walls = {name: 2.0 * place for name, place in walls.items()}
+    simulation = simulate(
+        (8, 8), (0.4, 0.4), pose={'position': [-0.2, -0.2, 0.0]}, substeps=substeps, colliders={
+            name: {'box': {'size': np.where(place, 0.002, 1.2).tolist()}, 'max_speed': 100.0,
+                   'position': place.tolist(), 'restitution': 1.0, 'friction': 0.3}
+            for name, place in walls.items()},
+        scene_effects={'contact': {'thickness': 0.004}, 'friction': {}})
+    simulation.state.v[:, simulation.slot] = np.random.default_rng(0).normal(0.0, 35.0, (3, 64))
+    for k in range(120):
+        turn = Rotation.from_rotvec([0.04 * k, 0.07 * k, -0.03 * k])
+        frame = simulation.step([MoveCollider(name, Pose(
+            tuple(turn.apply(place).tolist()), tuple(turn.as_quat().tolist())))
+            for name, place in walls.items()])
+        assert np.abs(turn.inv().apply(frame.x)).max() < 0.5, k

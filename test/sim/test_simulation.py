@@ -164,7 +164,7 @@ def test_live_keys_act():
     simulation.step([SetKey('cloths.c.effects.bend.stiffness', 0.5)])
     assert (simulation.effects['bend'].data.compliance == 2.0).all()
     simulation.step([SetKey('effects.contact.thickness', 0.02)])
-    assert simulation.effects['contact'].data.thickness[0] == 0.02
+    assert simulation.effects['contact'].contacts.thickness[0] == 0.02
     simulation.step([SetKey('colliders.table.friction', 0.125)])
     assert simulation.effects['friction'].data.coefficient[0, 0] == 0.25    # √(0.5 · 0.125)
     assert simulation.effects['friction'].data.contacts is simulation.effects['contact'].contacts

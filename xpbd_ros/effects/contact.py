@@ -54,22 +54,27 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
     Twist,
 )
-from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, surface_motion
-from xpbd_ros.sim.crossing import look_back
+from xpbd_ros.sim.contacts import (
+    Contacts,
+    move_colliders,
+    new_contacts,
+    push_once,
+    surface_motion,
+)
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.field import distance_field, Field
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.motion import monotone_cubic, Motion
-from xpbd_ros.sim.rotation import rotate
 from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
 from xpbd_ros.sim.stages import finish, prepare, stage, touch
-from xpbd_ros.sim.state import lose_history
 from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
-CANDIDATES = 4
+CANDIDATES = 16
 """room for candidates, per particle"""
+CORNER = 8
+"""most passes, so that what one collider holds back does not end behind another"""
 NOT_SOUGHT = -1
 """count of candidates before the first iteration of a substep"""
 
@@ -98,8 +103,6 @@ class Contact(NamedTuple):
     """Data of the kernels."""
 
     contacts: Contacts
-    thickness: np.ndarray
-    """[m], shape (1,)"""
     bounce: Bounce | None
     """None in a scene where no collider bounces"""
 
@@ -117,7 +120,7 @@ def forget_contacts(contact, state, substep):
 @jit
 def find_candidates(contact, state, substep):
     """List the pairs that may touch in this substep, and the gap that each has to keep."""
-    contacts, thickness, w = contact.contacts, contact.thickness[0], state.inv_mass
+    contacts, thickness, w = contact.contacts, contact.contacts.thickness[0], state.inv_mass
     contacts.count[0] = 0
     slots = len(w)
     for q in range(0, slots, lanes(w)):
@@ -179,35 +182,13 @@ def consider(contacts, bounce, state, i, c, thickness, substep):
 @stage(touch, Contact)
 @jit
 def push_out(contact, state, substep):
-    """Push every candidate that is too deep out along the normal."""
-    contacts, poses = contact.contacts, contact.contacts.after
-    if contacts.count[0] == NOT_SOUGHT:
+    """Push every candidate that is too deep out along the normal; in corners, more than once."""
+    if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact, state, substep)
-    for k in range(contacts.count[0]):
-        i, c = contacts.particle[k], contacts.collider[k]
-        x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
-        x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
-        step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
-        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
-            look_back(contacts, k, x0, y0, z0, x, y, z, contact.thickness[0])
-        lx, ly, lz = to_local(poses, c, x, y, z)
-        phi, nx, ny, nz = signed_distance(contacts.colliders, c, lx, ly, lz)
-        nx, ny, nz = rotate(poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6], nx, ny, nz)
-        if contacts.crossed[k]:
-            plane = contacts.side[k]
-            ahead = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
-            if ahead < phi:
-                phi, nx, ny, nz = ahead, plane[0], plane[1], plane[2]
-        before = contacts.push[k]
-        push = max(contacts.gap[k] - phi, -before)
-        if push == 0.0:
-            continue
-        contacts.push[k] = before + push
-        state.x[0, i] += nx * push
-        state.x[1, i] += ny * push
-        state.x[2, i] += nz * push
-        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
-        lose_history(state.history, i)
+    for _ in range(CORNER):
+        push_once(contact.contacts, state)
+        if not contact.contacts.count[2]:
+            break
 
 
 @stage(finish, Contact)
@@ -324,11 +305,11 @@ class BuiltContact(Built):
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
         self.colliders: Colliders = new_colliders(capacity, nodes, places)
-        self.contacts = new_contacts(self.colliders, room)
+        self.contacts = new_contacts(self.colliders, room, parameters.thickness)
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
-        self.data = Contact(self.contacts, np.array([parameters.thickness]), bounce)
+        self.data = Contact(self.contacts, bounce)
         self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
                          RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
         self.placed: dict[str, Placed] = {}

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contacts import Contacts, surface_motion
+from xpbd_ros.sim.contacts import Contacts, push_once, surface_motion
 from xpbd_ros.sim.effect import Built, check_static, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import stage, touch
@@ -98,6 +98,8 @@ def resist(friction, state, substep):
         x[1, i] += sy - s[k, 1]
         x[2, i] += sz - s[k, 2]
         s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
+    if contacts.count[2]:    # at such speeds friction too moves a particle far
+        push_once(contacts, state)
 
 
 class BuiltFriction(Built):

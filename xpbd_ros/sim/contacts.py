@@ -5,9 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.colliders import Colliders, to_local, to_world, write_pose
+from xpbd_ros.sim.colliders import Colliders, signed_distance, to_local, to_world, write_pose
+from xpbd_ros.sim.crossing import look_back
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.rotation import rotate
+from xpbd_ros.sim.state import lose_history
 
 
 class Contacts(NamedTuple):
@@ -27,7 +29,10 @@ class Contacts(NamedTuple):
     up: np.ndarray
     """its z axis, the normal of a plane; shape (capacity, 3)"""
     count: np.ndarray
-    """candidates, and how many found no room in this frame; shape (2,)"""
+    """candidates; how many found no room in this frame; 1 where the last push held a particle back
+    from what it would have got through; shape (3,)"""
+    thickness: np.ndarray
+    """[m], shape (1,)"""
     particle: np.ndarray
     """shape (room,)"""
     collider: np.ndarray
@@ -48,13 +53,13 @@ class Contacts(NamedTuple):
     """if so, the plane that it stays in front of: unit normal, offset [m]; shape (room, 4)"""
 
 
-def new_contacts(colliders: Colliders, room: int) -> Contacts:
+def new_contacts(colliders: Colliders, room: int, thickness: float) -> Contacts:
     """Return room for that many candidates, none of them in use."""
     capacity = len(colliders.shape)
     return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
                     np.zeros((capacity, 3)),
-                    np.zeros(2, np.int64), np.zeros(room, np.int64),
+                    np.zeros(3, np.int64), np.array([thickness]), np.zeros(room, np.int64),
                     np.zeros(room, np.int64), np.zeros(room), np.zeros(room), np.zeros(room),
                     np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
                     np.zeros((room, 4)))
@@ -95,3 +100,36 @@ def move_colliders(contacts, substep):
                                 - arm * contacts.turned[c])
         up = rotate(b[c, 3], b[c, 4], b[c, 5], b[c, 6], 0.0, 0.0, 1.0)
         contacts.up[c, 0], contacts.up[c, 1], contacts.up[c, 2] = up
+
+
+@jit
+def push_once(contacts, state):
+    """Push every candidate that is too deep out along the normal."""
+    poses, held_back = contacts.after, False
+    for k in range(contacts.count[0]):
+        i, c = contacts.particle[k], contacts.collider[k]
+        x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+        x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
+        step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
+        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
+            look_back(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
+        lx, ly, lz = to_local(poses, c, x, y, z)
+        phi, nx, ny, nz = signed_distance(contacts.colliders, c, lx, ly, lz)
+        nx, ny, nz = rotate(poses[c, 3], poses[c, 4], poses[c, 5], poses[c, 6], nx, ny, nz)
+        if contacts.crossed[k]:
+            plane = contacts.side[k]
+            ahead = plane[0] * x + plane[1] * y + plane[2] * z - plane[3]
+            if ahead < phi:
+                phi, nx, ny, nz = ahead, plane[0], plane[1], plane[2]
+        before = contacts.push[k]
+        push = max(contacts.gap[k] - phi, -before)
+        if push == 0.0:
+            continue
+        held_back |= contacts.crossed[k] and push > 0.0
+        contacts.push[k] = before + push
+        state.x[0, i] += nx * push
+        state.x[1, i] += ny * push
+        state.x[2, i] += nz * push
+        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
+        lose_history(state.history, i)
+    contacts.count[2] = held_back
