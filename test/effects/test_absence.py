@@ -44,10 +44,14 @@ def kernels(names=EFFECTS, *, without=()):
                   if kind.__module__ in modules and stage not in without)
 
 
-def look(names, cache):
+OF_SHAPES = ['grid_distance', 'ground_distance']
+GROUND = {'g': {'heights': {'size': [1.0, 1.0], 'values': [[0.0, 0.0], [0.0, 0.0]]}}}
+
+
+def look(names, cache, **more):
     """Run a scene with these effects in a process of its own; say what was there."""
     path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
-    arguments = json.dumps([SCENES[names], kernels()])
+    arguments = json.dumps([{**SCENES[names], **more}, [*kernels(), *OF_SHAPES]])
     child = subprocess.run(
         [sys.executable, '-c', CHILD, arguments], check=True, capture_output=True, text=True,
         env={**os.environ, 'PYTHONPATH': path, 'NUMBA_CACHE_DIR': str(cache)}, timeout=300)
@@ -79,6 +83,12 @@ def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cac
     assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
     assert [name.lower() for name in seen['data']] == list(names)
     assert not seen['reaction']
+
+
+def test_a_shape_that_no_collider_has_is_not_in_the_machine_code(cache):
+    """Ground is, once there is some; the test above has seen that a scene without has neither."""
+    assert OF_SHAPES[1:] == [name for name in look(('contact',), cache, colliders=GROUND)[
+        'kernels'] if name in OF_SHAPES]
 
 
 def test_a_step_from_the_cache_imports_nothing_more(cache):
