@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
+from sim.small import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll, Twist
 from xpbd_ros.sim.measure import momentum
-from xpbd_ros.sim.sweeps import METHODS
 
 STRETCH = {'stretch': {'compliance': 1e-4}}
 
@@ -177,8 +176,7 @@ def test_a_pin_that_holds_nothing_is_refused_with_those_that_do(command):
                                                    'hand)'),)
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
-@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('method, integrator', SETTINGS)
 @pytest.mark.parametrize('substeps, iterations', [(1, 1), (6, 3)])
 def test_the_wrench_at_rest_is_the_weight(substeps, iterations, method, integrator):
     """Exactly so at any setting: what falls short of stiffness still pulls with its weight."""

@@ -158,7 +158,8 @@ def solve_densely(lines, number, edges, alpha, state, force):
 @pytest.mark.parametrize('grid', [(5, 7), (9, 4), (17, 3), (3, 17), (8, 8), (1, 20), (20, 1)])
 def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
     """Warp lines then weft lines, twice over, whether or not they fill whole vectors."""
-    simulation = simulate(grid, (0.8, 0.6), effects={'stretch': stretch}, density=0.2)
+    simulation = simulate(grid, (0.8, 0.6), effects={'stretch': stretch}, density=0.2,
+                          method='line')
     state, data = simulation.state, simulation.effects['stretch'].data
     edges, slots = simulation.effects['stretch'].constraints, simulation.cloths[0].block.slots
     number = {tuple(ends): k for k, ends in enumerate(edges.particles.tolist())}
@@ -205,7 +206,7 @@ def test_a_rigid_straight_line_between_two_pins_stays_finite(grid, far, span, pr
 @pytest.mark.parametrize('stage, share', [(stages.project, 1.0), (stages.project_back, 1.0),
                                           (stages.solve_lines, 1.0 / (1.0 + TINY))])
 def test_particles_that_coincide_part_and_keep_their_momentum(stage, share, grid, axis):
-    simulation = simulate(grid, effects={'stretch': {'compliance': 0.0}})
+    simulation = simulate(grid, effects={'stretch': {'compliance': 0.0}}, method='line')
     state, data = simulation.state, simulation.effects['stretch'].data
     state.x[:] = 0.0
     state.mobility[:] = state.inv_mass * 0.01**2

@@ -102,7 +102,7 @@ def test_a_mistake_in_a_cloth_is_told_with_key_value_unit_and_the_way_out(before
     ('duration: 0', 'duration: must be > 0 s (got 0)'),
     ('solver: {substeps: 0}', 'solver.substeps: must be at least 1 (got 0)'),
     ('solver: {method: gauss_siedel}', "solver.method: unknown value; did you mean "
-     "'gauss_seidel'? (known: auto, gauss_seidel, gauss_seidel_symmetric, line; "
+     "'gauss_seidel'? (known: auto, gauss_seidel, gauss_seidel_symmetric, line, jacobi, explicit; "
      "got 'gauss_siedel')"),
     ('solver: fast', "solver: must be a mapping (got 'fast')"),
     ('wind: {}', f'wind: unknown key; {TOP}')])

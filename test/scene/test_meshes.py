@@ -149,8 +149,8 @@ def test_what_was_mended_is_told_by_the_simulation(scene, tmp_path):
     ({'scale': 1e200}, {}, 'cloths: a particle would weigh inf kg; size,'),
     ({}, {'grid': {'size': [1, 1], 'resolution': [2, 2]}},
      "cloths.c: needs either 'grid' or 'mesh', and only one of them"),
-    ({}, {'effects': {'bend': {'stiffness': 1.0}}},
-     'cloths.c.effects.bend: not on a mesh yet')])
+    ({}, {'effects': {'shear': {'stiffness': 1.0}}},
+     'cloths.c.effects.shear: a mesh has no diagonals')])
 def test_a_mistake_is_told_with_file_and_key(scene, tmp_path, mesh, cloth, reason):
     assert refusal(lambda: compile_scene(scene(mesh, cloth=cloth))).startswith(
         f'{tmp_path}/scene.yaml: {reason}')

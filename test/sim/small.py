@@ -22,13 +22,17 @@ EXAMPLES = {
     'friction': {},
 }
 """parameters for each effect there is, of a cloth of about 1 m"""
+SETTINGS = [*((method, integrator) for method in ('gauss_seidel', 'gauss_seidel_symmetric', 'line',
+                                                  'jacobi')
+              for integrator in ('backward_euler', 'bdf2')), ('explicit', 'leapfrog')]
+"""each method with each integrator that goes with it"""
 
 
 def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
              scene_effects: dict | None = None, pins: dict | None = None,
              colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
-             substeps: int = 1, iterations: int = 1, scale: float = 1.0,
+             substeps: int | None = 1, iterations: int = 1, scale: float = 1.0,
              method: str = 'gauss_seidel', integrator: str = 'backward_euler',
              precision: str = 'float64') -> Simulation:
     """
@@ -39,9 +43,9 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
     """
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
-        'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
-                   'iterations': iterations, 'precision': precision,
-                   'compliance_scale': scale},
+        'solver': {'method': method, 'integrator': integrator, 'iterations': iterations,
+                   'precision': precision, 'compliance_scale': scale,
+                   **({} if substeps is None else {'substeps': substeps})},
         'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
                          'density': density, 'friction': friction, 'pose': pose or {},
                          'effects': effects or {}}},

@@ -7,7 +7,7 @@ from sim.small import run, with_every_effect
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.layout import blocks, LINE, STRIDE, zeros
-from xpbd_ros.sim.state import forget, new_state, places
+from xpbd_ros.sim.state import forget, new_state, places, solved_by
 from xpbd_ros.sim.vector import BITS, lane_count
 
 DTYPES = pytest.mark.parametrize('dtype', ['float64', 'float32'])
@@ -41,8 +41,8 @@ def test_parts_of_rows_begin_on_whole_vectors(shapes, dtype):
         for column in range(min(STRIDE, block.columns)):
             assert (block.slots[:, column] % lanes == 0).all()
         assert block.row_stride % lanes == 0
-        assert block.padded_rows % lanes == 0
-        assert block.padded_rows >= block.rows
+        assert block.row_stride * np.dtype(dtype).itemsize // LINE % 2 == 1    # spreads over sets
+        assert block.rows_stored >= max(lanes, block.rows)
     assert slots % lanes == 0    # so y and z of a state begin on whole vectors too
 
 
@@ -82,7 +82,7 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
     (block,), slots = blocks([(3, 5)], 'float64')
     slot = block.slots.ravel()
     x = np.random.default_rng(1).normal(size=(15, 3))
-    state = new_state(x, np.arange(1.0, 16.0), (0, 0, -1), slot, slots, pins=True, history=True)
+    state = new_state(x, np.arange(1.0, 16.0), (0, 0, -1), slot, slots, pins=True)
     np.testing.assert_array_equal(places(state.x, slot), x)
     np.testing.assert_array_equal(places(state.x_prev, slot), x)
     np.testing.assert_array_equal(state.mass[slot], np.arange(1.0, 16.0))
@@ -90,6 +90,8 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
     padding = np.setdiff1d(np.arange(slots), slot)
     for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
         assert (array[..., padding] == 0.0).all()
+    assert state.history is state.apart is None
+    state = solved_by(state, history=True, apart=None, constraints=[])
     assert (state.history.fresh == 1.0).all()
     state.history.fresh[:] = 0.0
     forget(state, slot[3])

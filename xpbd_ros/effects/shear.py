@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim import distance
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
@@ -32,7 +33,7 @@ class Parameters:
 class Shear(NamedTuple):
     """Data of the kernels."""
 
-    edges: distance.Distance
+    edges: distance.GridEdges
 
 
 @stage(prepare, Shear)
@@ -68,8 +69,12 @@ class BuiltShear(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        runs, rest, compliance = [], [], []
+        runs, rest, alpha = [], [], []
         for number, (cloth, chosen) in enumerate(parameters.items()):
+            if cloth.mesh.grid is None:
+                raise InputError(f'cloths.{cloth.name}.effects.shear: a mesh has no diagonals; '
+                                 'its edges resist shear as they stretch, and membrane takes '
+                                 'moduli')
             block, (dx, dy) = cloth.block, cloth.mesh.spacing
             rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
             runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
@@ -77,14 +82,11 @@ class BuiltShear(Built):
                                   world.slots, families=2 * number,
                                   shapes_before=2 * number))
             square = dx * dx + dy * dy
-            alpha = world.compliance_scale * 2.0 * dx * dy / (chosen.stiffness * square)
-            rest.append(np.full((2, world.slots), np.sqrt(square)))
-            compliance.append(np.full((2, world.slots), alpha))
-        batch = distance.distance_batch(
-            join(runs), np.concatenate(rest), np.concatenate(compliance), pins=world.pins,
-            dtype=world.state.x.dtype)
-        self.data = Shear(batch)
-        self.constraints = distance.Edges(batch)
+            rest += [np.sqrt(square)] * 2
+            alpha += [world.compliance_scale * 2.0 * dx * dy / (chosen.stiffness * square)] * 2
+        self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest,
+                                              np.array(alpha)[:, None], world=world))
+        self.constraints = distance.Edges.of(self.data.edges)
 
     def hold(self, inv_mass):
         distance.hold(self.data.edges.held, self.constraints, inv_mass)

@@ -3,14 +3,16 @@ Stretch: elastic edges along warp and weft.
 
 C = |x1 - x2| - L (``sim.distance``); the method ``line`` solves whole lines (``sim.lines``).
 
-On cells of dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along weft
-k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for whatever
-its resolution (Van Gelder 1998 for lattices; NUMERICS 2.7). With ``shear`` the lattice has
-C11 = warp + shear on square cells. Instead of moduli, ``compliance`` [m/N] sets every edge alike;
-0 is rigid.
+On a grid of cells dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along
+weft k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for
+whatever its resolution (Van Gelder 1998 for lattices; NUMERICS 2.7). With ``shear`` the lattice
+has C11 = warp + shear on square cells. On any other mesh each triangle of area A adds to its edge
+of length l, at an angle θ from warp, k = (warp cos²θ + weft sin²θ) A / l² (Van Gelder 1998, whose
+isotropic lattice it is where warp = weft). Instead of moduli, ``compliance`` [m/N] sets every edge
+alike; 0 is rigid.
 
-Limits: a lattice, so Poisson's ratio is not free. Fewer substeps than the wave needs to cross an
-edge make it softer than asked.
+Limits: a lattice, so Poisson's ratio is not free: 0 on a grid, about 1/3 on other meshes. Fewer
+substeps than the wave needs to cross an edge make it softer than asked.
 """
 
 from dataclasses import dataclass
@@ -22,6 +24,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim import distance, lines
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.mesh import edge_areas
 from xpbd_ros.sim.runs import grid_runs, join, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, solve_lines, stage
 
@@ -46,13 +49,20 @@ class Parameters:
 
 
 class Stretch(NamedTuple):
-    """Data of the kernels."""
+    """Data of the kernels: grids."""
 
-    edges: distance.Distance
+    edges: distance.GridEdges
     lines: lines.Lines
 
 
+class MeshStretch(NamedTuple):
+    """Data of the kernels: other meshes."""
+
+    edges: distance.MeshEdges
+
+
 @stage(prepare, Stretch)
+@stage(prepare, MeshStretch)
 @jit
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers."""
@@ -66,6 +76,13 @@ def project_stretch(stretch, state, substep):
     distance.project_edges(stretch.edges, state, False)
 
 
+@stage(project, MeshStretch)
+@jit
+def project_mesh_stretch(stretch, state, substep):
+    """One pass over all edges."""
+    distance.project_packs(stretch.edges, state, False)
+
+
 @stage(project_back, Stretch)
 @jit
 def project_stretch_back(stretch, state, substep):
@@ -73,53 +90,108 @@ def project_stretch_back(stretch, state, substep):
     distance.project_edges(stretch.edges, state, True)
 
 
+@stage(project_back, MeshStretch)
+@jit
+def project_mesh_stretch_back(stretch, state, substep):
+    """Do the same pass in reverse."""
+    distance.project_packs(stretch.edges, state, True)
+
+
 @stage(solve_lines, Stretch)
 @jit
 def solve_stretch(stretch, state, substep):
     """Solve every warp line, then every weft line."""
-    lines.solve_edges(stretch.edges, stretch.lines, state)
+    lines.solve_edges(stretch.lines, stretch.edges.force, state)
 
 
 @stage(react, Stretch)
+@stage(react, MeshStretch)
 @jit
 def react_stretch(stretch, state, substep):
     """Forces on pinned particles."""
     distance.react_edges(stretch.edges, state, substep)
 
 
+def _on_grids(cloths, world) -> Stretch:
+    """Return warp and weft edges; those along the rim have half a cell beside them."""
+    runs, family, rest, alpha, line_alpha = [], [], [], [], []
+    for number, (cloth, chosen) in enumerate(cloths):
+        block, (dx, dy) = cloth.block, cloth.mesh.spacing
+        rows, columns = block.rows, block.columns
+
+        def compliance(modulus, along, across, chosen=chosen):
+            return world.compliance_scale * (
+                chosen.compliance if chosen.compliance is not None else along / (modulus * across))
+
+        warp, warp_rim = (compliance(chosen.warp, dx, share * dy) for share in (1.0, 0.5))
+        weft, weft_rim = (compliance(chosen.weft, dy, share * dx) for share in (1.0, 0.5))
+        by_row, by_column = np.full(rows, warp), np.full(columns, weft)
+        if rows > 1:
+            by_row[[0, -1]] = warp_rim
+        if columns > 1:
+            by_column[[0, -1]] = weft_rim
+        inside = range(1, rows - 1) if rows > 1 else range(1)
+        shapes = [Shape(((0, 0), (0, 1)), inside, range(columns - 1), 0),
+                  Shape(((0, 0), (0, 1)), range(0, rows, max(rows - 1, 1)) if rows > 1 else
+                        range(0), range(columns - 1), 0),
+                  Shape(((0, 0), (1, 0)), range(rows - 1), range(columns), 1)]
+        runs.append(grid_runs(block, shapes, world.slots, families=2 * number,
+                              shapes_before=len(shapes) * number))
+        family += [2 * number, 2 * number, 2 * number + 1]
+        rest += [dx, dx, dy]
+        table = np.zeros((3, block.row_stride))
+        table[0], table[1] = warp, warp_rim
+        table[2, block.slots[0] - block.first] = by_column
+        alpha.append(table)
+        line_alpha.append((by_row, by_column))
+    runs = join(runs)
+    table = np.zeros(runs.present.shape)
+    table[:] = np.concatenate([np.pad(a, ((0, 0), (0, table.shape[1] - a.shape[1])))
+                               for a in alpha])
+    cloths = [cloth for cloth, _ in cloths]
+    return Stretch(distance.grid_edges(runs, family, rest, table, world=world), lines.grid_lines(
+        [c.block for c in cloths], [c.mesh.spacing for c in cloths], line_alpha,
+        slots=world.slots, dtype=world.state.x.dtype))
+
+
+def _on_meshes(cloths, world) -> MeshStretch:
+    """Return all edges of meshes."""
+    particles, rest, alpha = [], [], []
+    for cloth, chosen in cloths:
+        mesh, ends = cloth.mesh, cloth.mesh.edges
+        d = mesh.positions[ends[:, 1]] - mesh.positions[ends[:, 0]]
+        square = (d**2).sum(1)
+        particles.append(cloth.slots[ends])
+        rest.append(np.sqrt(square))
+        if chosen.compliance is not None:
+            alpha.append(np.full(len(ends), world.compliance_scale * chosen.compliance))
+        else:
+            along = (d @ mesh.warp)**2 / square
+            area = edge_areas(mesh.triangles, ends, mesh.positions)
+            alpha.append(world.compliance_scale * square / (
+                area * (chosen.warp * along + chosen.weft * (1.0 - along))))
+    return MeshStretch(distance.mesh_edges(*map(np.concatenate, (particles, rest, alpha)),
+                                           world=world))
+
+
 class BuiltStretch(Built):
-    """The edges of every cloth that stretches, warp then weft."""
+    """The edges of every cloth that stretches: of grids, and of other meshes."""
 
     def __init__(self, parameters, world):
         super().__init__()
-        runs, rest, compliance = [], [], []
-        for number, (cloth, chosen) in enumerate(parameters.items()):
-            block, (dx, dy) = cloth.block, cloth.mesh.spacing
-            rows, columns = range(block.rows), range(block.columns)
-            runs.append(grid_runs(block, [Shape(((0, 0), (0, 1)), rows, columns[:-1], 0),
-                                          Shape(((0, 0), (1, 0)), rows[:-1], columns, 1)],
-                                  world.slots, families=2 * number,
-                                  shapes_before=2 * number))
-            for modulus, along, across, axis in ((chosen.warp, dx, dy, 0),
-                                                 (chosen.weft, dy, dx, 1)):
-                width = np.full((block.rows, block.columns), across)
-                rim = width if axis == 0 else width.T
-                if len(rim) > 1:
-                    rim[[0, -1]] *= 0.5
-                alpha = (np.full(width.shape, chosen.compliance)
-                         if chosen.compliance is not None else along / (modulus * width))
-                rest.append(np.zeros(world.slots))
-                compliance.append(np.zeros(world.slots))
-                rest[-1][block.slots] = along
-                compliance[-1][block.slots] = alpha * world.compliance_scale
-        batch = distance.distance_batch(join(runs), np.array(rest), np.array(compliance),
-                                        pins=world.pins, dtype=world.state.x.dtype)
-        self.data = Stretch(batch, lines.grid_lines([c.block for c in parameters], world.slots,
-                                                    world.state.x.dtype))
-        self.constraints = distance.Edges(batch)
+        parts = []
+        for make, of_kind in ((_on_grids, True), (_on_meshes, False)):
+            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
+                      if (cloth.mesh.grid is not None) == of_kind]
+            if cloths:
+                parts.append(make(cloths, world))
+        self.data, *self.also = parts
+        self._lists = [distance.Edges.of(part.edges) for part in parts]
+        self.constraints = distance.Edges.joined(self._lists)
 
     def hold(self, inv_mass):
-        distance.hold(self.data.edges.held, self.constraints, inv_mass)
+        for part, edges in zip(self.parts, self._lists):
+            distance.hold(part.edges.held, edges, inv_mass)
 
 
 EFFECT = Effect('stretch', Parameters, BuiltStretch)

@@ -1,19 +1,27 @@
 """``solver.method: auto``: a pure function of the scene; it reads no clock."""
 
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 
+import numpy as np
+
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.model import SolverKeys
 from xpbd_ros.sim.simulation import Solver
 
 INTEGRATOR = {'auto': 'bdf2', 'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2',
-              'gauss_seidel': 'backward_euler'}
+              'gauss_seidel': 'backward_euler', 'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
 """what goes with each method: BDF2 wants a sweep that is symmetric"""
-NS = {'gauss_seidel': {'slot': 2.0, 'edge': 3.0, 'hinge': 8.0},
-      'gauss_seidel_symmetric': {'slot': 3.0, 'edge': 6.0, 'hinge': 16.0},
-      'line': {'slot': 3.0, 'edge': 7.0, 'hinge': 16.0}}
+NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
+      'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 7.0},
+      'line': {'slot': 3.5, 'edge': 4.0, 'hinge': 7.0},
+      'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0},
+      'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0}}
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
-RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'line': 0.25}
-"""substeps that a method wants, for each that an explicit one would need"""
+MESH = 2.5
+"""what a constraint of a mesh costs, in those of a grid"""
+RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'line': 0.25, 'jacobi': 1.0,
+           'explicit': 1.15}
+"""substeps that a method wants, for each that an explicit one needs to be stable"""
 LEAST = 4
 
 
@@ -24,31 +32,36 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
     the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
     them for a millimetre on a metre (NUMERICS 5.8); Gauss-Seidel needs all, to be as stiff as
-    asked.
+    asked. ``explicit`` itself takes the bound of ``stability_limit``, and some more.
     ``budget_ms`` bounds the substeps by the cost table above.
     """
     method = 'line' if keys.method == 'auto' else keys.method
     integrator = keys.integrator or INTEGRATOR[method]
-    table = NS[method]
-    cost = table['slot'] * len(state.mass)
-    rate = 0.0
-    for built in effects.values():
-        if built.constraints is None:
-            continue
-        particles = built.constraints.particles
-        if particles.shape[1] == 2:
-            cost += keys.iterations * table['edge'] * len(particles)
-            rate += largest_rate(built.constraints, state.mass)
-        else:
-            cost += keys.iterations * table['hinge'] * len(particles)
+    if (integrator == 'leapfrog') != (method == 'explicit'):
+        fitting = 'leapfrog' if method == 'explicit' else 'backward_euler or bdf2'
+        raise InputError(f"solver.integrator: method '{method}' goes with {fitting} "
+                         f"(got '{integrator}')")
     chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
               'precision': keys.precision, 'threads': keys.threads}
+    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
+    rate = sum(largest_rate(built.constraints, state.mass) for built in effects.values()
+               if built.constraints is not None and built.constraints.particles.shape[1] == 2)
+    needed = frame_dt * sqrt(rate) if rate < 1e20 else inf
+    if method == 'explicit':
+        needed = frame_dt * stability_limit(effects, state)
+        chosen['rough_substeps'] = _bounded(RESOLVE['line'] * needed, max(1, int(
+            keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state))))
     if keys.substeps is not None:
         return Solver(substeps=keys.substeps, reason=f'{method}, {integrator}, '
                       f'{keys.substeps} substeps as given', **chosen)
-    affordable = max(1, int(keys.budget_ms * 1e6 / cost))
-    wanted = RESOLVE[method] * frame_dt * sqrt(rate) if rate < 1e20 else float('inf')
-    substeps = int(max(min(ceil(min(wanted, 1e9)), affordable), min(LEAST, affordable)))
+    wanted = RESOLVE[method] * needed
+    if method == 'explicit':
+        if wanted > affordable:
+            raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
+                             f'and {keys.budget_ms:g} ms pay for {affordable}; take line, raise '
+                             'budget_ms or give substeps')
+        affordable = max(affordable, ceil(wanted))
+    substeps = _bounded(wanted, affordable)
     reason = f'auto: {method}, {integrator}, {substeps} substeps'
     if wanted <= affordable:
         reason += ' resolve the stretch'
@@ -56,8 +69,50 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
         reason += f' fill the budget of {keys.budget_ms:g} ms; rigid edges take what they get'
-    return Solver(substeps=substeps, reason=f'{reason}, about {substeps * cost * 1e-6:.2g} ms '
-                  'per frame', **chosen)
+    took = substeps * cost(method, keys.iterations, effects, state) * 1e-6
+    return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
+
+
+def _bounded(wanted: float, affordable: int) -> int:
+    return int(max(min(ceil(min(wanted, 1e9)), affordable), min(LEAST, affordable)))
+
+
+def cost(method: str, iterations: int, effects, state) -> float:
+    """Return the time of one substep by the table [ns]."""
+    table = NS[method]
+    found = table['slot'] * len(state.mass)
+    for built in effects.values():
+        if built.constraints is not None:
+            kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
+            on_meshes = sum(hasattr(part, 'particles') * part.particles.shape[1]
+                            for part in map(_batch, built.parts) if hasattr(part, 'particles'))
+            found += iterations * table[kind] * (len(built.constraints.particles)
+                                                 + (MESH - 1.0) * on_meshes)
+    return found
+
+
+def _batch(part):
+    return getattr(part, 'edges', part)
+
+
+def stability_limit(effects, state) -> float:
+    """
+    Return a bound of the highest frequency over 2 [1/s]: leapfrog is stable above it.
+
+    x K x = Σ k (n·(x_i - x_j))² ≤ Σ x_i (2 Σ k n nᵀ) x_i, so ω² is at most the largest eigenvalue
+    of 2 Σ k n nᵀ / m_i over the particles, as they lie.
+    """
+    total = np.zeros((state.x.shape[1], 3, 3))
+    for name, built in effects.items():
+        if built.constraints is None:
+            continue
+        if (built.constraints.compliance == 0.0).any():
+            raise InputError(f'solver.method: explicit cannot do rigid constraints, and {name} '
+                             'has some; give them a compliance or stiffness, or take line')
+        total += built.constraints.stiffness_bound(state.x)
+    there = state.mass > 0.0
+    rate = np.linalg.eigvalsh(total[there])[:, -1] / state.mass[there]
+    return 0.5 * sqrt(rate.max(initial=0.0))
 
 
 def largest_rate(edges, mass) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import INTEGRATOR, resolve
+from xpbd_ros.scene.auto import resolve
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
@@ -18,7 +18,13 @@ from xpbd_ros.sim.mend import solid_mesh, surface_mesh
 from xpbd_ros.sim.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.rotation import rotate
 from xpbd_ros.sim.simulation import Change, Simulation
-from xpbd_ros.sim.state import new_state, State
+from xpbd_ros.sim.state import new_state, solved_by, State
+from xpbd_ros.sim.update import Explicit, Jacobi
+
+ONE_PASS = ('gauss_seidel', 'jacobi')
+"""methods that project each constraint once per iteration"""
+APART = {'jacobi': Jacobi, 'explicit': Explicit}
+"""methods that move all particles at once"""
 
 
 def compile_scene(scene: Scene) -> Simulation:
@@ -47,21 +53,21 @@ def compile_scene(scene: Scene) -> Simulation:
                              'size, density and resolution do not fit together')
     slot = np.concatenate([cloth.slots for cloth in cloths])
     state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
-                      pins='pin' in scene.effects, history=integrator(scene) == 'bdf2',
-                      dtype=dtype)
+                      pins='pin' in scene.effects, dtype=dtype)
     try:
         effects = _build(scene, tuple(cloths), state)
+        solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
+        state = solved_by(state, history=solver.integrator == 'bdf2',
+                          apart=APART.get(solver.method),
+                          constraints=[built.constraints.particles for built in effects.values()
+                                       if built.constraints is not None])
         return Simulation(
-            cloths, state, effects, slot=slot, frame_rate=frame_rate(scene),
-            solver=resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene))),
+            cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),
             notes=[f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
                    for text in cloth.mesh.notes])
     except InputError as error:
         raise InputError(f'{scene.where}: {error}') from None
-
-
-GRIDS_ONLY = ('bend', 'shear', 'stretch')
 
 
 def _mesh(name: str, keys: ClothKeys) -> Mesh:
@@ -84,11 +90,6 @@ def _mesh(name: str, keys: ClothKeys) -> Mesh:
         raise InputError(f'cloths.{name}.mesh: {keys.mesh.file}: {error}') from None
 
 
-def integrator(scene: Scene) -> str:
-    """Return the integrator that the scene says, or that its method goes with."""
-    return scene.top.solver.integrator or INTEGRATOR[scene.top.solver.method]
-
-
 def frame_rate(scene: Scene) -> Fraction:
     """Return the frames per second as the decimal number that the scene says."""
     return Fraction(repr(scene.top.frame_rate))
@@ -97,18 +98,18 @@ def frame_rate(scene: Scene) -> Fraction:
 def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
            before: dict[str, Built] | None = None) -> dict[str, Built]:
     built: dict[str, Built] = {}
+    solver = scene.top.solver
     world = World(cloths, state, scene.sections, built, 'pin' in scene.effects,
-                  scene.top.solver.compliance_scale, before or {},
-                  lambda file: read_mesh_file(Path(file))[:2], read_table)
+                  solver.compliance_scale, before or {},
+                  lambda file: read_mesh_file(Path(file))[:2], read_table,
+                  forces='pin' in scene.effects or solver.iterations > 1
+                  or solver.method not in ONE_PASS)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]
         else:
             parameters = {cloth: scene.cloth_effects[cloth.name][name] for cloth in cloths
                           if name in scene.cloth_effects[cloth.name]}
-            for cloth in parameters:
-                if cloth.mesh.grid is None and name in GRIDS_ONLY:
-                    raise InputError(f'cloths.{cloth.name}.effects.{name}: not on a mesh yet')
         built[name] = load_effect(name).build(parameters, world)
     return built
 

@@ -18,10 +18,20 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
+from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.records import (
+    from_records,
+    load_records,
+    put_records,
+    to_records,
+)
 from xpbd_ros.sim.runs import listed, Runs
-from xpbd_ros.sim.vector import both, first, fma, lanes, load, root, select, store
+from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, target
+from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+HOLE = -1.0
+"""compliance where there is no edge"""
 
 
 class Held(NamedTuple):
@@ -33,36 +43,89 @@ class Held(NamedTuple):
     """slots, shape (room, 2)"""
     index: np.ndarray
     """where each keeps its force, shape (room,)"""
+    rest_length: np.ndarray
+    """[m], shape (room,)"""
+    compliance: np.ndarray
+    """[m/N], shape (room,)"""
 
 
-class Distance(NamedTuple):
-    """Elastic edges in runs; each family keeps its numbers by anchor."""
+class GridEdges(NamedTuple):
+    """Elastic edges in runs."""
 
     runs: Runs
     rest_length: np.ndarray
-    """[m], shape (families * slots,)"""
+    """[m], by shape; shape (shapes,)"""
     compliance: np.ndarray
-    """[m/N], shape (families * slots,)"""
-    force: np.ndarray
-    """f, multiplier over H² [N], negative in tension; shape (families * slots,)"""
+    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
     axis: np.ndarray
     """where two particles coincide, by shape; shape (shapes, 3)"""
+    force: np.ndarray | None
+    """f, multiplier over H² [N], negative in tension, shape (families * slots,); None where nobody
+    asks"""
+    held: Held | None
+    """None in a scene without pins"""
+
+
+class MeshEdges(NamedTuple):
+    """Elastic edges of meshes, in packs."""
+
+    records: np.ndarray
+    """particles as records, shape (slots, 4)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots of both ends, shape (2, edges)"""
+    rest_length: np.ndarray
+    """[m], shape (edges,)"""
+    compliance: np.ndarray
+    """[m/N], shape (edges,)"""
+    force: np.ndarray | None
+    """f [N], shape (edges,); None where nobody asks"""
     held: Held | None
     """None in a scene without pins"""
 
 
 class Edges:
-    """The same edges one by one, in sweep order, as people and NumPy want them."""
+    """Edges one by one, in sweep order, as people and NumPy want them."""
 
-    def __init__(self, batch: Distance):
-        self.particles, self.index, _ = listed(batch.runs)
-        self.rest_length = batch.rest_length[self.index].astype(float)
-        self.compliance = batch.compliance[self.index].astype(float)
+    def __init__(self, particles, index, rest_length, compliance):
+        self.particles = particles
+        self.index = index
+        self.rest_length = rest_length.astype(float)
+        self.compliance = compliance.astype(float)
+
+    @staticmethod
+    def of(batch: 'GridEdges | MeshEdges') -> 'Edges':
+        """Return the edges of a batch."""
+        if isinstance(batch, MeshEdges):
+            index = np.flatnonzero(batch.particles[0] != batch.particles[1])
+            return Edges(batch.particles[:, index].T.astype(np.int64), index,
+                         batch.rest_length[index], batch.compliance[index])
+        particles, index, shape, place = listed(batch.runs)
+        return Edges(particles, index, batch.rest_length[shape], batch.compliance[shape, place])
+
+    @staticmethod
+    def joined(lists: list['Edges']) -> 'Edges':
+        """Return the edges of several batches; ``index`` counts within each."""
+        return Edges(*(np.concatenate([getattr(edges, name) for edges in lists]) for name in (
+            'particles', 'index', 'rest_length', 'compliance')))
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return C [m], shape (edges,), straight from the definition; x has shape (3, slots)."""
         i, j = self.particles.T
         return length((x[:, i] - x[:, j]).T.astype(float)) - self.rest_length
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """Return 2 Σ n nᵀ / α at each particle [N/m], shape (slots, 3, 3): no less than K is."""
+        i, j = self.particles.T
+        d = (x[:, i] - x[:, j]).T.astype(float)
+        n = d / length(d)[:, None]
+        found = np.zeros((x.shape[1], 3, 3))
+        with np.errstate(divide='ignore'):
+            blocks = 2.0 / self.compliance[:, None, None] * n[:, :, None] * n[:, None, :]
+        np.add.at(found, i, blocks)
+        np.add.at(found, j, blocks)
+        return found
 
     def energy(self, x: np.ndarray) -> float:
         """Return Σ C² / (2 α) [J]; a rigid edge stores none."""
@@ -75,86 +138,162 @@ def softest(dtype) -> float:
     return float(np.sqrt(np.finfo(dtype).max))
 
 
-def distance_batch(runs: Runs, rest_length: np.ndarray, compliance: np.ndarray, *, pins: bool,
-                   dtype) -> Distance:
+def grid_edges(runs: Runs, family, rest_length, compliance: np.ndarray, *, world) -> GridEdges:
     """
-    Return edges ready for the kernels.
+    Return the edges of grids, ready for the kernels.
 
     Parameters
     ----------
     runs : where they are
-    rest_length : by anchor [m], shape (families, slots)
-    compliance : by anchor [m/N], shape (families, slots)
-    pins : whether forces on pinned particles will be asked for
-    dtype : of all numbers
+    family : of each shape, shape (shapes,)
+    rest_length : by shape [m], shape (shapes,)
+    compliance : by shape and place in a row [m/N], shape (shapes, places)
+    world : tells the dtype, the slots, and what will be asked for
 
     """
-    families = len(rest_length)
-    held = None
-    if pins:
-        count = len(listed(runs)[1])
-        held = Held(np.zeros(1, np.int64), np.zeros((count, 2), np.int64),
-                    np.zeros(count, np.int64))
-    numbers = [zeros(np.size(rest_length), dtype) for _ in range(3)]
-    numbers[0][:] = np.ravel(rest_length)
-    numbers[1][:] = np.minimum(np.ravel(compliance), softest(dtype))
-    return Distance(runs, *numbers,
-                    np.array([AXES[k % 3] for k in range(families)], dtype).reshape(-1, 3), held)
+    dtype, family = world.state.x.dtype, np.asarray(family)
+    table = zeros((len(family), runs.present.shape[1] + lane_count(dtype)), dtype)
+    table[:] = HOLE
+    table[:, :runs.present.shape[1]] = np.where(
+        runs.present, np.minimum(compliance, softest(dtype)), HOLE)
+    force = zeros((family.max(initial=0) + 1) * world.slots, dtype) if world.forces else None
+    return GridEdges(runs, np.array(rest_length, dtype), table,
+                     np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
+                     room(len(listed(runs)[1])) if world.pins else None)
+
+
+def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.ndarray, *,
+               world) -> MeshEdges:
+    """
+    Return the edges of meshes, ready for the kernels.
+
+    Parameters
+    ----------
+    particles : slots, shape (edges, 2)
+    rest_length : [m], shape (edges,)
+    compliance : [m/N], shape (edges,)
+    world : tells the dtype, the slots, and what will be asked for
+
+    """
+    dtype = world.state.x.dtype
+    order = pack(particles)
+    count = len(order)
+    return MeshEdges(
+        world.records, np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
+        padded(particles, order, world.slots - 1, np.int32).T.copy(),
+        padded(rest_length, order, 0.0, dtype),
+        padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+        zeros(count, dtype) if world.forces else None, room(count) if world.pins else None)
+
+
+def room(count: int) -> Held:
+    """Return a list for as many edges as there are."""
+    return Held(np.zeros(1, np.int64), np.zeros((count, 2), np.int64), np.zeros(count, np.int64),
+                np.zeros(count), np.zeros(count))
 
 
 def hold(held: Held, edges: Edges, inv_mass: np.ndarray) -> None:
     """List the edges that touch a pinned particle."""
-    found = (inv_mass[edges.particles] == 0.0).any(1)
-    held.count[0] = found.sum()
-    held.particles[:held.count[0]] = edges.particles[found]
-    held.index[:held.count[0]] = edges.index[found]
+    found = np.flatnonzero((inv_mass[edges.particles] == 0.0).any(1))
+    held.count[0] = len(found)
+    for column, numbers in zip(held[1:], (edges.particles, edges.index, edges.rest_length,
+                                          edges.compliance)):
+        column[:len(found)] = numbers[found]
 
 
 @jit
 def release_forces(edges):
     """Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4)."""
-    edges.force[:] = 0.0
+    _zero(edges.force)
+
+
+@jit
+def _zero(force):    # Numba prunes a branch on None where that is an argument
+    if force is not None:
+        force[:] = 0.0
+
+
+@jit(inline=True)
+def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz):
+    """
+    Return the step along d of an edge, d itself and Δf, for particles dx, dy, dz apart.
+
+    n Δf = step d, so that one division does for both; ``there`` says which lanes hold an edge.
+    """
+    l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
+    apart_ = l > 0.0
+    l_or_1 = select(apart_, l, 1.0)
+    step = select(both(total > 0.0, there), -misfit(l - rest, alpha, f)
+                  / (l_or_1 * divisor(apart, total, alpha)), 0.0)
+    return (step, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
+            step * l_or_1)
 
 
 @jit
 def project_edges(edges, state, reverse):
     """One Gauss-Seidel pass over all edges, run after run."""
-    x, y, z = state.x[0], state.x[1], state.x[2]
-    _project(x, y, z, state.mobility, edges.runs, edges.rest_length, edges.compliance,
-             edges.force, edges.axis, reverse)
+    _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
+             target(state.apart, 0), target(state.apart, 1), target(state.apart, 2),
+             edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis, reverse)
 
 
 @jit
-def _project(x, y, z, mobility, runs, rest_length, compliance, force, axis, reverse):
-    runs_count = len(runs.start)
+def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
+             reverse):
+    runs_count, places = len(runs.start), compliance.shape[1]
     for a in range(runs_count):
         r = runs_count - 1 - a if reverse else a
+        shape = runs.shape[r]
         to_i, to_j, base = runs.offset[r, 0], runs.offset[r, 1], runs.base[r]
-        ux, uy, uz = axis[runs.shape[r], 0], axis[runs.shape[r], 1], axis[runs.shape[r], 2]
+        ux, uy, uz = axis[shape, 0], axis[shape, 1], axis[shape, 2]
+        rest, numbers = rest_length[shape], shape * places + runs.place[r]
         for b in range(runs.rows[r]):
             row = runs.rows[r] - 1 - b if reverse else b
             anchor = runs.start[r] + row * runs.stride[r]
-            for q in range(0, runs.count[r], lanes(x)):
+            last = (runs.count[r] - 1) // lanes(x) * lanes(x)
+            for p in range(0, runs.count[r], lanes(x)):
+                q = last - p if reverse else p
                 i, j, c = anchor + to_i + q, anchor + to_j + q, base + anchor + q
                 xi, yi, zi, mi = load(x, i), load(y, i), load(z, i), load(mobility, i)
                 xj, yj, zj, mj = load(x, j), load(y, j), load(z, j), load(mobility, j)
-                alpha, f = load(compliance, c), load(force, c)
-                dx, dy, dz, total = xi - xj, yi - yj, zi - zj, mi + mj
-                l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
-                apart = l > 0.0
-                l_or_1 = select(apart, l, 1.0)
-                moves = both(total > 0.0, first(x, runs.count[r] - q))
-                g = select(moves, -(fma(alpha, f, l - load(rest_length, c)))
-                           / (l_or_1 * (total + alpha)), 0.0)
-                dx, dy, dz = select(apart, dx, ux), select(apart, dy, uy), select(apart, dz, uz)
-                store(force, c, fma(g, l_or_1, f))
+                alpha, f = load(compliance, numbers + q), recall(apart, force, c)
+                there = both(alpha >= 0.0, first(x, runs.count[r] - q))
+                g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
+                                         f, there, ux, uy, uz)
+                keep(force, c, f, df)
                 gi, gj = g * mi, -g * mj
-                store(x, i, fma(gi, dx, xi))
-                store(y, i, fma(gi, dy, yi))
-                store(z, i, fma(gi, dz, zi))
-                store(x, j, fma(gj, dx, xj))
-                store(y, j, fma(gj, dy, yj))
-                store(z, j, fma(gj, dz, zj))
+                put(x, tx, i, xi, gi, dx)
+                put(y, ty, i, yi, gi, dy)
+                put(z, tz, i, zi, gi, dz)
+                put(x, tx, j, xj, gj, dx)
+                put(y, ty, j, yj, gj, dy)
+                put(z, tz, j, zj, gj, dz)
+
+
+@jit
+def project_packs(edges, state, reverse):
+    """One Gauss-Seidel pass over all edges, pack after pack."""
+    first_, last = edges.slots[0], edges.slots[1]
+    to_records(state, edges.records, first_, last)
+    _project_packs(edges.records, state.apart, edges.particles[0],
+                   edges.particles[1], edges.rest_length, edges.compliance, edges.force, reverse)
+    from_records(state, edges.records, first_, last)
+
+
+@jit
+def _project_packs(records, apart, i, j, rest_length, compliance, force, reverse):
+    count, step = len(i), lanes(rest_length)
+    for p in range(0, count, step):
+        q = count - step - p if reverse else p
+        xi, yi, zi, mi = load_records(records, i, q)
+        xj, yj, zj, mj = load_records(records, j, q)
+        alpha, f = load(compliance, q), recall(apart, force, q)
+        g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
+                                 load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0)
+        keep(force, q, f, df)
+        gi, gj = g * mi, -g * mj
+        put_records(records, apart, i, q, xi, yi, zi, mi, gi, dx, dy, dz)
+        put_records(records, apart, j, q, xj, yj, zj, mj, gj, dx, dy, dz)
 
 
 @jit
@@ -168,8 +307,8 @@ def react_edges(edges, state, substep):
         if l == 0.0:
             continue
         f = edges.force[c]
-        if state.inv_mass[i] + state.inv_mass[j] == 0.0 and edges.compliance[c] > 0.0:
-            f = -(l - edges.rest_length[c]) / edges.compliance[c]
+        if state.inv_mass[i] + state.inv_mass[j] == 0.0 and held.compliance[k] > 0.0:
+            f = -(l - held.rest_length[k]) / held.compliance[k]
         f *= weight / l
         for a, d in enumerate((dx, dy, dz)):
             state.reaction[a, i] += f * d

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, MISSING
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.layout import Block, Span
 from xpbd_ros.sim.mesh import Mesh
+from xpbd_ros.sim.records import new_records
 from xpbd_ros.sim.state import State
 
 
@@ -97,6 +99,13 @@ class World:
     """vertices and triangles of a file"""
     read_table: Callable[[str], np.ndarray] | None = None
     """rows of numbers in a file"""
+    forces: bool = True
+    """whether multipliers are kept: somebody asks for forces, or a pass follows another"""
+
+    @cached_property
+    def records(self) -> np.ndarray:
+        """Particles as records, for all effects that want them; shape (slots, 4)."""
+        return new_records(self.slots, self.state.x.dtype)
 
     @property
     def slots(self) -> int:
@@ -108,17 +117,24 @@ class Built:
     """
     An effect compiled for one scene.
 
-    ``data`` is the NamedTuple that the kernels get. ``commands`` maps a command's type to a method
-    ``(command, clock, state) -> reason``: None when applied, else why it is refused.
+    ``data`` is the NamedTuple that the kernels get, ``also`` are more of them. ``commands`` maps a
+    command's type to a method ``(command, clock, state) -> reason``: None when applied, else why
+    it is refused.
     """
 
     data: tuple
+    also: tuple[tuple, ...] = ()
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""
 
     def __init__(self):
         self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
+
+    @property
+    def parts(self) -> tuple[tuple, ...]:
+        """All that the kernels get, in their order."""
+        return (self.data, *self.also)
 
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""

@@ -1,13 +1,14 @@
 """
 Where particles lie in memory: rows of a grid, each split by column modulo STRIDE; or any order.
 
-A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …, each part
-padded to whole vectors. Constraints of the same shape, four columns apart, then touch neighbouring
-places in memory and no particle twice: a vector of them is loaded, projected and stored without a
-gather.
-The rows too are padded to whole vectors, for the lines that run along them. Padding has neither
-mass nor mobility, so nothing moves it. The particles of a mesh lie in the order of their ranks,
-padded to whole vectors at the end.
+A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …: four parts of
+the same length, one after another. Constraints of the same shape, four columns apart, then touch
+neighbouring places in memory and no particle twice: a vector of them is loaded, projected and
+stored without a gather. Parts are padded to whole vectors, since a load that overlaps half of a
+recent store has to wait for it; a row takes an odd number of cache lines, so that columns do not
+crowd into a few sets of the cache; and a grid has at least as many rows as a vector has lanes, for
+the lines that run along them. The particles of a mesh lie in the order of their ranks, padded to
+whole vectors at the end. Padding has neither mass nor mobility, so nothing moves it.
 """
 
 from dataclasses import dataclass
@@ -33,19 +34,16 @@ class Block:
     first: int
     """slot of row 0, column 0"""
     part: int
-    """slots of one part of a row, padding included"""
-    padded_rows: int
+    """slots of one part of a row"""
+    row_stride: int
+    """slots from one row to the next"""
+    rows_stored: int
     """rows, padding included"""
-
-    @property
-    def row_stride(self) -> int:
-        """Slots from one row to the next."""
-        return STRIDE * self.part
 
     @property
     def size(self) -> int:
         """Slots of the whole grid."""
-        return self.padded_rows * self.row_stride
+        return self.rows_stored * self.row_stride
 
     def slot(self, row, column):
         """Return the slot of a particle, or of arrays of them."""
@@ -96,10 +94,17 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
             found.append(Span(first, shape, _round_up(len(shape), lanes)))
         else:
             rows, columns = shape
-            part = _round_up(_round_up(columns, STRIDE) // STRIDE, lanes)
-            found.append(Block(rows, columns, first, part, _round_up(rows, lanes)))
+            part = _round_up(-(-columns // STRIDE), lanes)
+            found.append(Block(rows, columns, first, part, _odd(STRIDE * part, dtype),
+                               max(rows, lanes)))
         first += found[-1].size
     return found, first + lanes
+
+
+def _odd(slots: int, dtype) -> int:
+    """Return at least so many slots, an odd number of cache lines."""
+    per_line = LINE // np.dtype(dtype).itemsize
+    return (-(-slots // per_line) | 1) * per_line
 
 
 def _round_up(number: int, unit: int) -> int:

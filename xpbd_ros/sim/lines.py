@@ -20,10 +20,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.distance import Distance
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, STRIDE, zeros
 from xpbd_ros.sim.vector import (
+    after,
+    both,
     fma,
     lane_count,
     lanes,
@@ -51,69 +52,89 @@ class Lines(NamedTuple):
     """shape (grids,)"""
     part: np.ndarray
     """slots of one part of a row, shape (grids,)"""
+    stride: np.ndarray
+    """slots from row to row, shape (grids,)"""
+    force: np.ndarray
+    """where each grid's warp and weft edges keep their multipliers, shape (grids, 2)"""
+    rest_length: np.ndarray
+    """of warp and weft edges [m], shape (grids, 2)"""
     warp: np.ndarray
-    """where each grid's warp edges keep their numbers, shape (grids,)"""
+    """compliance of the warp edges of each row [m/N], shape (grids, rows)"""
     weft: np.ndarray
-    """where each grid's weft edges keep their numbers, shape (grids,)"""
+    """compliance of the weft edges at each place of a row [m/N], shape (grids, places)"""
     axis: np.ndarray
     """where two particles coincide, along warp and weft; shape (2, 3)"""
     tiny: float
     """smallest α, relative to the mobilities at its edge"""
     tile: np.ndarray
-    """scratch: transposed rows: x y z mobility, rest, α, f; shape (7, columns * lanes)"""
+    """scratch: transposed rows: x y z mobility f; shape (5, columns * lanes)"""
     work: np.ndarray
     """scratch of the elimination: u, off-diagonal / pivot, Δf; shape (5, edges * lanes)"""
 
 
-def grid_lines(blocks: list[Block], slots: int, dtype) -> Lines:
-    """Return the lines of some grids, whose edges are families 2 g (warp) and 2 g + 1 (weft)."""
+def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -> Lines:
+    """
+    Return the lines of some grids.
+
+    Parameters
+    ----------
+    blocks : where they lie
+    spacing : of each, along warp and weft [m], shape (grids, 2)
+    compliance : of each, of the warp edges by row and of the weft edges by column [m/N]
+    slots : of all grids; warp edges are family 2 g of grid g, weft edges 2 g + 1
+    dtype : of all numbers
+
+    """
     lanes_ = lane_count(dtype)
-    padded = max(STRIDE * b.part for b in blocks)
-    longest = max(padded, *(b.rows for b in blocks)) if blocks else 1
+    longest = max(max(STRIDE * b.part, b.rows) for b in blocks) + lanes_
+    warp, weft = (np.zeros((len(blocks), longest), dtype) for _ in range(2))
+    for g, (block, (by_row, by_column)) in enumerate(zip(blocks, compliance)):
+        warp[g, :block.rows] = by_row
+        weft[g, block.slots[0] - block.first] = by_column
 
     def of(value):
         return np.array([value(b) for b in blocks], np.int64)
 
-    grids = np.arange(len(blocks))
     return Lines(of(lambda b: b.first), of(lambda b: b.rows), of(lambda b: b.columns),
-                 of(lambda b: b.part), 2 * grids * slots, (2 * grids + 1) * slots,
-                 np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype),
-                 TINY,
-                 zeros((7, padded * lanes_), dtype), zeros((5, longest * lanes_), dtype))
+                 of(lambda b: b.part), of(lambda b: b.row_stride),
+                 np.arange(2 * len(blocks)).reshape(-1, 2) * slots,
+                 np.array(spacing, dtype).reshape(-1, 2), warp, weft,
+                 np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
+                 zeros((5, longest * lanes_), dtype), zeros((5, longest * lanes_), dtype))
 
 
 @jit
-def solve_edges(edges: Distance, lines, state):
-    """Solve every warp line, then every weft line."""
+def solve_edges(lines, force, state):
+    """Solve every warp line, then every weft line; ``force`` holds the multipliers of both."""
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
-    rest, alpha, force, work = edges.rest_length, edges.compliance, edges.force, lines.work
-    tile = lines.tile
+    work, tile = lines.work, lines.tile
     count = lanes(x)
     for g in range(len(lines.first)):
-        first, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
-        part = lines.part[g]
-        stride = STRIDE * part
+        start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
+        part, stride = lines.part[g], lines.stride[g]
         if columns > 1:
-            base = lines.warp[g]
-            for row in range(0, rows, count):
-                top = first + row * stride
+            base = lines.force[g, 0]
+            for begin in range(0, rows, count):
+                row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
+                top = start + row * stride
                 _gather(x, top, part, stride, tile[0])
                 _gather(y, top, part, stride, tile[1])
                 _gather(z, top, part, stride, tile[2])
                 _gather(m, top, part, stride, tile[3])
-                _gather(rest, base + top, part, stride, tile[4])
-                _gather(alpha, base + top, part, stride, tile[5])
-                _gather(force, base + top, part, stride, tile[6])
-                _solve(tile[0], tile[1], tile[2], tile[3], tile[4], tile[5], tile[6],
-                       0, 0, count, columns, work, lines.axis[0], lines.tiny)
+                _gather(force, base + top, part, stride, tile[4])
+                _solve(tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns,
+                       begin - row, lines.rest_length[g, 0], load(lines.warp[g], row), work,
+                       lines.axis[0], lines.tiny)
                 _scatter(tile[0], x, top, part, stride)
                 _scatter(tile[1], y, top, part, stride)
                 _scatter(tile[2], z, top, part, stride)
-                _scatter(tile[6], force, base + top, part, stride)
+                _scatter(tile[4], force, base + top, part, stride)
         if rows > 1:
-            for q in range(first, first + stride, count):
-                _solve(x, y, z, m, rest, alpha, force, q, lines.weft[g] + q, stride, rows, work,
-                       lines.axis[1], lines.tiny)
+            for q in range(0, STRIDE * part, count):
+                at = start + q
+                _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
+                       lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
+                       lines.tiny)
 
 
 @jit
@@ -137,22 +158,22 @@ def _scatter(tile, target, top, part, stride):
 
 
 @jit
-def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axis, tiny):
+def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, work, axis, tiny):
     """
-    Solve one line per lane.
+    Solve one line per lane, but for the first lanes that are ``done``.
 
-    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its numbers at
-    edge + k stride.
+    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its multiplier
+    at edge + k stride.
     """
     n = lanes(x)
     ux, uy, uz, ratio, step = work[0], work[1], work[2], work[3], work[4]
-    zero = splat(x, 0.0)
+    zero, there = splat(x, 0.0), after(x, done)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
     for k in range(nodes - 1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
-        a, f = load(alpha, c), load(force, c)
+        f = load(force, c)
         dx, dy, dz = xb - xa, yb - ya, zb - za
         l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
         apart = l > 0.0
@@ -163,10 +184,10 @@ def _solve(x, y, z, m, rest, alpha, force, start, edge, stride, nodes, work, axi
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
         link = off * pivot
-        bottom = fma(-link, off, total + larger(a, tiny * total))
-        pivot = 1.0 / select(bottom > 0.0, bottom, 1.0)
-        right = select(bottom > 0.0,
-                       (-fma(a, f, l - load(rest, c)) - off * right) * pivot, 0.0)
+        bottom = fma(-link, off, total + larger(alpha, tiny * total))
+        solvable = both(bottom > 0.0, there)
+        pivot = 1.0 / select(solvable, bottom, 1.0)
+        right = select(solvable, (-fma(alpha, f, l - rest) - off * right) * pivot, 0.0)
         store(ux, o, dx)
         store(uy, o, dy)
         store(uz, o, dz)

@@ -149,6 +149,18 @@ def hinges(triangles: np.ndarray) -> np.ndarray:
     return found[np.argsort(order[shared], kind='stable')]
 
 
+def edge_areas(triangles: np.ndarray, edges: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return the area of the triangles at each edge, (start, end) [m²], shape (edges,)."""
+    corners = positions[triangles]
+    area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
+    count = len(positions)
+    keys = np.sort(edges, 1) @ [count, 1]
+    order = np.argsort(keys)
+    place = order[np.searchsorted(keys, sides @ [count, 1], sorter=order)]
+    return np.bincount(place, np.repeat(area, 3), len(edges))
+
+
 def length(vectors: np.ndarray) -> np.ndarray:
     """Return Euclidean lengths along the last axis."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]

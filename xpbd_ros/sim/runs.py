@@ -2,9 +2,9 @@
 Runs: constraints of one shape at neighbouring slots: a vector of them is projected at once.
 
 A run holds, for each of its rows, ``count`` constraints; the k-th of a row touches the slots
-start + row stride + k + offset, one offset per particle of the constraint. Within a row no two
-constraints share a particle, so the order among them does not matter; rows and runs follow one
-another as in any Gauss-Seidel sweep.
+start + row stride + k + offset, one offset per particle of the constraint. Of so many neighbours
+as a vector has lanes no two share a particle, so the order among them does not matter; vectors,
+rows and runs follow one another as in any Gauss-Seidel sweep.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,7 @@ class Runs(NamedTuple):
     start: np.ndarray
     """slot of the first constraint's anchor, shape (runs,)"""
     count: np.ndarray
-    """constraints in a row, shape (runs,)"""
+    """constraints in a row, holes included, shape (runs,)"""
     rows: np.ndarray
     """shape (runs,)"""
     stride: np.ndarray
@@ -31,9 +31,13 @@ class Runs(NamedTuple):
     offset: np.ndarray
     """of each particle from the anchor, shape (runs, particles of a constraint)"""
     base: np.ndarray
-    """where the run's constraints keep their numbers: base + anchor; shape (runs,)"""
+    """where the run's multipliers are: base + anchor; shape (runs,)"""
     shape: np.ndarray
     """number of its shape, shape (runs,)"""
+    place: np.ndarray
+    """of the first anchor in its row of the grid: slots from the row's start, shape (runs,)"""
+    present: np.ndarray
+    """whether a shape has a constraint at a place of a row, shape (shapes, places)"""
 
 
 class Shape(NamedTuple):
@@ -58,57 +62,88 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
     ----------
     block : where the grid lies
     shapes : in the order in which a strip takes them
-    slots : of all grids; family f keeps its numbers at f * slots + anchor
+    slots : of all grids; family f keeps its multipliers at f * slots + anchor
     families : families of other grids that come before
     shapes_before : shapes of other grids that come before
 
     """
     table = []
+    present = np.zeros((len(shapes), block.row_stride), bool)
+    for number, shape in enumerate(shapes):
+        present[number, [_place(block, c) for c in shape.columns]] = True
     for top in range(0, block.rows, STRIP):
         for number, shape in enumerate(shapes):
             rows = [j for j in range(top, min(top + STRIP, block.rows)) if j in shape.rows]
             if not rows:
                 continue
-            for part in range(STRIDE):
-                columns = [c for c in shape.columns if c % STRIDE == part]
-                if not columns:
-                    continue
-                anchor = block.slot(rows[0], columns[0])
-                offset = [block.slot(rows[0] + j, columns[0] + c) - anchor
-                          for j, c in shape.particles]
-                table.append((anchor, len(columns), len(rows),
+            start = block.first + rows[0] * block.row_stride
+            for place, count, offset in _spans(block, shape):
+                table.append((start + place, count, len(rows),
                               shape.rows.step * block.row_stride, *offset,
-                              (families + shape.family) * slots, shapes_before + number))
+                              (families + shape.family) * slots, shapes_before + number, place))
     width = len(shapes[0].particles) if shapes else 0
-    table = np.array(table, np.int64).reshape(-1, 6 + width)
+    table = np.array(table, np.int64).reshape(-1, 7 + width)
     return Runs(*(np.ascontiguousarray(table[:, k]) for k in range(4)),
-                np.ascontiguousarray(table[:, 4:-2]), table[:, -2].copy(), table[:, -1].copy())
+                np.ascontiguousarray(table[:, 4:-3]), *(table[:, k].copy() for k in (-3, -2, -1)),
+                present)
+
+
+def _place(block: Block, column: int) -> int:
+    return block.slot(0, column) - block.first
+
+
+def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]:
+    """
+    Return a shape's anchors in a row, as few spans of neighbours: first place, count, offsets.
+
+    Neighbouring parts whose constraints reach out alike are one span, with holes between them
+    where a part ends without a constraint.
+    """
+    found, last_part = [], STRIDE
+    for part in range(STRIDE):
+        columns = [c for c in shape.columns if c % STRIDE == part]
+        if not columns:
+            continue
+        place, end = _place(block, columns[0]), _place(block, columns[-1]) + 1
+        offset = tuple(block.slot(j, columns[0] + c) - block.slot(0, columns[0])
+                       for j, c in shape.particles)
+        if part == last_part + 1 and found[-1][2] == offset:
+            found[-1] = (found[-1][0], end - found[-1][0], offset)
+        else:
+            found.append((place, end - place, offset))
+        last_part = part
+    return found
 
 
 def join(runs: list[Runs]) -> Runs:
     """Return the runs of several grids, one after another."""
-    return Runs(*(np.concatenate(column) for column in zip(*runs)))
+    places = max(r.present.shape[1] for r in runs)
+    *columns, present = zip(*runs)
+    return Runs(*(np.concatenate(column) for column in columns), np.concatenate(
+        [np.pad(p, ((0, 0), (0, places - p.shape[1]))) for p in present]))
 
 
-def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Return all constraints of some runs, in sweep order.
 
     Returns
     -------
     particles : slots, shape (constraints, particles of a constraint)
-    index : where each keeps its numbers, shape (constraints,)
+    index : where each keeps its multiplier, shape (constraints,)
     shape : number of its shape, shape (constraints,)
+    place : of its anchor in its row, shape (constraints,)
 
     """
-    particles, index, shape = [], [], []
+    found = [np.zeros((0, runs.offset.shape[1]), np.int64), *[np.zeros(0, np.int64)] * 3]
+    found = [[column] for column in found]
     for r in range(len(runs.start)):
+        along = np.flatnonzero(runs.present[runs.shape[r], runs.place[r]:][:runs.count[r]])
         anchor = (runs.start[r] + np.arange(runs.rows[r])[:, None] * runs.stride[r]
-                  + np.arange(runs.count[r])).ravel()
-        particles.append(anchor[:, None] + runs.offset[r])
-        index.append(anchor + runs.base[r])
-        shape.append(np.full(len(anchor), runs.shape[r]))
-    if not particles:
-        return (np.zeros((0, runs.offset.shape[1]), np.int64), np.zeros(0, np.int64),
-                np.zeros(0, np.int64))
-    return np.concatenate(particles), np.concatenate(index), np.concatenate(shape)
+                  + along).ravel()
+        for column, numbers in zip(found, (
+                anchor[:, None] + runs.offset[r], anchor + runs.base[r],
+                np.full(len(anchor), runs.shape[r]),
+                np.tile(runs.place[r] + along, runs.rows[r]))):
+            column.append(numbers)
+    return tuple(np.concatenate(column) for column in found)

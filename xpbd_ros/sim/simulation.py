@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from xpbd_ros.sim import step
+from xpbd_ros.sim.calm import Calm, look, was_calm
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.state import forget, places, State
@@ -28,6 +29,8 @@ class Solver:
     threads: int = 1
     reason: str = ''
     """why, where ``auto`` chose"""
+    rough_substeps: int = 0
+    """of ``line``, for frames that are too rough for ``explicit``"""
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,7 @@ class Simulation:
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
         self._tuple = ()
+        self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
         for built in effects.values():
             built.reset(state, 0)
         self._collect()
@@ -96,7 +100,9 @@ class Simulation:
 
     def _collect(self) -> None:
         """Hand the kernels the effects as they stand now."""
-        self._tuple = tuple(built.data for built in self.effects.values())
+        if self._guard is not None:
+            self._guard.collect()
+        self._tuple = tuple(part for built in self.effects.values() for part in built.parts)
         self._hold()
 
     def _hold(self) -> None:
@@ -110,7 +116,9 @@ class Simulation:
 
     def compile(self) -> None:
         """Compile the step for this scene, or read it from the cache; nothing moves."""
-        self._step(self._tuple, self.state, self._method(), self.frame_dt, 0)
+        self._advance(0)
+        if self._guard is not None:
+            self._guard.redo(0)
 
     def step(self, commands: Sequence[Command] = ()) -> Frame:
         """Apply commands, in order, and advance by one frame."""
@@ -129,12 +137,20 @@ class Simulation:
         pin = self.effects.get('pin')
         if pin is not None and pin.changed:
             self._hold()
-        self._step(self._tuple, self.state, self._method(), self.frame_dt,
-                   self.solver.substeps)
+        if self._guard is None:
+            self._advance(self.solver.substeps)
+        else:
+            self._guard.advance()
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
         return replace(self.frame(), applied=tuple(applied), refused=tuple(refused))
+
+    def _advance(self, substeps: int) -> None:
+        self._step(self._tuple, self.state, self._method(), self.frame_dt, substeps)
+
+    def _method(self):
+        return METHODS[self.solver.method](self.solver.iterations)
 
     def frame(self) -> Frame:
         """Return the present frame."""
@@ -147,9 +163,6 @@ class Simulation:
     def natural(self, array: np.ndarray) -> np.ndarray:
         """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
         return places(array, self.slot)
-
-    def _method(self):
-        return METHODS[self.solver.method](self.solver.iterations)
 
     def _apply(self, command: Command, clock: Clock) -> str | None:
         if isinstance(command, Reset):
@@ -203,8 +216,59 @@ class Simulation:
 
     def stats(self) -> dict[str, float]:
         """Return what the effects have to say about the last frame."""
-        return {key: value for built in self.effects.values()
-                for key, value in built.stats().items()}
+        found = {key: value for built in self.effects.values()
+                 for key, value in built.stats().items()}
+        if self._guard is not None:
+            found['explicit_redone'] = self._guard.redone
+        return found
+
+
+class ExplicitGuard:
+    """Looks at each frame of ``explicit``, and does it again with ``line`` if it was not calm."""
+
+    def __init__(self, simulation: Simulation):
+        self.redone = 0
+        """frames done again"""
+        self._simulation = simulation
+        state = simulation.state
+        self._x, self._v = state.x.copy(), state.v.copy()
+        self._mass = float(state.mass.sum())
+
+    def _look(self) -> tuple[float, float, float]:
+        state = self._simulation.state
+        return look(self._edges, state.x, state.v, state.mass, state.inv_mass)
+
+    def collect(self) -> None:
+        """Learn the edges as they stand now."""
+        lists = [built.constraints for built in self._simulation.effects.values()
+                 if built.constraints is not None and built.constraints.particles.shape[1] == 2]
+        self._edges = Calm(np.concatenate([np.zeros((0, 2), np.int64),
+                                           *(edges.particles for edges in lists)]),
+                           *(np.concatenate([np.zeros(0), *(getattr(edges, name)
+                                                            for edges in lists)])
+                             for name in ('rest_length', 'compliance')))
+
+    def advance(self) -> None:
+        """Compute one frame."""
+        simulation, state = self._simulation, self._simulation.state
+        self._x[:], self._v[:] = state.x, state.v
+        before = self._look()
+        simulation._advance(simulation.solver.substeps)
+        if was_calm(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
+                    gravity=float(np.linalg.norm(state.gravity))):
+            return
+        state.x[:], state.v[:] = self._x, self._v
+        if state.reaction is not None:
+            state.reaction[:] = 0.0
+        self.redo(simulation.solver.rough_substeps)
+        self.redone += 1
+
+    def redo(self, substeps: int) -> None:
+        """Compute the frame with ``line``; it has no history, so with backward Euler."""
+        simulation = self._simulation
+        simulation._step(simulation._tuple, simulation.state._replace(apart=None),
+                         METHODS['line'](simulation.solver.iterations), simulation.frame_dt,
+                         substeps)
 
 
 @dataclass(frozen=True)

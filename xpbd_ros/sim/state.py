@@ -18,6 +18,7 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.update import Explicit, Jacobi
 from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
 
 
@@ -54,6 +55,8 @@ class State(NamedTuple):
     None in a scene without pins"""
     history: History | None
     """None with backward Euler"""
+    apart: Jacobi | Explicit | None
+    """where constraints add up their moves; None where each moves its particles at once"""
 
 
 class Substep(NamedTuple):
@@ -68,7 +71,7 @@ class Substep(NamedTuple):
 
 
 def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,
-              pins: bool = False, history: bool = False, dtype=np.float64) -> State:
+              pins: bool = False, dtype=np.float64) -> State:
     """
     Return particles at rest.
 
@@ -80,7 +83,6 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     slot : where each particle goes, shape (particles,)
     slots : how many there are
     pins : whether forces on pinned particles will be asked for
-    history : whether the integrator remembers a substep
     dtype : of all numbers
 
     """
@@ -92,13 +94,51 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
 
     state = State(vectors(), vectors(), vectors(), scalars(), scalars(), scalars(),
                   np.array(gravity, dtype), vectors() if pins else None,
-                  History(vectors(), vectors(), scalars()) if history else None)
+                  None, None)
     state.x[:, slot] = np.asarray(x).T
     state.x_prev[:] = state.x
     state.mass[slot] = mass
     state.inv_mass[slot] = 1.0 / state.mass[slot]
-    forget(state)
     return state
+
+
+def solved_by(state: State, *, history: bool, apart: type | None, constraints) -> State:
+    """
+    Return the same particles, with what their solver needs besides.
+
+    Parameters
+    ----------
+    state : of ``new_state``
+    history : whether the integrator remembers a substep
+    apart : Jacobi or Explicit, where moves are added up
+    constraints : particles of all constraints, a list of (constraints, particles of one)
+
+    """
+    slots, dtype = state.x.shape[1], state.x.dtype
+
+    def vectors():
+        return zeros((3, slots), dtype)
+
+    if history:
+        state = state._replace(history=History(vectors(), vectors(), zeros(slots, dtype)))
+        forget(state)
+    if apart is not None:
+        state = state._replace(apart=apart(
+            vectors(), zeros((slots, 4), dtype),
+            *([np.full(1, _most_constraints(constraints, slots), dtype)] * (apart is Jacobi))))
+    return state
+
+
+def _most_constraints(constraints, slots: int) -> float:
+    """
+    Return the most constraints at a particle.
+
+    With J M Jᵀ + α = A, x A x ≤ most · Σ x² diag(A), so Jacobi with ω = 1 / most never overshoots.
+    """
+    count = np.zeros(slots)
+    for particles in constraints:
+        np.add.at(count, particles, 1.0)
+    return max(1.0, count.max())
 
 
 def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
@@ -214,3 +254,38 @@ def _velocity_bdf2(state, history, per_h):
             now, before = load(state.x, i) - xp, xp - load(history.x, i)
             store(state.v, i, (now + part * (now - before)) * per_h)
             store(history.x, i, xp)
+
+
+@jit
+def at_start(state):
+    """Return the state with the particles where the substep starts."""
+    return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
+                 state.gravity, state.reaction, state.history, state.apart)
+
+
+@jit
+def set_mobility(state, h):
+    """Mobility = w h²."""
+    for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
+        store(state.mobility, q, load(state.inv_mass, q) * (h * h))
+
+
+@jit
+def add_moves(state):
+    """x += the moves that the constraints summed up."""
+    x, move = state.x, state.apart.move
+    for i in range(0, x.size, lanes(x)):
+        store(x, i, load(x, i) + load(move, i))
+
+
+@jit
+def half_kick(state, h, share):
+    """v += share h a, with the moves h² F / m that were summed up; pinned particles keep v."""
+    v, w, move, slots = state.v, state.inv_mass, state.apart.move, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        free = load(w, q) > 0.0
+        for k in range(3):
+            i = k * slots + q
+            vi = load(v, i)
+            change = share / h * load(move, i) + share * h * state.gravity[k]
+            store(v, i, select(free, vi + change, vi))

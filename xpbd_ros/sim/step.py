@@ -8,7 +8,7 @@ Macklin et al., "Small steps in physics simulation", 2019.
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import finish, force, prepare, react, touch
 from xpbd_ros.sim.state import begin, Substep, update_velocity
-from xpbd_ros.sim.sweeps import sweep
+from xpbd_ros.sim.sweeps import enter, leave, sweep
 
 
 def advance(effects, state, method, frame_dt, substeps):
@@ -18,7 +18,10 @@ def advance(effects, state, method, frame_dt, substeps):
     ``effects`` is a tuple of NamedTuples, one per effect that the scene calls for; ``method`` says
     how they are swept (``sweeps``).
     """
+    if substeps == 0:    # to compile
+        return
     h = frame_dt / substeps
+    enter(method, effects, state, Substep(h, 0.0, 0.0))
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
         begin(state, substep)
@@ -30,6 +33,7 @@ def advance(effects, state, method, frame_dt, substeps):
         update_velocity(state, substep)
         finish(effects, state, substep)
         react(effects, state, substep)
+    leave(method, effects, state, Substep(h, 1.0, 1.0))
 
 
 _COMPILED = {}

@@ -5,15 +5,18 @@ How a substep's constraints are swept: each method is a few walks over the scene
 reverse order, which BDF2 needs to stay stable. ``line`` (NUMERICS 5.8) solves the effects that
 have lines by whole lines, sweeps the others forth before and back after, and closes with one
 Gauss-Seidel pass over the edges of the lines, with the same multipliers: it mends the single edges
-whose directions turned while the lines were solved.
+whose directions turned while the lines were solved. ``jacobi`` moves all particles at once, by a
+part of what each constraint asks for. ``explicit`` is the leapfrog (Störmer 1907, Verlet 1967): in
+the loop v lags by half a substep, and the forces are those where the substep starts.
 """
 
 from typing import NamedTuple
 
 from numba.extending import overload
 
-from xpbd_ros.sim.jit import INNER
+from xpbd_ros.sim.jit import INNER, jit
 from xpbd_ros.sim.stages import kernel_of, project, project_back, solve_lines, walk
+from xpbd_ros.sim.state import add_moves, at_start, half_kick, set_mobility
 
 
 class GaussSeidel(NamedTuple):
@@ -34,7 +37,20 @@ class Line(NamedTuple):
     iterations: int
 
 
-METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'line': Line}
+class Jacobi(NamedTuple):
+    """One pass from the same positions for all."""
+
+    iterations: int
+
+
+class Leapfrog(NamedTuple):
+    """One pass that sums up forces."""
+
+    iterations: int
+
+
+METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'line': Line,
+           'jacobi': Jacobi, 'explicit': Leapfrog}
 
 
 def forth(effects, state, substep):
@@ -74,9 +90,52 @@ def _sweep(method, effects, state, substep):
             project(effects, state, substep)
             project_back(effects, state, substep)
         return symmetric
+    if method.instance_class is Jacobi:
+        def jacobi(method, effects, state, substep):
+            state.apart.move[:] = 0.0
+            project(effects, state, substep)
+            add_moves(state)
+        return jacobi
+    if method.instance_class is Leapfrog:
+        def leapfrog(method, effects, state, substep):
+            state.apart.move[:] = 0.0
+            project(effects, at_start(state), substep)
+            add_moves(state)
+        return leapfrog
 
     def line(method, effects, state, substep):
         forth(effects, state, substep)
         back(effects, state, substep)
         close(effects, state, substep)
     return line
+
+
+def enter(method, effects, state, substep):
+    """Before the first substep of a frame."""
+
+
+def leave(method, effects, state, substep):
+    """After the last one."""
+
+
+@overload(enter, jit_options=INNER)
+def _enter(method, effects, state, substep):
+    if method.instance_class is Leapfrog:
+        return lambda method, effects, state, substep: _kick(effects, state, substep, -0.5)
+    return lambda method, effects, state, substep: None
+
+
+@overload(leave, jit_options=INNER)
+def _leave(method, effects, state, substep):
+    if method.instance_class is Leapfrog:
+        return lambda method, effects, state, substep: _kick(effects, state, substep, 0.5)
+    return lambda method, effects, state, substep: None
+
+
+@jit
+def _kick(effects, state, substep, share):
+    """Move the velocities on by a share of a substep."""
+    set_mobility(state, substep.h)
+    state.apart.move[:] = 0.0
+    project(effects, state, substep)
+    half_kick(state, substep.h, share)

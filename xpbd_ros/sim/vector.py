@@ -56,7 +56,7 @@ class _VectorModel(models.PrimitiveModel):
         super().__init__(manager, kind, kind.llvm)
 
 
-def _vector_of(array) -> Vector:
+def vector_of(array) -> Vector:
     """Return the vector type that belongs to an array's type."""
     assert isinstance(array, types.Array) and array.layout == 'C', f'not C-contiguous: {array}'
     return Vector(array.dtype, BITS // array.dtype.bitwidth)
@@ -91,14 +91,14 @@ def _intrinsic(builder, name, vector, arguments):
 @intrinsic
 def lanes(typing, array):
     """Return how many lanes a vector of the array's dtype has; known at compile time."""
-    count = _vector_of(array).count
+    count = vector_of(array).count
     return types.intp(array), lambda context, *_: context.get_constant(types.intp, count)
 
 
 @intrinsic
 def load(typing, array, index):
     """Return the vector that starts at a flat index."""
-    vector = _vector_of(array)
+    vector = vector_of(array)
 
     def generate(context, builder, signature, arguments):
         pointer = _pointer(context, builder, signature.args[0], *arguments, vector.llvm)
@@ -109,7 +109,7 @@ def load(typing, array, index):
 @intrinsic
 def store(typing, array, index, value):
     """Write a vector, or a scalar in every lane, from a flat index on."""
-    vector = _vector_of(array)
+    vector = vector_of(array)
 
     def generate(context, builder, signature, arguments):
         array_, index_, value_ = arguments
@@ -123,25 +123,35 @@ def store(typing, array, index, value):
 @intrinsic
 def splat(typing, array, scalar):
     """Return a vector of the array's kind with a scalar in every lane."""
-    vector = _vector_of(array)
+    vector = vector_of(array)
 
     def generate(context, builder, signature, arguments):
         return _widen(context, builder, arguments[1], signature.args[1], vector)
     return vector(array, scalar), generate
 
 
-@intrinsic
-def first(typing, array, count):
-    """Return a mask that is true in the first ``count`` lanes."""
-    vector = _vector_of(array)
+def _lane_mask(array, sign):
+    vector = vector_of(array)
     mask = Vector(types.boolean, vector.count)
 
     def generate(context, builder, signature, arguments):
         kind = ir.VectorType(ir.IntType(32), vector.count)
         numbers = ir.Constant(kind, list(range(vector.count)))
-        return builder.icmp_signed('<', numbers, _splat(
+        return builder.icmp_signed(sign, numbers, _splat(
             builder, builder.trunc(arguments[1], kind.element), kind))
     return mask(array, types.intp), generate
+
+
+@intrinsic
+def first(typing, array, count):
+    """Return a mask that is true in the first ``count`` lanes."""
+    return _lane_mask(array, '<')
+
+
+@intrinsic
+def after(typing, array, count):
+    """Return a mask that is true in all but the first ``count`` lanes."""
+    return _lane_mask(array, '>=')
 
 
 @intrinsic
@@ -211,7 +221,7 @@ def fma(typing, a, b, c):
 @intrinsic
 def transpose(typing, source, start, row_stride, target, target_start, target_stride):
     """Copy a square tile: target[start + q stride + r] = source[start + r stride + q]."""
-    vector = _vector_of(source)
+    vector = vector_of(source)
 
     def generate(context, builder, signature, arguments):
         source_, start_, stride_, target_, target_start_, target_stride_ = arguments

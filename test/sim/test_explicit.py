@@ -1,0 +1,154 @@
+"""Leapfrog: second order, as good as its steps are small, and guarded where they are not."""
+
+from math import ceil
+
+import numpy as np
+import pytest
+from sim.small import GRAVITY, run, simulate
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.auto import stability_limit
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim import calm
+from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
+
+PINS = {'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}}
+EFFECTS = {'stretch': {'warp': 60.0, 'weft': 40.0}, 'shear': {'stiffness': 5.0},
+           'bend': {'stiffness': 1e-3}}
+
+
+STIFF = {**EFFECTS, 'stretch': {'warp': 6000.0, 'weft': 4000.0}}
+
+
+def sheet(substeps, method='explicit', integrator=None, **options):
+    """Return a small cloth that swings from two corners."""
+    return simulate((6, 5), pins=PINS, density=0.2, method=method, substeps=substeps,
+                    **{'integrator': integrator or 'leapfrog', 'effects': EFFECTS, **options})
+
+
+def test_error_falls_at_second_order():
+    frames = {substeps: run(sheet(substeps), 30).x for substeps in (32, 64, 128, 256)}
+    gaps = [np.abs(frames[n] - frames[2 * n]).max() for n in (32, 64, 128)]
+    assert gaps[0] > 1e-6
+    for coarse, fine in zip(gaps[:-1], gaps[1:]):
+        assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.15)
+
+
+def test_velocity_is_that_of_the_frame_and_not_half_a_substep_older():
+    errors = [np.abs(run(sheet(n), 30).v - run(sheet(512), 30).v).max() for n in (32, 64)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)
+
+
+def test_free_fall_is_exact_at_any_number_of_substeps():
+    """½ g t², from the first frame on; backward Euler has n (n + 1) for n²."""
+    for substeps in (1, 7):
+        simulation = simulate((2, 2), effects={'stretch': {'compliance': 1e3}},
+                              method='explicit', integrator='leapfrog', substeps=substeps)
+        frame = run(simulation, 30)
+        np.testing.assert_allclose(frame.x[:, 2], -0.5 * GRAVITY * 0.25, rtol=1e-12)
+        np.testing.assert_allclose(frame.v[:, 2], -0.5 * GRAVITY, rtol=1e-12)
+
+
+def test_it_agrees_with_lines_as_both_get_finer():
+    truth = run(sheet(512), 30).x
+    line = run(sheet(64, 'line', 'bdf2'), 30).x
+    assert np.abs(run(sheet(64), 30).x - truth).max() < np.abs(line - truth).max() < 1e-2
+
+
+def test_energy_stays_within_a_thousandth_for_ten_seconds():
+    """V27; a symplectic method has no drift."""
+    simulation = sheet(64)
+
+    def energy():
+        return (kinetic_energy(simulation.state) + potential_energy(simulation.state)
+                + elastic_energy(simulation))
+    start, most = energy(), 0.0
+    for _ in range(600):
+        simulation.step()
+        most = max(most, kinetic_energy(simulation.state))
+        assert energy() - start <= 1e-3 * most
+    assert simulation.stats()['explicit_redone'] < 6    # where the cloth snaps
+
+
+def test_the_bound_is_no_less_than_the_highest_frequency_and_not_much_more():
+    simulation = sheet(64, gravity=(0, 0, 0))
+    state, slot = simulation.state, simulation.slot
+    free = slot[state.inv_mass[slot] > 0.0]
+
+    def force(x):
+        found = np.zeros_like(x)
+        for built in simulation.effects.values():
+            if built.constraints is not None:
+                c, step = built.constraints, 1e-6
+                for i in free:
+                    for k in range(3):
+                        there, back = x.copy(), x.copy()
+                        there[k, i] += step
+                        back[k, i] -= step
+                        found[k, i] -= (c.energy(there) - c.energy(back)) / (2.0 * step)
+        return found[:, free].ravel()
+
+    stiffness = []
+    for k in range(3):
+        for i in free:
+            there, back = state.x.copy(), state.x.copy()
+            there[k, i] += 1e-4
+            back[k, i] -= 1e-4
+            stiffness.append((force(back) - force(there)) / 2e-4)
+    mass = np.tile(state.mass[free], 3)
+    highest = np.linalg.eigvals(np.array(stiffness) / mass).real.max()
+    bound = stability_limit(simulation.effects, state)
+    assert 0.5 * np.sqrt(highest) <= bound * (1.0 + 1e-3)
+    assert bound < 1.5 * 0.5 * np.sqrt(highest)
+
+
+def test_frames_that_are_not_calm_are_done_again_with_lines_and_counted():
+    """Far too few substeps: each frame is the one that lines make, bit for bit."""
+    guarded = sheet(2, effects=STIFF)
+    assert guarded.solver.rough_substeps >= 1
+    plain = sheet(guarded.solver.rough_substeps, 'line', 'backward_euler', effects=STIFF)
+    for _ in range(40):
+        frame, expected = guarded.step(), plain.step()
+        assert np.isfinite(frame.x).all()
+    redone = guarded.stats()['explicit_redone']
+    assert redone > 30
+    if redone == 40:
+        np.testing.assert_array_equal(frame.x, expected.x)
+        np.testing.assert_array_equal(frame.pins['a'].force, expected.pins['a'].force)
+
+
+def test_without_its_guard_it_explodes(monkeypatch):
+    monkeypatch.setattr('xpbd_ros.sim.simulation.was_calm', lambda *_, **__: True)
+    wild = sheet(2, effects=STIFF)
+    with np.errstate(all='ignore'):
+        assert not np.abs(run(wild, 40).x).max() < 1e3
+
+
+@pytest.mark.parametrize('after', [(0.3, 1.0, 0.0), (0.0, 10.0, 0.0),
+                                   (np.nan, 1.0, 0.0), (0.0, np.nan, 0.0), (0.0, np.inf, 0.0)])
+def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
+    kept = {'mass': 0.1, 'gravity': GRAVITY, 'dt': 1.0 / 60.0}
+    assert calm.was_calm((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
+    assert not calm.was_calm((0.0, 1.0, 0.0), after, **kept)
+
+
+def test_a_gripper_that_starts_to_move_is_calm():
+    simulation = compile_scene(load_scene('swing', {
+        'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [9, 9],
+        'pins.left.motion': [[0.0, 0.0, 1.0, 1.5], [0.2, 0.0, 1.2, 1.5], [0.5, 0.0, 1.2, 1.5]]}))
+    run(simulation, 40)
+    assert simulation.stats()['explicit_redone'] == 0
+
+
+def test_it_takes_as_many_substeps_as_it_needs_or_refuses():
+    simulation = sheet(None, effects=STIFF)
+    limit = stability_limit(simulation.effects, simulation.state) / 60.0
+    assert simulation.solver.substeps == ceil(1.15 * limit)
+    for change, text in (({'effects': {'stretch': {'compliance': 0.0}}}, 'rigid'),
+                         ({'effects': {'stretch': {'compliance': 1e-12}}}, 'to be stable')):
+        with pytest.raises(InputError, match=text):
+            simulate((6, 5), method='explicit', integrator='leapfrog', substeps=None, **change)
+    for method, integrator in (('explicit', 'bdf2'), ('line', 'leapfrog')):
+        with pytest.raises(InputError, match='goes with'):
+            sheet(4, method, integrator)

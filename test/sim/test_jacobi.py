@@ -1,0 +1,74 @@
+"""Jacobi: all at once, by a part that the constraint graph makes safe."""
+
+import numpy as np
+import pytest
+from sim.small import run, run_until_still, simulate
+
+from xpbd_ros.sim import stages
+from xpbd_ros.sim.measure import momentum
+from xpbd_ros.sim.state import Substep
+
+PINS = {'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}}
+EFFECTS = {'stretch': {'warp': 60.0, 'weft': 40.0}, 'shear': {'stiffness': 5.0},
+           'bend': {'stiffness': 1e-3}}
+
+
+def sheet(method, iterations, **options):
+    """Return a small cloth that hangs from two corners."""
+    return simulate((6, 5), **{'effects': EFFECTS, 'pins': PINS, 'density': 0.2, 'substeps': 4,
+                               'method': method, 'iterations': iterations,
+                               'scene_effects': {'damping': {'rate': 8.0}}, **options})
+
+
+def test_relaxation_is_one_over_the_most_constraints_at_a_particle():
+    simulation = sheet('jacobi', 1)
+    count = np.zeros(simulation.state.x.shape[1])
+    for built in simulation.effects.values():
+        if built.constraints is not None:
+            for particles in built.constraints.particles:
+                count[particles] += 1
+    assert simulation.state.apart.per_relaxation[0] == count.max() > 12
+
+
+def test_many_iterations_come_to_what_gauss_seidel_comes_to():
+    a, b = (run_until_still(sheet(method, 1000), speed=1e-9) for method in ('jacobi',
+                                                                         'gauss_seidel'))
+    np.testing.assert_allclose(a.x, b.x, atol=1e-4)
+    np.testing.assert_allclose(a.pins['a'].force, b.pins['a'].force, rtol=1e-3, atol=1e-9)
+
+
+def test_the_order_of_the_effects_makes_no_difference():
+    """Positions are read as they were before the pass."""
+    simulation = sheet('jacobi', 1, pins=None, scene_effects=None)
+    state, found = simulation.state, []
+    state.x[:, simulation.slot] += np.random.default_rng(1).normal(0, 0.03, (3, 30))
+    state.mobility[:] = state.inv_mass * 0.004**2
+    before = state.x.copy()
+    for parts in (simulation._tuple, simulation._tuple[::-1]):
+        state.apart.move[:] = 0.0
+        for part in parts:
+            for stage in (stages.prepare, stages.project):
+                stages._KERNELS[stage, type(part)](part, state, Substep(0.004, 0.0, 1.0))
+        found.append(state.apart.move.copy())
+    np.testing.assert_array_equal(state.x, before)
+    assert np.abs(found[0]).max() > 1e-6
+    np.testing.assert_allclose(*found, rtol=0.0, atol=1e-15)
+
+
+def test_momentum_stays():
+    simulation = sheet('jacobi', 3, pins={}, gravity=(0, 0, 0), scene_effects={})
+    simulation.state.x[:, simulation.slot] += np.random.default_rng(1).normal(0, 0.03, (3, 30))
+    run(simulation, 20)
+    assert np.abs(simulation.state.v).max() > 0.1
+    np.testing.assert_allclose(momentum(simulation.state), 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize('relaxed', [True, False])
+def test_unrelaxed_it_diverges(relaxed):
+    simulation = sheet('jacobi', 30, effects={'stretch': {'compliance': 0.0},
+                                              'shear': {'stiffness': 1e5}})
+    if not relaxed:
+        simulation.state.apart.per_relaxation[0] = 1.0
+    with np.errstate(all='ignore'):
+        frame = run(simulation, 60)
+    assert (np.abs(frame.x).max() < 3.0) == relaxed

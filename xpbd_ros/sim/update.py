@@ -1,0 +1,132 @@
+"""
+How one constraint changes its multiplier and its particles, by method.
+
+Gauss-Seidel writes positions where it reads them. Methods that move all particles at once read the
+positions x as they are and add up moves elsewhere: ``state.apart`` says where, and by its type how
+far a constraint goes.
+
+    Gauss-Seidel    Δf = -(C + α f) / (W + α)          Macklin et al. 2016, eq 18
+    Jacobi          Δf = -ω (C + α f) / (W + α)        NUMERICS 2.14
+    explicit        f  = -C / α, from f = 0            the force at x itself
+
+``None`` for a multiplier means that nobody asks for it and that it is 0 before the only pass.
+"""
+
+from typing import NamedTuple
+
+from numba import types
+from numba.extending import overload
+import numpy as np
+
+from xpbd_ros.sim.jit import INNER
+from xpbd_ros.sim.vector import fma, load, store
+
+
+class Jacobi(NamedTuple):
+    """All constraints move from the same positions."""
+
+    move: np.ndarray
+    """sum of the moves of a pass [m], shape (3, slots)"""
+    records: np.ndarray
+    """the same as records, for constraints of meshes; shape (slots, 4)"""
+    per_relaxation: np.ndarray
+    """1 / ω, shape (1,)"""
+
+
+class Explicit(NamedTuple):
+    """Constraints exert the force that they have at x."""
+
+    move: np.ndarray
+    """H² F / m [m], shape (3, slots)"""
+    records: np.ndarray
+    """the same as records, for constraints of meshes; shape (slots, 4)"""
+
+
+def inline(stub):
+    """Register what a stub compiles to, to be written out where it is called."""
+    return overload(stub, jit_options={**INNER, 'forceinline': True})
+
+
+def _kind(apart):
+    return getattr(apart, 'instance_class', None)
+
+
+def row(array, k):
+    """Return a row of an array; of None, None."""
+
+
+def recall(apart, force, c):
+    """Return the multipliers from index c on; None where they are not kept, or begin at 0."""
+
+
+def keep(force, c, f, df):
+    """Keep multipliers f + Δf."""
+
+
+def misfit(residual, alpha, f):
+    """Return C + α f."""
+
+
+def divisor(apart, total, alpha):
+    """Return what a misfit is divided by: W + α, and what the method makes of it."""
+
+
+def target(apart, k):
+    """Return where moves along axis k are added up; None: where positions are."""
+
+
+def put(x, target, i, xi, step, d):
+    """Move by step d from xi."""
+
+
+@inline(row)
+def _row(array, k):
+    if isinstance(array, types.NoneType):
+        return lambda array, k: None
+    return lambda array, k: array[k]
+
+
+@inline(recall)
+def _recall(apart, force, c):
+    if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
+        return lambda apart, force, c: None
+    return lambda apart, force, c: load(force, c)
+
+
+@inline(keep)
+def _keep(force, c, f, df):
+    if isinstance(force, types.NoneType):
+        return lambda force, c, f, df: None
+    if isinstance(f, types.NoneType):
+        return lambda force, c, f, df: store(force, c, df)
+    return lambda force, c, f, df: store(force, c, f + df)
+
+
+@inline(misfit)
+def _misfit(residual, alpha, f):
+    if isinstance(f, types.NoneType):
+        return lambda residual, alpha, f: residual
+    return lambda residual, alpha, f: fma(alpha, f, residual)
+
+
+@inline(divisor)
+def _divisor(apart, total, alpha):
+    if _kind(apart) is Jacobi:
+        return lambda apart, total, alpha: (total + alpha) * apart.per_relaxation[0]
+    if _kind(apart) is Explicit:
+        return lambda apart, total, alpha: alpha
+    return lambda apart, total, alpha: total + alpha
+
+
+@inline(target)
+def _target(apart, k):
+    if isinstance(apart, types.NoneType):
+        return lambda apart, k: None
+    return lambda apart, k: apart.move[k]
+
+
+@inline(put)
+def _put(x, target, i, xi, step, d):
+    if isinstance(target, types.NoneType):
+        return lambda x, target, i, xi, step, d: store(x, i, fma(step, d, xi))
+    return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
