@@ -64,7 +64,8 @@ def hashes(run) -> dict[int, int]:
 
 def inputs(run) -> list[tuple[int, str]]:
     """Return the frames at which there was an input, and its topic."""
-    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events', 'resets')
+    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'wind',
+             'parameter_events', 'resets')
     return [(message.frame, message.topic.rsplit('/', 1)[-1])
             for message in LogReader(run).messages()
             if message.topic.rsplit('/', 1)[-1] in known]

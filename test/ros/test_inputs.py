@@ -3,12 +3,12 @@
 from math import inf, nan
 import random
 
-from geometry_msgs.msg import Point, PoseStamped, Twist
+from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3, Vector3Stamped
 import pytest
 from rclpy.serialization import serialize_message
 from ros.rig import pin, pose_stamped, targets, transform
 from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
@@ -21,6 +21,7 @@ from xpbd_ros.ros.inputs import (
     read_pins,
     read_pose,
     read_targets,
+    read_wind,
     READERS,
     unpacked,
 )
@@ -37,6 +38,7 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
     Reset,
     SetKey,
+    SetWind,
 )
 
 NO_ROTATION = (0.0, 0.0, 0.0, 0.0)
@@ -237,7 +239,8 @@ def random_commands(count: int) -> list[commands.Command]:
              lambda: RemoveCollider('ball'), RemoveAllColliders, place,
              lambda: SetKey('solver.substeps', noise.randint(1, 99)),
              lambda: SetKey('gravity', [number(), number(), number()]),
-             lambda: SetKey('cloths.towel.friction', noise.random())]
+             lambda: SetKey('cloths.towel.friction', noise.random()),
+             lambda: SetWind((number(), number(), number()))]
     return [noise.choice(kinds)() for _ in range(count)]
 
 
@@ -286,6 +289,27 @@ def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
         for command in (first, other, between, second):
             box.put('/t', [command])
         assert box.drain() == [first, other, between, second]
+
+
+def test_only_the_last_wind_waits_unless_a_reset_comes_between(box):
+    first, second = SetWind((1.0, 0.0, 0.0)), SetWind((2.0, 0.0, 0.0))
+    other = MovePin('a', HERE)
+    box.put('/t', [first, other, second])
+    assert box.drain() == [second, other]
+    box.put('/t', [first, Reset(), second])
+    assert box.drain() == [first, Reset(), second]
+
+
+@pytest.mark.parametrize(('message', 'reason'), [
+    (Vector3Stamped(vector=Vector3(y=nan)), 'vector is not finite'),
+    (Vector3Stamped(vector=Vector3(z=-inf)), 'vector is not finite'),
+    (Vector3Stamped(vector=Vector3(x=2e6)), 'is faster than 1e+06 m/s'),
+    (Vector3Stamped(header=Header(frame_id='map')), "header: TF frame 'map' is not the scene's"),
+])
+def test_a_wind_that_makes_no_sense(message, reason):
+    with pytest.raises(InputError) as error:
+        read_wind(message, 'world')
+    assert reason in str(error.value)
 
 
 def test_a_collider_and_a_pin_of_the_same_name_are_two(box):

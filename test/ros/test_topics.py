@@ -95,7 +95,8 @@ OF_COLLIDERS = {'/cloth/colliders', '/cloth/collider_states', '/cloth/collider/b
     (SHEET + CORNER, ONE | {'/cloth/pin_states'}, OF_PINS),
     (SHEET + CONTACT, ONE, {'/cloth/colliders', '/cloth/collider_states'}),
     (SHEET + BALL + CONTACT, ONE, OF_COLLIDERS),
-], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders'])
+    (SHEET + 'effects: {wind: {velocity: [1, 0, 0]}}\n', ONE, {'/cloth/wind'}),
+], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders', 'effects.wind'])
 def test_topics_follow_the_scene(use, text, publishes, listens):
     cloth = use(text)
     cloth.peer.until(lambda: topics(cloth) == (publishes, listens), f'{publishes}, {listens}',

@@ -14,6 +14,8 @@ DOWN = [0.0, 0.5**0.5, 0.0, 0.5**0.5]
 """turns a cloth so that its warp points down"""
 EXAMPLES = {
     'pin': {},
+    'wind': {'velocity': [0.5, 1.0, 0.2]},
+    'drag': {},
     'damping': {'rate': 1.0},
     'bend': {'stiffness': 2e-3},
     'shear': {'stiffness': 15.0},

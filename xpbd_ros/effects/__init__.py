@@ -11,6 +11,8 @@ from xpbd_ros.sim.effect import Effect
 
 EFFECTS = {
     'pin': 'scene',
+    'wind': 'scene',
+    'drag': 'scene',
     'damping': 'scene',
     'bend': 'cloth',
     'shear': 'cloth',

@@ -48,6 +48,7 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
     Reset,
     SetKey,
+    SetWind,
 )
 
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -57,7 +58,7 @@ ANSWER_SECONDS = 10.0
 """how long a service waits for the frame in hand"""
 TOPIC_OF = {Grasp: 'pins', Release: 'pins', MovePin: 'pin_targets',
             MoveCollider: 'collider_states', PlaceCollider: 'colliders',
-            RemoveCollider: 'colliders', SetKey: 'parameters'}
+            RemoveCollider: 'colliders', SetWind: 'wind', SetKey: 'parameters'}
 
 
 class ClothNode(LifecycleNode):
@@ -179,6 +180,8 @@ class ClothNode(LifecycleNode):
             for name in self.scene.sections.get('colliders', {}):
                 self._listen(f'collider/{name}/pose', LATEST, PoseStamped,
                              lambda m, f, name=name: read_pose(m, f, name))
+        if 'wind' in self.simulation.effects:
+            self._listen('wind', LATEST)
         self._offers = [
             self.create_service(Trigger, '~/pause', self._pause),
             self.create_service(Trigger, '~/play', self._play),

@@ -12,7 +12,7 @@ import time
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.inputs import count_in, unpacked
-from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider
+from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider, SetWind
 
 ROOM = 4096
 """commands from messages that may wait for the next frame"""
@@ -64,7 +64,7 @@ class Inbox:
 
     def _keep(self, command: Command) -> None:
         """Let a new target take the place of one that nobody has seen yet."""
-        if isinstance(command, MovePin | MoveCollider | PlaceCollider):
+        if isinstance(command, MovePin | MoveCollider | PlaceCollider | SetWind):
             name = _name(command)
             for k in range(len(self._waiting) - 1, -1, -1):
                 if _name(self._waiting[k]) in (name, None):
@@ -96,6 +96,8 @@ class Inbox:
 
 def _name(command: Command):
     """Return what a command is about; None: about everything."""
+    if isinstance(command, SetWind):
+        return 'wind', ''
     pin, collider = getattr(command, 'pin', None), getattr(command, 'collider', None)
     if pin is not None:
         return 'pin', pin

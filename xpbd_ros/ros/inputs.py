@@ -9,7 +9,13 @@ from itertools import groupby
 from math import isfinite, sqrt
 import struct
 
-from geometry_msgs.msg import Point, Transform, Twist as TwistMessage, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Transform,
+    Twist as TwistMessage,
+    Vector3,
+    Vector3Stamped,
+)
 from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.parameter import Parameter as RclpyParameter, parameter_value_to_python
 from rclpy.serialization import deserialize_message
@@ -33,6 +39,7 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
     Reset,
     SetKey,
+    SetWind,
     Twist,
 )
 
@@ -193,6 +200,17 @@ def read_pose(message, frame_id: str, collider: str) -> list[Command]:
                                         collider), None, stamp_ns)]
 
 
+def read_wind(message: Vector3Stamped, frame_id: str) -> list[Command]:
+    """``~/wind``: how the air moves."""
+    check_frame(message.header, frame_id, 'header')
+    velocity = (message.vector.x, message.vector.y, message.vector.z)
+    if not all(map(isfinite, velocity)):
+        raise InputError('vector is not finite')
+    if max(map(abs, velocity)) > FAR:
+        raise InputError(f'vector {list(velocity)} is faster than {FAR:g} m/s')
+    return [SetWind(velocity)]
+
+
 def read_events(message: ParameterEvent) -> list[Command]:
     """Read the log's ``/parameter_events``: live keys that changed."""
     return [SetKey(p.name, parameter_value_to_python(p.value))
@@ -242,6 +260,8 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
         elif kind in (MovePin, MoveCollider):
             topic = 'pin_targets' if kind is MovePin else 'collider_states'
             found.append((topic, _targets(group, frame_id)))
+        elif kind is SetWind:
+            found += [('wind', _wind(c, frame_id, time_ns)) for c in group]
         elif kind is SetKey:
             event = ParameterEvent(node='cloth')
             set_stamp(event.stamp, time_ns)
@@ -257,6 +277,7 @@ READERS = {
     'pin_targets': (MultiDOFJointState, lambda m, f: read_targets(m, f, MovePin)),
     'colliders': (MarkerArray, read_colliders),
     'collider_states': (MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider)),
+    'wind': (Vector3Stamped, read_wind),
     'parameter_events': (ParameterEvent, lambda m, f: read_events(m)),
     'resets': (UInt64, lambda m, f: [Reset()] * m.data),
 }
@@ -328,6 +349,13 @@ def _targets(group, frame_id: str) -> MultiDOFJointState:
         if command.twist is not None:
             message.twist.append(TwistMessage(linear=vector(Vector3, command.twist.linear),
                                               angular=vector(Vector3, command.twist.angular)))
+    return message
+
+
+def _wind(command: SetWind, frame_id: str, time_ns: int) -> Vector3Stamped:
+    message = Vector3Stamped(vector=vector(Vector3, command.velocity))
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, time_ns)
     return message
 
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import MultiDOFJointState
@@ -16,8 +17,8 @@ from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
 INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
-          'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'resets': UInt64,
-          '/parameter_events': ParameterEvent}
+          'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'wind': Vector3Stamped,
+          'resets': UInt64, '/parameter_events': ParameterEvent}
 
 
 class Recorder:

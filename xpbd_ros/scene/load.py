@@ -175,6 +175,9 @@ def _scene(raw: dict, where: str, name: str) -> Scene:
             except TypeError:
                 raise InputError(f'{section}: needs effects.{effect}, and the scene does not '
                                  'name it') from None
+    for effect in [*effects]:
+        for brought in load_effect(effect).brings:
+            effects.setdefault(brought, load_effect(brought).parameters())
     used = set(effects).union(*cloth_effects.values())
     for effect in used:
         needs = load_effect(effect).needs

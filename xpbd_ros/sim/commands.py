@@ -105,6 +105,14 @@ class RemoveAllColliders:
 
 
 @dataclass(frozen=True)
+class SetWind:
+    """How the air moves from now on."""
+
+    velocity: Vector
+    """[m/s]"""
+
+
+@dataclass(frozen=True)
 class SetKey:
     """Change one live key of the scene, such as ``solver.substeps``."""
 
@@ -118,4 +126,4 @@ class Reset:
 
 
 Command = (Grasp | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider | RemoveCollider
-           | RemoveAllColliders | SetKey | Reset)
+           | RemoveAllColliders | SetWind | SetKey | Reset)

@@ -169,3 +169,5 @@ class Effect:
     """the dataclass of one entry of the scene section that belongs to it, such as ``pins``"""
     needs: tuple[str, ...] = ()
     """it works only beside one of these"""
+    brings: tuple[str, ...] = ()
+    """the scene has these as well, as they are unless it says how"""

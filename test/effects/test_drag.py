@@ -1,0 +1,149 @@
+"""Drag and wind: terminal speed, the force's law, storms, and a wind that changes."""
+
+import numpy as np
+import pytest
+from sim.small import GRAVITY, run, run_until_still, simulate
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import Reset, SetKey, SetWind
+from xpbd_ros.sim.sweeps import METHODS
+
+AIR, NORMAL, SKIN = 1.2, 1.2, 0.01
+STILL = (0.0, 0.0, 0.0)
+
+
+def sheet(wind=None, *, drag=None, gravity=STILL, density=0.1, grid=(4, 3), **options):
+    """Return a flat sheet without any elasticity, in wind or in still air."""
+    scene_effects = {**options.pop('scene_effects', {}), **({'drag': drag} if drag else {})}
+    if wind is not None:
+        scene_effects['wind'] = {'velocity': list(wind), **options.pop('gust', {})}
+    return simulate(grid, (0.6, 0.4), scene_effects=scene_effects, gravity=gravity,
+                    density=density, **options)
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+def test_a_flat_sheet_falls_as_the_tangent_says_and_ends_at_its_terminal_speed(integrator):
+    """V17: v = v_t tanh(g t / v_t), v_t = √(2 ρ g / (ρ_a C)); order 1."""
+    terminal = np.sqrt(2.0 * 0.1 * GRAVITY / (AIR * NORMAL))
+    assert terminal == pytest.approx(1.167, abs=1e-3)
+    errors = []
+    for substeps in (4, 8, 16):
+        simulation = sheet(drag={'density': AIR}, gravity=(0, 0, -GRAVITY), substeps=substeps,
+                           integrator=integrator)
+        frame = run(simulation, 6)
+        exact = -terminal * np.tanh(GRAVITY * 0.1 / terminal)
+        assert np.ptp(frame.v, 0).max() < 1e-12
+        errors.append(abs(frame.v[0, 2] - exact))
+    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 1.0, atol=0.1)
+    assert run(simulation, 120).v[:, 2] == pytest.approx(-terminal, rel=2e-3)
+
+
+@pytest.mark.parametrize('precision', ['float64', 'float32'])
+def test_the_force_on_a_pinned_sheet_is_that_of_the_formula(precision):
+    """A wind that blows at an angle; all its particles are pinned, so the pin feels all."""
+    wind = np.array([3.0, 1.0, -2.0])
+    frame = run(sheet(wind, pins={'a': {'cloth': 'c', 'at': list(range(12))}},
+                      precision=precision), 2)
+    area, along = 0.6 * 0.4, np.array([3.0, 1.0, 0.0])
+    expected = 0.5 * AIR * area * (NORMAL * 2.0 * np.array([0.0, 0.0, -2.0])
+                                   + 2.0 * SKIN * np.linalg.norm(along) * along)
+    np.testing.assert_allclose(frame.pins['a'].force, expected, rtol=1e-5)
+
+
+def test_a_sheet_that_moves_with_the_wind_feels_nothing_and_a_faster_one_is_slowed():
+    for wind, change in (((0.0, 0.0, 1.0), 0.0), ((0.0, 0.0, 0.5), -1.0)):
+        simulation = sheet(wind)
+        simulation.state.v[2, simulation.slot] = 1.0
+        assert np.sign(simulation.step().v[:, 2] - 1.0) == pytest.approx(change)
+
+
+@pytest.mark.parametrize('method', METHODS)
+def test_light_cloth_in_a_sudden_storm_never_outruns_it(method):
+    """H28: 30 m/s on 50 g/m² in a step of 1/60 s, 9 times too long for an explicit force."""
+    simulation = sheet((30.0, 0.0, 0.0), density=0.05, pose={'orientation': [0.3, 0.5, 0.1, 0.8]},
+                       effects={'stretch': {'warp': 50.0, 'weft': 50.0}}, method=method,
+                       substeps=400 if method == 'explicit' else 1,
+                       integrator='leapfrog' if method == 'explicit' else 'backward_euler')
+    for _ in range(60):
+        frame = simulation.step()
+        momentum = simulation.state.mass[simulation.slot] @ frame.v
+        assert np.isfinite(frame.x).all()
+        assert np.linalg.norm(momentum) <= 30.0 * simulation.state.mass.sum() * (1 + 1e-9)
+    assert np.linalg.norm(momentum) > 3.0 * simulation.state.mass.sum()
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+def test_a_free_sheet_across_a_storm_is_monotone(integrator):
+    simulation = sheet((0.0, 0.0, 30.0), density=0.05, integrator=integrator)
+    speeds = [simulation.step().v[:, 2].mean() for _ in range(30)]
+    assert (np.diff([0.0, *speeds]) > -1e-9).all()
+    assert 25.0 < speeds[-1] <= 30.0
+
+
+def test_a_held_sheet_feels_the_whole_wind_up_to_the_square_of_the_step():
+    """Pulled at both edges, at rest; the usual implicit factor 1 / (1 + h k) errs by h k = 0.3."""
+    errors = []
+    for substeps in (4, 8, 16):
+        simulation = sheet((0.0, 0.0, 10.0), effects={'stretch': {'warp': 300.0, 'weft': 300.0}},
+                           pins={'a': {'cloth': 'c', 'at': 'edge_0x'},
+                                 'b': {'cloth': 'c', 'at': 'edge_1x'}}, substeps=substeps,
+                           scene_effects={'damping': {'rate': 20.0}})
+        frame = run_until_still(simulation, speed=1e-9)
+        a, b, c = (frame.x[simulation.cloths[0].mesh.triangles[:, k]] for k in range(3))
+        twice = np.cross(b - a, c - a)
+        across = 10.0 * twice[:, 2] / np.linalg.norm(twice, axis=1)
+        along = np.array([0.0, 0.0, 10.0]) - across[:, None] * (
+            normal := twice / np.linalg.norm(twice, axis=1)[:, None])
+        expected = 0.25 * AIR * np.linalg.norm(twice, axis=1) @ (
+            NORMAL * (np.abs(across) * across)[:, None] * normal
+            + 2.0 * SKIN * np.linalg.norm(along, axis=1)[:, None] * along)
+        pull = sum(pin.force for pin in frame.pins.values())
+        errors.append(abs(pull[2] / expected[2] - 1.0))
+    assert errors[0] < 0.1
+    assert np.log2(errors[0] / errors[-1]) / 2.0 > 1.5
+
+
+def test_drag_alone_is_still_air_and_wind_brings_drag():
+    assert set(sheet((1.0, 0.0, 0.0)).effects) == {'wind', 'drag'}
+    still, windless = sheet(drag={'density': AIR}), sheet(STILL)
+    assert still.effects['drag'].data.wind is None
+    for simulation in (still, windless):
+        simulation.state.v[2, simulation.slot] = -1.0
+        run(simulation, 10)
+    assert still.hash() == windless.hash()
+
+
+def test_the_wind_can_be_set_and_a_reset_brings_back_the_scenes():
+    simulation = sheet(STILL)
+    assert not run(simulation, 3).v.any()
+    frame = simulation.step([SetWind((0.0, 0.0, 2.0))])
+    assert frame.applied == (SetWind((0.0, 0.0, 2.0)),)
+    assert (frame.v[:, 2] > 0.0).all()
+    frame = simulation.step([SetKey('effects.drag.normal', 0.0), SetKey('gravity', STILL)])
+    assert simulation.effects['wind'].velocity[2] == 2.0    # other keys leave it as it is
+    simulation.step([SetKey('effects.wind.velocity', (1.0, 0.0, 0.0))])
+    assert tuple(simulation.effects['wind'].velocity) == (1.0, 0.0, 0.0)
+    assert not simulation.step([SetWind((0.0, 3.0, 0.0)), SetKey('effects.wind.velocity', STILL),
+                                Reset()]).v.any()
+    assert simulation.step([SetWind((0.0, 2e4, 0.0))]).refused[0][1].startswith('wind: ')
+
+
+def test_gusts_swell_about_the_mean_and_begin_anew_at_a_reset():
+    simulation = sheet((1.0, 0.0, 0.0), gust={'gust': [0.5, 0.0, 0.0], 'period': 0.5})
+
+    def velocities(frames=30):
+        return [float(simulation.effects['wind'].data.now[0]) for _ in range(frames)
+                if simulation.step() is not None]
+    first = velocities()
+    assert np.mean(first) == pytest.approx(1.0, abs=1e-9)
+    assert max(first) == pytest.approx(1.5, abs=0.01) and min(first) == pytest.approx(0.5, abs=.01)
+    velocities(7)
+    simulation.step([Reset()])
+    assert velocities(29) == pytest.approx(first[1:], abs=1e-7)
+
+
+def test_a_wind_that_makes_no_sense_is_refused():
+    with pytest.raises(InputError, match=r'effects.wind.velocity\[0\]: must be finite m/s'):
+        sheet((float('nan'), 0.0, 0.0))
+    with pytest.raises(InputError, match=r'effects.wind.velocity: missing \(m/s\)'):
+        simulate(scene_effects={'wind': {}})

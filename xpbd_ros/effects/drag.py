@@ -1,0 +1,239 @@
+"""
+Drag: the force of the air on each triangle, still air or that of ``wind``.
+
+A triangle of area A and unit normal n that the air passes at u, the air's velocity less the mean
+of its particles', is pushed by
+
+    F = ½ ρ A (normal |u·n| (u·n) n + 2 tangential |u_t| u_t),   u_t = u - (u·n) n,
+
+which is c_n (u·n) n + c_t u_t; both sides of the cloth are in it. Each of its particles i
+takes a third of c_n n nᵀ + c_t (1 - n nᵀ), times the u_i that it feels itself: together F, and no
+sawtooth is free of drag. (On a grid, where diagonals alternate, it takes the part that makes its
+area that of its mass, so that a flat sheet stays flat.) With D_i, the sum of these matrices at a
+particle, Z = H w D_i and u_i at the velocity that the integrator starts from, a substep adds
+
+    Δv = (1 + Z + Z²)⁻¹ (Z + Z²) u_i.
+
+That is H w D_i u_i up to Z³, so that a cloth that is held feels the whole force, and never more
+than u_i, whatever the step: light cloth in a storm takes on the wind's velocity and stays with it,
+where an explicit force would throw it about (NUMERICS 2.13). Where Z is too large to be resolved
+BDF2 starts anew, since its v̄ would overshoot.
+
+Limits: no lift from separated flow, no lee, no added mass of air. Coefficients and normals are
+those of the substep's start: first order in time. A strip of one row has no triangles.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.records import load_records, new_records, store_records
+from xpbd_ros.sim.stages import force, react, stage
+from xpbd_ros.sim.state import lose_history
+from xpbd_ros.sim.vector import fma, lanes, larger, root, select
+
+RESOLVED = 0.5
+"""largest trace of Z with which BDF2 goes on"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The air, and how it grips."""
+
+    density: float = quantity(1.2, unit='kg/m³', minimum=0.0, live=True, doc='of the air')
+    normal: float = quantity(1.2, minimum=0.0, live=True, doc='coefficient across the cloth')
+    tangential: float = quantity(0.01, minimum=0.0, live=True,
+                                 doc='coefficient along it, of each side')
+
+
+class Drag(NamedTuple):
+    """Data of the kernels."""
+
+    wind: np.ndarray | None
+    """velocity of the air [m/s], shape (3,); None where it is still"""
+    coefficient: np.ndarray
+    """ρ normal / 4 and ρ tangential / 2 [kg/m³], shape (2,)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots of the corners, shape (3, triangles)"""
+    share: np.ndarray
+    """what each particle takes of its triangles, shape (slots,)"""
+    x: np.ndarray
+    """positions as records, shape (slots, 4)"""
+    u: np.ndarray
+    """velocities of the air past the particles as records [m/s], shape (slots, 4)"""
+    along: np.ndarray
+    """xx, yy, zz of Σ D as records [kg/s], shape (slots, 4)"""
+    across: np.ndarray
+    """yz, zx, xy of Σ D as records [kg/s], shape (slots, 4)"""
+
+
+@jit
+def _air(wind, k):    # Numba prunes a branch on None where that is an argument
+    if wind is None:
+        return 0.0
+    return wind[k]
+
+
+@jit
+def _step(history, i, h):
+    """Return H of a particle [s]."""
+    if history is None:
+        return h
+    return h if history.fresh[i] > 0.5 else 2.0 / 3.0 * h
+
+
+@stage(force, Drag)
+@jit
+def drag_triangles(drag, state, substep):
+    """Add up the matrices of the triangles, then slow or carry along each particle."""
+    first, last = drag.slots[0], drag.slots[1]
+    x, v, gravity = state.x, state.v, state.gravity
+    wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
+    for i in range(first, last):
+        fall = _step(state.history, i, substep.h) if state.inv_mass[i] > 0.0 else 0.0
+        drag.x[i, 0], drag.x[i, 1], drag.x[i, 2] = x[0, i], x[1, i], x[2, i]
+        drag.u[i, 0] = wx - (v[0, i] - fall * gravity[0])
+        drag.u[i, 1] = wy - (v[1, i] - fall * gravity[1])
+        drag.u[i, 2] = wz - (v[2, i] - fall * gravity[2])
+        for k in range(4):
+            drag.along[i, k] = 0.0
+            drag.across[i, k] = 0.0
+    _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
+    for i in range(first, last):
+        step = _step(state.history, i, substep.h)
+        if _carry(drag, state, i, step) > RESOLVED:
+            lose_history(state.history, i)
+
+
+@jit
+def _add_triangles(coefficient, particles, x, u, along, across):
+    p0, p1, p2 = particles[0], particles[1], particles[2]
+    normal, tangential = coefficient[0], coefficient[1]
+    for q in range(0, particles.shape[1], lanes(x)):
+        x0, y0, z0, _ = load_records(x, p0, q)
+        x1, y1, z1, _ = load_records(x, p1, q)
+        x2, y2, z2, _ = load_records(x, p2, q)
+        ax, ay, az = x1 - x0, y1 - y0, z1 - z0
+        bx, by, bz = x2 - x0, y2 - y0, z2 - z0
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        twice = root(fma(nx, nx, fma(ny, ny, nz * nz)))
+        there = twice > 0.0
+        per = 1.0 / select(there, twice, 1.0)
+        nx, ny, nz = nx * per, ny * per, nz * per
+        u0, v0, w0, _ = load_records(u, p0, q)
+        u1, v1, w1, _ = load_records(u, p1, q)
+        u2, v2, w2, _ = load_records(u, p2, q)
+        ux, uy, uz = (u0 + u1 + u2) / 3.0, (v0 + v1 + v2) / 3.0, (w0 + w1 + w2) / 3.0
+        un = fma(ux, nx, fma(uy, ny, uz * nz))
+        tx, ty, tz = ux - un * nx, uy - un * ny, uz - un * nz
+        ct = tangential * twice * root(fma(tx, tx, fma(ty, ty, tz * tz)))
+        cn = normal * twice * larger(un, -un) - ct
+        gx, gy, gz = cn * nx, cn * ny, cn * nz
+        xx, yy, zz = fma(gx, nx, ct), fma(gy, ny, ct), fma(gz, nz, ct)
+        yz, zx, xy = gy * nz, gz * nx, gx * ny
+        _add(along, p0, q, xx, yy, zz)
+        _add(along, p1, q, xx, yy, zz)
+        _add(along, p2, q, xx, yy, zz)
+        _add(across, p0, q, yz, zx, xy)
+        _add(across, p1, q, yz, zx, xy)
+        _add(across, p2, q, yz, zx, xy)
+
+
+@jit(inline=True)
+def _add(records, index, start, a, b, c):
+    x, y, z, m = load_records(records, index, start)
+    store_records(records, index, start, x + a, y + b, z + c, m)
+
+
+@jit(inline=True)
+def _times(z, x, y, w):
+    """Return Z (x, y, w) for a symmetric Z: xx, yy, zz, yz, zx, xy."""
+    return (z[0] * x + z[5] * y + z[4] * w, z[5] * x + z[1] * y + z[3] * w,
+            z[4] * x + z[3] * y + z[2] * w)
+
+
+@jit(inline=True)
+def _carry(drag, state, i, step):
+    """Δv = (1 + Z + Z²)⁻¹ (Z + Z²) u, by the factors L D Lᵀ of the sum; return trace Z."""
+    s = step * state.inv_mass[i] * drag.share[i]
+    a, b, u = drag.along[i], drag.across[i], drag.u[i]
+    z = (s * a[0], s * a[1], s * a[2], s * b[0], s * b[1], s * b[2])
+    px, py, pz = _times(z, u[0], u[1], u[2])
+    px, py, pz = _times(z, u[0] + px, u[1] + py, u[2] + pz)
+    xx = z[0] + z[0] * z[0] + z[5] * z[5] + z[4] * z[4]
+    yy = z[1] + z[5] * z[5] + z[1] * z[1] + z[3] * z[3]
+    zz = z[2] + z[4] * z[4] + z[3] * z[3] + z[2] * z[2]
+    yz = z[3] + z[5] * z[4] + z[1] * z[3] + z[3] * z[2]
+    zx = z[4] + z[0] * z[4] + z[5] * z[3] + z[4] * z[2]
+    xy = z[5] + z[0] * z[5] + z[5] * z[1] + z[4] * z[3]
+    d0 = 1.0 + xx
+    l1, l2 = xy / d0, zx / d0
+    d1 = 1.0 + (yy - l1 * xy)
+    e = yz - l1 * zx
+    l3 = e / d1
+    d2 = 1.0 + (zz - l2 * zx - l3 * e)
+    py -= l1 * px
+    pz -= l2 * px + l3 * py
+    dz = pz / d2
+    dy = py / d1 - l3 * dz
+    dx = px / d0 - l1 * dy - l2 * dz
+    state.v[0, i] += dx
+    state.v[1, i] += dy
+    state.v[2, i] += dz
+    state.x[0, i] += step * dx
+    state.x[1, i] += step * dy
+    state.x[2, i] += step * dz
+    return z[0] + z[1] + z[2]
+
+
+@stage(react, Drag)
+@jit
+def react_drag(drag, state, substep):
+    """Force on pinned particles: D_i u_i."""
+    part = substep.end - substep.begin
+    for i in range(drag.slots[0], drag.slots[1]):
+        if state.inv_mass[i] == 0.0:
+            a, b, u, share = drag.along[i], drag.across[i], drag.u[i], part * drag.share[i]
+            fx, fy, fz = _times((a[0], a[1], a[2], b[0], b[1], b[2]), u[0], u[1], u[2])
+            state.reaction[0, i] += share * fx
+            state.reaction[1, i] += share * fy
+            state.reaction[2, i] += share * fz
+
+
+def shares(mesh) -> np.ndarray:
+    """Return what each particle takes of its triangles at rest, shape (particles,)."""
+    corners = mesh.positions[mesh.triangles]
+    area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    total = np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.positions))
+    if mesh.grid is None:
+        return np.full(len(total), 1.0 / 3.0)
+    return np.divide(mesh.area, total, out=np.zeros_like(total), where=total > 0.0)
+
+
+class BuiltDrag(Built):
+    """The triangles of all cloths."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        dtype, wind = world.state.x.dtype, world.built.get('wind')
+        triangles = np.concatenate([cloth.slots[cloth.mesh.triangles] for cloth in world.cloths])
+        order, share = pack(triangles), zeros(world.slots, dtype)
+        for cloth in world.cloths:
+            share[cloth.slots] = shares(cloth.mesh)
+        self.data = Drag(
+            None if wind is None else wind.data.now,
+            parameters.density * np.array([0.25 * parameters.normal, 0.5 * parameters.tangential]),
+            np.array([triangles.min(initial=0), triangles.max(initial=-1) + 1]),
+            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share,
+            *(new_records(world.slots, dtype) for _ in range(4)))
+
+
+EFFECT = Effect('drag', Parameters, BuiltDrag)

@@ -1,0 +1,99 @@
+"""
+Wind: a uniform velocity of the air, which the cloth feels through its drag.
+
+    u(t) = velocity + gust sin(2 π t / period)
+
+with t from the scene's start. It moves nothing itself: ``drag`` does, with its usual coefficients
+where the scene does not name it. ``~/wind`` sets the velocity while the scene runs; a reset brings
+back the scene's.
+
+Limits: the same everywhere, and the cloth does not slow it; what is in the lee feels it too. A
+gust is joined by straight lines from frame to frame.
+"""
+
+from dataclasses import dataclass
+from math import pi, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.commands import SetWind
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.stages import force, stage
+
+FASTEST = 1e4
+"""what is called wind blows no faster [m/s]"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The velocity, and how it swells."""
+
+    velocity: tuple[float, float, float] = quantity(
+        unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True, doc='of the air')
+    gust: tuple[float, float, float] = quantity(
+        (0.0, 0.0, 0.0), unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True,
+        doc='amplitude that swells about it')
+    period: float = quantity(2.0, unit='s', above=0.0, live=True, doc='of the gusts')
+
+
+class Wind(NamedTuple):
+    """Data of the kernel."""
+
+    start: np.ndarray
+    """velocity at the frame's start [m/s], shape (3,)"""
+    goal: np.ndarray
+    """velocity at its end [m/s], shape (3,)"""
+    now: np.ndarray
+    """velocity at the substep's end [m/s], shape (3,)"""
+
+
+@stage(force, Wind)
+@jit
+def blow(wind, state, substep):
+    """Let the wind have the velocity that it has at the substep's end."""
+    for k in range(3):
+        wind.now[k] = wind.start[k] + substep.end * (wind.goal[k] - wind.start[k])
+
+
+class BuiltWind(Built):
+    """Knows the velocity; commands may change it."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        self.parameters = parameters
+        self.velocity = np.array(parameters.velocity)
+        """mean, as the scene or the last command has it [m/s]"""
+        self.data = Wind(*(np.zeros(3) for _ in range(3)))
+        self.commands = {SetWind: self.set}
+        self._start_ns = 0
+
+    def set(self, command, clock, state) -> str | None:
+        """Change the velocity."""
+        if max(map(abs, command.velocity)) > FASTEST:
+            return f'wind: {list(command.velocity)} is faster than {FASTEST:g} m/s'
+        self.velocity = np.array(command.velocity)
+        return None
+
+    def begin(self, clock, state):
+        for velocity, now_ns in ((self.data.start, clock.begin_ns), (self.data.goal,
+                                                                     clock.end_ns)):
+            turns = (now_ns - self._start_ns) * 1e-9 / self.parameters.period
+            velocity[:] = self.velocity + np.multiply(self.parameters.gust,
+                                                      sin(2.0 * pi * (turns % 1.0)))
+
+    def reset(self, state, now_ns):
+        self.velocity = np.array(self.parameters.velocity)
+        self._start_ns = now_ns
+
+    def adopt(self, old):
+        self._start_ns = old._start_ns
+        if self.parameters.velocity == old.parameters.velocity:
+            self.velocity = old.velocity
+
+    def stats(self):
+        return {'wind_m_s': float(np.linalg.norm(self.data.goal))}
+
+
+EFFECT = Effect('wind', Parameters, BuiltWind, brings=('drag',))
