@@ -9,7 +9,7 @@
 //
 // Particles are row-major, a component apart. Across rows the lanes are neighbouring columns.
 // Along rows they are neighbouring rows: tiles are transposed in registers on the way in and on
-// the way out. Each edge has a rest length and a compliance of its own.
+// the way out. A line's edges are alike: one rest length, one compliance.
 
 #pragma once
 
@@ -150,7 +150,7 @@ private:
         const int here = k * line.pitch, edge = here - line.pitch;
         const V x1 = L::load(line.x + here), y1 = L::load(line.y + here);
         const V z1 = L::load(line.z + here), w1 = L::load(line.w + here);
-        const V alpha = L::load(line.alpha + edge), length = L::load(line.rest + edge);
+        const V alpha = L::load(line.alpha), length = L::load(line.rest);
         const V dx = x1 - s.x, dy = y1 - s.y, dz = z1 - s.z, sum = s.w + w1;
         const V l2 = L::fma(dx, dx, L::fma(dy, dy, L::fma(dz, dz, L::all(tiny))));
         const V per_l = estimate ? L::rsqrt(l2) : L::all(1) / L::sqrt(l2);

@@ -14,14 +14,16 @@ from numba import njit
 import numpy as np
 from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 
-from xpbd_ros.effects.bend import Bend, grid_hinges, isometric_weights
-from xpbd_ros.effects.stretch import Stretch
+from xpbd_ros.effects.bend import Bend, grid_hinges, shape_weights
+from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.distance import distance_batch
-from xpbd_ros.sim.layout import Block, blocks, zeros
+from xpbd_ros.sim.distance import grid_edges, mesh_edges
+from xpbd_ros.sim.layout import blocks, zeros
 from xpbd_ros.sim.lines import grid_lines, solve_edges
+from xpbd_ros.sim.mesh import cuthill_mckee
+from xpbd_ros.sim.records import new_records
 from xpbd_ros.sim.runs import grid_runs, Shape
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stages import prepare, project
@@ -53,19 +55,21 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
     """Return whole frames of 10 × 1 on a list of edges: the rows ``grid`` and ``irregular``."""
     if threads != 1:
         raise NotAvailableError(f'{threads} threads')
-    if not work.kinds:
-        raise NotAvailableError('meshes that are no grid')
-    sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision)
-    shapes, rest, compliance, first = [], [], [], 0
-    for family, (_, a, b) in enumerate(FAMILIES):
-        rows, columns = (work.n - max(ends) for ends in zip(a, b))
-        shapes.append(Shape((a, b), range(rows), range(columns), family))
-        chosen = slice(first, first + rows * columns)
-        first = chosen.stop
-        for table, numbers in ((rest, work.edges.rest_length),
-                               (compliance, work.edges.compliance)):
-            table.append(sheet.by_slot(numbers[chosen].reshape(rows, columns)))
-    effects = (sheet.stretch(shapes, rest, compliance),)
+    if work.kinds:
+        sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision)
+        shapes = [Shape((a, b), *(range(work.n - max(ends)) for ends in zip(a, b)), family)
+                  for family, (_, a, b) in enumerate(FAMILIES)]
+        first = np.cumsum([0, *(len(s.rows) * len(s.columns) for s in shapes)])[:-1]
+        edges = grid_edges(grid_runs(sheet.block, shapes, sheet.slots), range(len(shapes)),
+                           work.edges.rest_length[first], work.edges.compliance[first, None],
+                           world=sheet)
+        effects = (Stretch(edges, None),)
+    else:
+        sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision,
+                       order=work.edges.particles)
+        effects = (MeshStretch(mesh_edges(sheet.slot[work.edges.particles],
+                                          work.edges.rest_length, work.edges.compliance,
+                                          world=sheet)),)
     step, how = compiled(('stretch',)), METHODS[method](1)
 
     def run(frames):
@@ -82,24 +86,25 @@ def line_passes(warp: LineWork, weft: LineWork, *, precision: str) -> Candidate:
     """
     n, h = warp.n, warp.h
     sheet = _Sheet(n, warp.x.reshape(-1, 3), warp.inv_mass.ravel(), np.zeros(3), precision)
-    shapes = [Shape(((0, 0), (0, 1)), range(n), range(n - 1), 0),
-              Shape(((0, 0), (1, 0)), range(n - 1), range(n), 1)]
-    stretch = sheet.stretch(shapes, *([sheet.by_slot(getattr(work, name)) for work in (warp, weft)]
-                                      for name in ('rest_length', 'compliance')))
+    lines = grid_lines([sheet.block], [(warp.rest_length[0, 0], weft.rest_length[0, 0])],
+                       [(warp.compliance[:, 0], weft.compliance[0])], slots=sheet.slots,
+                       dtype=sheet.state.x.dtype)
+    force = zeros(2 * sheet.slots, sheet.state.x.dtype)
     sheet.state.mobility[:] = sheet.state.inv_mass * h**2
 
     def state():
-        force = stretch.edges.force.reshape(2, -1)[:, sheet.block.slots]
-        return (sheet.positions().reshape(n, n, 3), *(force.astype(float) * h**2))
+        found = force.reshape(2, -1)[:, sheet.block.slots]
+        return (sheet.positions().reshape(n, n, 3), *(found.astype(float) * h**2))
 
-    return Candidate(lambda count: _solve_lines(stretch, sheet.state, count), sheet.reset, state)
+    return Candidate(lambda count: _solve_lines(lines, force, sheet.state, count), sheet.reset,
+                     state)
 
 
 @njit(nogil=True)
-def _solve_lines(stretch, state, count):
-    stretch.edges.force[:] = 0.0
+def _solve_lines(lines, force, state, count):
+    force[:] = 0.0
     for _ in range(count):
-        solve_edges(stretch.edges, stretch.lines, state)
+        solve_edges(lines, force, state)
 
 
 def bend_passes(work: Work, *, precision: str) -> Candidate:
@@ -107,12 +112,9 @@ def bend_passes(work: Work, *, precision: str) -> Candidate:
     n, dtype = work.n, np.dtype(precision)
     sheet = _Sheet(n, work.x, work.inv_mass, np.zeros(3), precision)
     shapes = grid_hinges(n, n)
-    corners = np.zeros((len(shapes), 4, 3))
-    corners[:, :, :2] = [[(j / (n - 1), i / (n - 1)) for i, j in shape.particles]
-                         for shape in shapes]
     compliance = np.full(len(shapes), work.hinges.compliance[0], dtype)
     effects = (Bend(grid_runs(sheet.block, shapes, sheet.slots),
-                    isometric_weights(corners).astype(dtype), compliance,
+                    shape_weights(shapes, (1 / (n - 1),) * 2).astype(dtype), compliance,
                     zeros((3, 3 * sheet.slots), dtype), None),)
     substep = Substep(FRAME_DT / SUBSTEPS, 0.0, 1.0)
     sheet.state.mobility[:] = sheet.state.inv_mass * substep.h**2
@@ -128,30 +130,20 @@ def _passes(effects, state, substep, count):
 
 
 class _Sheet:
-    """The particles of a work as the simulation lays them out."""
+    """The particles of a work as the simulation lays them out, and as an effect sees them."""
 
-    def __init__(self, n, x, inv_mass, gravity, precision):
-        self.block: Block
-        (self.block,), self.slots = blocks([(n, n)], np.dtype(precision))
+    pins = forces = False
+
+    def __init__(self, n, x, inv_mass, gravity, precision, *, order=None):
+        dtype = np.dtype(precision)
+        shape = (n, n) if order is None else cuthill_mckee(order, len(x))
+        (self.block,), self.slots = blocks([shape], dtype)
         self.slot, self.x = self.block.slots.ravel(), x
         held = inv_mass == 0.0
         self.state = new_state(x, 1.0 / np.where(held, 1.0, inv_mass), gravity, self.slot,
-                               self.slots, dtype=np.dtype(precision))
+                               self.slots, dtype=dtype)
         self.state.inv_mass[self.slot[held]] = 0.0
-
-    def by_slot(self, numbers: np.ndarray) -> np.ndarray:
-        """Return numbers of cells (rows, columns) by anchor, shape (slots,)."""
-        found = np.zeros(self.slots)
-        found[self.block.slots[:numbers.shape[0], :numbers.shape[1]]] = numbers
-        return found
-
-    def stretch(self, shapes, rest_length, compliance) -> Stretch:
-        """Return edges; the first two families are warp and weft."""
-        dtype = self.state.x.dtype
-        return Stretch(
-            distance_batch(grid_runs(self.block, shapes, self.slots), np.array(rest_length),
-                           np.array(compliance), pins=False, dtype=dtype),
-            grid_lines([self.block], self.slots, dtype))
+        self.records = new_records(self.slots, dtype)
 
     def reset(self) -> None:
         """Go back to the start."""

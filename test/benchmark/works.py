@@ -106,8 +106,9 @@ def irregular_work(n: int) -> Work:
 @dataclass(frozen=True, eq=False)
 class LineWork:
     """
-    The lines of one direction of an n × n grid, with masses, lengths and compliances of any value.
+    The lines of one direction of an n × n grid, with masses of any value.
 
+    A line's edges are alike in length and compliance, all lines alike in length.
     An edge stands where its first particle does, so the last place of a line is empty.
     """
 
@@ -148,9 +149,10 @@ def line_work(n: int, *, along: bool) -> LineWork:
     x = _flat(n).reshape(n, n, 3) + 0.05 * d * random.standard_normal((n, n, 3))
     inv_mass = random.uniform(0.5, 2.0, (n, n)) / (0.2 * d * d)
     inv_mass[0, 0] = inv_mass[0, -1] = inv_mass[n // 2, n // 3] = 0.0
-    rest = d * random.uniform(0.95, 1.05, (n, n))
-    return LineWork(n, FRAME_DT / 32, along, x, inv_mass, rest,
-                    random.uniform(0.5, 2.0, (n, n)) / 5000.0)
+    compliance = random.uniform(0.5, 2.0, n) / 5000.0
+    return LineWork(n, FRAME_DT / 32, along, x, inv_mass, np.full((n, n), 1.01 * d),
+                    np.ascontiguousarray(np.broadcast_to(
+                        compliance[:, None] if along else compliance, (n, n))))
 
 
 def bend_work(n: int) -> Work:

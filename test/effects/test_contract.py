@@ -263,19 +263,19 @@ def test_a_pinned_particle_is_not_moved_and_all_pinned_is_fine(name, stage):
     np.testing.assert_array_equal(state.x, before)
 
 
-@pytest.mark.parametrize('method, integrator', SETTINGS)
+@pytest.mark.parametrize('method, integrator', [s for s in SETTINGS if s[0] != 'jacobi'])
 def test_a_hanging_cloth_balances_its_weight(method, integrator):
     """
     The forces are those of the energies' definitions: Σ ∇E = m g at every free particle.
 
     Up to what one substep turns the gradients by, which falls with its square; leapfrog takes the
-    forces as they are.
+    forces as they are. (Jacobi comes to where Gauss-Seidel does, but slowly: test_jacobi.)
     """
     errors = []
     for substeps in (4, 8, 16, 32):
         simulation = simulate(
             (4, 4), effects={name: EXAMPLES[name] for name in OF_CLOTHS}, substeps=substeps,
-            iterations=2000 if method == 'jacobi' else 30, density=0.2,
+            iterations=30, density=0.2,
             scene_effects={'damping': {'rate': 15.0}},
             pins={'a': {'cloth': 'c', 'at': 'corner_10'}, 'b': {'cloth': 'c', 'at': 'edge_0x'}},
             method=method, integrator=integrator)

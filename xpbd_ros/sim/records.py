@@ -14,7 +14,7 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.update import inline
-from xpbd_ros.sim.vector import fma, vector_of
+from xpbd_ros.sim.vector import fma, lanes, load, store, vector_of
 
 PACK = 16
 """constraints that share no particle, side by side: the lanes of the widest vector there is"""
@@ -24,43 +24,6 @@ _FIELDS = 4
 def new_records(slots: int, dtype) -> np.ndarray:
     """Return records for all slots, shape (slots, 4)."""
     return zeros((slots, _FIELDS), dtype)
-
-
-@jit
-def to_records(state, records, first, last):
-    """Copy positions and mobilities of the slots from first to last."""
-    for i in range(first, last):
-        records[i, 0] = state.x[0, i]
-        records[i, 1] = state.x[1, i]
-        records[i, 2] = state.x[2, i]
-        records[i, 3] = state.mobility[i]
-    _zero(state.apart, first, last)
-
-
-@jit
-def _zero(apart, first, last):    # Numba prunes a branch on None where that is an argument
-    if apart is not None:
-        apart.records[first:last] = 0.0
-
-
-@jit
-def from_records(state, records, first, last):
-    """Copy positions back, or add the moves to those of the other constraints."""
-    _back(state, state.apart, records, first, last)
-
-
-@jit
-def _back(state, apart, records, first, last):
-    if apart is None:
-        for i in range(first, last):
-            state.x[0, i] = records[i, 0]
-            state.x[1, i] = records[i, 1]
-            state.x[2, i] = records[i, 2]
-    else:
-        for i in range(first, last):
-            apart.move[0, i] += apart.records[i, 0]
-            apart.move[1, i] += apart.records[i, 1]
-            apart.move[2, i] += apart.records[i, 2]
 
 
 def _constants(numbers):
@@ -92,6 +55,43 @@ def _transposed(builder, rows):
 def _parts(builder, whole, size):
     return [builder.shuffle_vector(whole, whole, _constants(list(range(k, k + size))))
             for k in range(0, whole.type.count, size)]
+
+
+def _whole(context, builder, signature, arguments, count):
+    """Return a pointer to as many neighbouring records as a vector has lanes."""
+    records = cgutils.create_struct_proxy(signature.args[0])(
+        context, builder, value=arguments[0]).data
+    first = builder.mul(arguments[1], arguments[1].type(_FIELDS))
+    kind = ir.VectorType(records.type.pointee, _FIELDS * count)
+    return builder.bitcast(builder.gep(records, [first], inbounds=True), kind.as_pointer())
+
+
+@intrinsic
+def load_row(typing, records, start):
+    """Return x, y, z, m of neighbouring records."""
+    vector = vector_of(records)
+    result = types.UniTuple(vector, _FIELDS)
+
+    def generate(context, builder, signature, arguments):
+        whole = builder.load(_whole(context, builder, signature, arguments, vector.count),
+                             align=vector.lane.bitwidth // 8)
+        return context.make_tuple(builder, result, [builder.shuffle_vector(
+            whole, whole, _constants(list(range(k, _FIELDS * vector.count, _FIELDS))))
+            for k in range(_FIELDS)])
+    return result(records, types.intp), generate
+
+
+@intrinsic
+def store_row(typing, records, start, x, y, z, m):
+    """Write x, y, z, m of neighbouring records."""
+    vector = vector_of(records)
+
+    def generate(context, builder, signature, arguments):
+        builder.store(_transposed(builder, arguments[2:]), _whole(
+            context, builder, signature, arguments, vector.count),
+            align=vector.lane.bitwidth // 8)
+        return context.get_dummy_value()
+    return types.void(records, types.intp, *[vector] * _FIELDS), generate
 
 
 @intrinsic
@@ -141,3 +141,42 @@ def _put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
         store_records(apart.records, index, start, fma(step, dx, sx), fma(step, dy, sy),
                       fma(step, dz, sz), rest)
     return add
+
+
+@jit
+def to_records(state, records, first, last):
+    """Copy positions and mobilities of the slots from first to last, or a few more."""
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    for i in range(first, last, lanes(m)):
+        store_row(records, i, load(x, i), load(y, i), load(z, i), load(m, i))
+    _zero(state.apart, first, last)
+
+
+@jit
+def _zero(apart, first, last):    # Numba prunes a branch on None where that is an argument
+    if apart is not None:
+        apart.records[first:last] = 0.0
+
+
+@jit
+def from_records(state, records, first, last):
+    """Copy positions back, or add the moves to those of the other constraints."""
+    _back(state, state.apart, records, first, last)
+
+
+@jit
+def _back(state, apart, records, first, last):
+    if apart is None:
+        x, y, z = state.x[0], state.x[1], state.x[2]
+        for i in range(first, last, lanes(records)):
+            xi, yi, zi, _ = load_row(records, i)
+            store(x, i, xi)
+            store(y, i, yi)
+            store(z, i, zi)
+    else:
+        x, y, z = apart.move[0], apart.move[1], apart.move[2]
+        for i in range(first, last, lanes(records)):
+            xi, yi, zi, _ = load_row(apart.records, i)
+            store(x, i, load(x, i) + xi)
+            store(y, i, load(y, i) + yi)
+            store(z, i, load(z, i) + zi)

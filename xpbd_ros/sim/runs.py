@@ -13,7 +13,7 @@ import numpy as np
 
 from xpbd_ros.sim.layout import Block, STRIDE
 
-STRIP = 16
+STRIP = 8
 """rows that a sweep takes at a time, so that they stay in the cache"""
 
 
