@@ -1,9 +1,7 @@
-// Isometric bending on a regular grid with alternating diagonals: each hinge a linear vector
-// constraint C = Σ k x with a vector multiplier; any masses, one compliance, and the weights k that
-// the four kinds of hinge have on a grid.
+// Bending on a regular grid: three particles in a row, three in a column, the four of a cell, each
+// a linear vector constraint C = Σ k x with a vector multiplier; any masses, one compliance.
 //
-// The order: the warp edges' hinges, the weft edges', the diagonals'; each in runs (see
-// sheet.hpp).
+// The order: rows, columns, cells; each in runs (see sheet.hpp).
 
 #pragma once
 
@@ -30,8 +28,9 @@ class BendOf final : public Bend {
     enum { X, Y, Z, W, FIELDS };
 
     struct Run {
-        T *p[4];       // edge start, edge end, opposite, opposite
+        T *p[4];       // of three: the middle, the left, the middle, the right
         T k[4];
+        bool three;
         int count;     // hinges
         int lambda;    // where their multipliers stand: x, y, z of each N
     };
@@ -45,22 +44,12 @@ public:
     BendOf(int n, const double *inv_mass) : sheet(n, FIELDS) {
         for (int i = 0; i < n; ++i)
             for (int j = 0; j < n; ++j) sheet.at(i, j)[W * sheet.field] = T(inv_mass[i * n + j]);
-        // A cell whose i + j is even has its diagonal from (i, j) to (i + 1, j + 1).
-        for (int i = 1; i + 1 < n; ++i)
-            for (int j = 0; j < 4; ++j) {
-                const int even = (i + j) % 2 == 0;
-                add({i, i, i + 1, i - 1}, {j, j + 1, j + even, j + even});
-            }
+        for (int i = 0; i < n; ++i)
+            for (int j = 0; j < 4; ++j) add({i, i, i, i}, {j + 1, j, j + 1, j + 2}, true);
+        for (int i = 0; i + 2 < n; ++i)
+            for (int j = 0; j < 4; ++j) add({i + 1, i, i + 1, i + 2}, {j, j, j, j}, true);
         for (int i = 0; i + 1 < n; ++i)
-            for (int j = 0; j < 4; ++j) {
-                const int odd = (i + j) % 2;
-                add({i, i + 1, i + odd, i + odd}, {j + 1, j + 1, j, j + 2});
-            }
-        for (int i = 0; i + 1 < n; ++i)
-            for (int j = 0; j < 4; ++j) {
-                const int odd = (i + j) % 2;
-                add({i, i + 1, i, i + 1}, {j + odd, j + !odd, j + !odd, j + odd});
-            }
+            for (int j = 0; j < 4; ++j) add({i, i, i + 1, i + 1}, {j, j + 1, j, j + 1}, false);
     }
 
     void set(const double *x) override {
@@ -99,24 +88,28 @@ public:
         std::fill(lambda.begin(), lambda.end(), T(0));
         for (int pass = 0; pass < passes; ++pass)
             for (const Run &run : runs)
-                for (int q = 0; q < run.count; q += N)
-                    project(run, q, L::first(run.count - q), &lambda[run.lambda + 3 * q]);
+                for (int q = 0; q < run.count; q += N) {
+                    const auto mask = L::first(run.count - q);
+                    if (run.three) project<1>(run, q, mask, &lambda[run.lambda + 3 * q]);
+                    else project<0>(run, q, mask, &lambda[run.lambda + 3 * q]);
+                }
     }
 
 private:
-    void add(const int (&i)[4], const int (&j)[4]) {
+    void add(const int (&i)[4], const int (&j)[4], bool three) {
         const auto [left, right] = std::minmax_element(j, j + 4);
         const int count = sheet.count(*left, *right - *left);
         if (count == 0) return;
-        Run run{{}, {}, count, static_cast<int>(lambda.size())};
+        Run run{{}, {}, three, count, static_cast<int>(lambda.size())};
         for (int k = 0; k < 4; ++k) run.p[k] = sheet.at(i[k], j[k]);
         runs.push_back(run);
         lambda.resize(lambda.size() + 3 * ((count + N - 1) / N * N));
     }
 
+    template <int first>
     void project(const Run &run, int q, typename L::Mask mask, T *l) const {
         V k[4], wk[4], sum = L::all(alpha);
-        for (int i = 0; i < 4; ++i) {
+        for (int i = first; i < 4; ++i) {
             k[i] = L::all(run.k[i]);
             wk[i] = L::load(run.p[i] + q + W * sheet.field) * k[i];
             sum = L::fma(k[i], wk[i], sum);
@@ -124,13 +117,13 @@ private:
         const V per_sum = L::keep(mask, L::all(-1) / sum);
         for (int axis = 0; axis < 3; ++axis, l += N) {
             V x[4], c = L::all(alpha) * L::load(l);
-            for (int i = 0; i < 4; ++i) {
+            for (int i = first; i < 4; ++i) {
                 x[i] = L::load(run.p[i] + q + axis * sheet.field);
                 c = L::fma(k[i], x[i], c);
             }
             const V change = c * per_sum;
             L::store(l, L::load(l) + change);
-            for (int i = 0; i < 4; ++i)
+            for (int i = first; i < 4; ++i)
                 L::store(run.p[i] + q + axis * sheet.field, L::fma(wk[i], change, x[i]));
         }
     }

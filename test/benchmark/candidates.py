@@ -14,12 +14,12 @@ from numba import njit
 import numpy as np
 from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 
-from xpbd_ros.effects.bend import Bend, grid_hinges, shape_weights
+from xpbd_ros.effects.bend import Curvature, curvature_shapes, Twist, twist_shapes
 from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.distance import grid_edges, mesh_edges
+from xpbd_ros.sim.distance import by_place, grid_edges, mesh_edges
 from xpbd_ros.sim.layout import blocks, zeros
 from xpbd_ros.sim.lines import grid_lines, solve_edges
 from xpbd_ros.sim.mesh import cuthill_mckee
@@ -108,14 +108,16 @@ def _solve_lines(lines, force, state, count):
 
 
 def bend_passes(work: Work, *, precision: str) -> Candidate:
-    """Return projections of isometric hinges, multipliers kept from pass to pass: ``bend``."""
+    """Return projections of bending, multipliers kept from pass to pass: ``bend``."""
     n, dtype = work.n, np.dtype(precision)
     sheet = _Sheet(n, work.x, work.inv_mass, np.zeros(3), precision)
-    shapes = grid_hinges(n, n)
-    compliance = np.full(len(shapes), work.hinges.compliance[0], dtype)
-    effects = (Bend(grid_runs(sheet.block, shapes, sheet.slots),
-                    shape_weights(shapes, (1 / (n - 1),) * 2).astype(dtype), compliance,
-                    zeros((3, 3 * sheet.slots), dtype), None),)
+    effects = []
+    for kind, shapes, families in ((Curvature, curvature_shapes(n, n), 2),
+                                   (Twist, twist_shapes(n, n), 1)):
+        runs = grid_runs(sheet.block, shapes, sheet.slots)
+        alpha = by_place(runs, [np.full((len(shapes), 1), work.hinges.compliance[0])], dtype)
+        effects.append(kind(runs, alpha, zeros((3, families * sheet.slots), dtype), None))
+    effects = tuple(effects)
     substep = Substep(FRAME_DT / SUBSTEPS, 0.0, 1.0)
     sheet.state.mobility[:] = sheet.state.inv_mass * substep.h**2
     return Candidate(lambda count: _passes(effects, sheet.state, substep, count), sheet.reset,

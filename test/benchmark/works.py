@@ -28,14 +28,14 @@ class Edges:
 
 @dataclass(frozen=True, eq=False)
 class Hinges:
-    """Isometric bending: C = Σ weight x."""
+    """Bending as linear vector constraints: C = Σ weight x."""
 
     particles: np.ndarray
-    """edge start, edge end, opposite, opposite; shape (hinges, 4)"""
+    """shape (hinges, 4)"""
     weight: np.ndarray
-    """[1/m], shape (hinges, 4)"""
+    """shape (hinges, 4)"""
     compliance: np.ndarray
-    """[1/(N m)], shape (hinges,)"""
+    """[m/N], shape (hinges,)"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,58 +156,30 @@ def line_work(n: int, *, along: bool) -> LineWork:
 
 
 def bend_work(n: int) -> Work:
-    """Return the hinges of a grid with alternating diagonals, crumpled, its masses uneven."""
+    """Return what resists bending in a grid, crumpled, its masses uneven."""
     random = np.random.default_rng(2)
     d = 1 / (n - 1)
-    rest, particles = _flat(n), hinges_of_grid(n)
-    x = rest + 0.1 * d * random.standard_normal((n * n, 3))
+    particles, weight = bends_of_grid(n)
+    x = _flat(n) + 0.1 * d * random.standard_normal((n * n, 3))
     inv_mass = random.uniform(0.5, 2.0, n * n) / (0.2 * d * d)
     inv_mass[[0, n - 1]] = 0.0
     return Work(n, x, inv_mass, GRAVITY, hinges=Hinges(
-        particles, isometric_weights(rest, particles), np.full(len(particles), 1e3)))
+        particles, weight, np.full(len(particles), 1e-3)))
 
 
-def hinges_of_grid(n: int) -> np.ndarray:
+def bends_of_grid(n: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the hinges of n × n particles, sorted by their first edge particle, shape (hinges, 4).
+    Return three in a row, three in a column, and the four of a cell; and their weights.
 
-    The diagonal of a cell runs from (i, j) to (i + 1, j + 1) if i + j is even, else the other way.
+    Of three, the one in the middle comes first too, with no weight.
     """
     p = np.arange(n * n).reshape(n, n)
-    i, j = np.indices((n - 1, n - 1))
-    even = (i + j) % 2 == 0
-    a, b, c, d = p[:-1, :-1], p[:-1, 1:], p[1:, 1:], p[1:, :-1]    # around each cell
-    diagonal = np.where(even, [a, c, b, d], [b, d, a, c])
-    above, below = even[1:], even[:-1]    # the cells that meet in an inner horizontal edge
-    horizontal = [a[1:], b[1:], np.where(above, c[1:], d[1:]), np.where(below, a[:-1], b[:-1])]
-    left, right = even[:, :-1], even[:, 1:]
-    vertical = [b[:, :-1], c[:, :-1], np.where(left, a[:, :-1], d[:, :-1]),
-                np.where(right, c[:, 1:], b[:, 1:])]
-    found = np.concatenate([np.reshape(family, (4, -1)).T
-                            for family in (horizontal, vertical, diagonal)])
-    return found[np.argsort(found[:, 0], kind='stable')]
-
-
-def isometric_weights(rest: np.ndarray, hinges: np.ndarray) -> np.ndarray:
-    """
-    Return the K / sqrt(A0 + A1) of Bergou et al. 2006 [1/m], shape (hinges, 4).
-
-    A grid's diagonals weigh half in the energy, so that it bends alike about both axes.
-    """
-    x0, x1, x2, x3 = rest[hinges].transpose(1, 0, 2)
-    e = x1 - x0
-
-    def cot(u, v):
-        return (u * v).sum(1) / np.linalg.norm(np.cross(u, v), axis=1)
-
-    at_start = cot(e, x2 - x0), cot(e, x3 - x0)
-    at_end = cot(-e, x2 - x1), cot(-e, x3 - x1)
-    area = 0.5 * (np.linalg.norm(np.cross(e, x2 - x0), axis=1)
-                  + np.linalg.norm(np.cross(e, x3 - x0), axis=1))
-    k = np.stack([sum(at_end), sum(at_start), -at_start[0] - at_end[0],
-                  -at_start[1] - at_end[1]], 1)
-    diagonal = (e[:, 0] != 0.0) & (e[:, 1] != 0.0)
-    return k * np.sqrt(np.where(diagonal, 0.5, 1.0) / area)[:, None]
+    lists = [((p[:, 1:-1], p[:, :-2], p[:, 1:-1], p[:, 2:]), (0.0, 1.0, -2.0, 1.0)),
+             ((p[1:-1], p[:-2], p[1:-1], p[2:]), (0.0, 1.0, -2.0, 1.0)),
+             ((p[:-1, :-1], p[:-1, 1:], p[1:, :-1], p[1:, 1:]), (1.0, -1.0, -1.0, 1.0))]
+    particles = [np.stack([q.ravel() for q in corners], 1) for corners, _ in lists]
+    return np.concatenate(particles), np.concatenate(
+        [np.tile(weight, (len(q), 1)) for q, (_, weight) in zip(particles, lists)])
 
 
 def scene_work(problem, n: int) -> Work:

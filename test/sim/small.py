@@ -1,8 +1,13 @@
 """Scenes of a few particles, as many as a law needs."""
 
+import atexit
+from functools import cache
+from pathlib import Path
+import tempfile
 from typing import Any
 
 import numpy as np
+from sim.shapes import disc, obj_text
 
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
@@ -30,7 +35,17 @@ SETTINGS = [*((method, integrator) for method in ('gauss_seidel', 'gauss_seidel_
 """each method with each integrator that goes with it"""
 
 
-def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
+@cache
+def disc_file() -> str:
+    """Return the name of an OBJ file with a disc of 37 particles, 1 m across."""
+    folder = tempfile.TemporaryDirectory()
+    atexit.register(folder.cleanup)
+    file = Path(folder.name) / 'disc.obj'
+    file.write_text(obj_text(*disc(3)))
+    return str(file)
+
+
+def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool = False, effects: dict | None = None,
              scene_effects: dict | None = None, pins: dict | None = None,
              colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
@@ -40,15 +55,16 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, effects: dict | None = None,
     """
     Return the simulation of one cloth, ``c``.
 
-    ``effects`` belong to the cloth and ``scene_effects`` to the scene; ``rate`` is in frames per
-    second, ``scale`` multiplies all compliances.
+    It is a grid, or a disc of triangles. ``effects`` belong to the cloth and ``scene_effects`` to
+    the scene; ``rate`` is in frames per second, ``scale`` multiplies all compliances.
     """
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
         'solver': {'method': method, 'integrator': integrator, 'iterations': iterations,
                    'precision': precision, 'compliance_scale': scale,
                    **({} if substeps is None else {'substeps': substeps})},
-        'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
+        'cloths': {'c': {**({'mesh': {'file': disc_file()}} if mesh else
+                            {'grid': {'size': list(size), 'resolution': list(grid)}}),
                          'density': density, 'friction': friction, 'pose': pose or {},
                          'effects': effects or {}}},
         **{key: value for key, value in (('effects', scene_effects), ('pins', pins),

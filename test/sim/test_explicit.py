@@ -4,7 +4,7 @@ from math import ceil
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, simulate
+from sim.small import GRAVITY, run, run_until_still, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit
@@ -48,6 +48,15 @@ def test_free_fall_is_exact_at_any_number_of_substeps():
         frame = run(simulation, 30)
         np.testing.assert_allclose(frame.x[:, 2], -0.5 * GRAVITY * 0.25, rtol=1e-12)
         np.testing.assert_allclose(frame.v[:, 2], -0.5 * GRAVITY, rtol=1e-12)
+
+
+def test_at_rest_the_forces_balance_the_weight_exactly():
+    """Σ ∇E = m g at every free particle, whatever the substeps."""
+    simulation = sheet(24, scene_effects={'damping': {'rate': 10.0}})
+    run_until_still(simulation, speed=1e-9)
+    assert simulation.stats()['explicit_redone'] == 0
+    total = sum(simulation.frame().pins[name].force for name in 'ab')
+    np.testing.assert_allclose(total, [0.0, 0.0, -0.2 * GRAVITY], atol=1e-7)
 
 
 def test_it_agrees_with_lines_as_both_get_finer():

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from sim.small import numbers, simulate
 
-from xpbd_ros.effects.bend import grid_hinges
+from xpbd_ros.effects.bend import curvature_shapes, twist_shapes
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.distance import hold, room as make_room
 from xpbd_ros.sim.layout import blocks
-from xpbd_ros.sim.mesh import grid_mesh, hinges
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, STRIP
 from xpbd_ros.sim.vector import lane_count
 
@@ -34,10 +33,9 @@ def cloths(grids, precision='float64', **solver):
                    for k, grid in enumerate(grids)}}, where='x', name='x'))
 
 
-def runs_of(simulation, effect):
-    """Return the runs of an effect."""
-    data = simulation.effects[effect].data
-    return data.runs if effect == 'bend' else data.edges.runs
+def batches(simulation, effect):
+    """Return the parts of an effect that have its runs."""
+    return [getattr(part, 'edges', part) for part in simulation.effects[effect].parts]
 
 
 def expected(grids, effect):
@@ -53,10 +51,12 @@ def expected(grids, effect):
                 elif effect == 'shear' and j + 1 < rows and c + 1 < columns:
                     found += [frozenset((particle(j, c), particle(j + 1, c + 1))),
                               frozenset((particle(j + 1, c), particle(j, c + 1)))]
-        if effect == 'bend':
-            found += [(frozenset(h[:2]), frozenset(h[2:]))
-                      for h in (first + hinges(grid_mesh((1.0, 1.5),
-                                                         (columns, rows)).triangles)).tolist()]
+                elif effect == 'bend':
+                    found += [tuple(particle(j + k * b, c + k * a) for k in (0, 1, 2))
+                              for a, b in ((1, 0), (0, 1))
+                              if c + 2 * a < columns and j + 2 * b < rows]
+                    if j + 1 < rows and c + 1 < columns:
+                        found.append(tuple(particle(j + b, c + a) for b in (0, 1) for a in (0, 1)))
         first += rows * columns
     return Counter(found)
 
@@ -66,10 +66,10 @@ def expected(grids, effect):
 @pytest.mark.parametrize('effect', EFFECTS)
 def test_every_constraint_of_a_grid_appears_once(effect, precision, grids):
     simulation = cloths(grids, precision)
-    particles = numbers(simulation, simulation.effects[effect].constraints.particles)
-    assert (particles >= 0).all()
-    found = Counter((frozenset(p[:2]), frozenset(p[2:])) if effect == 'bend' else frozenset(p)
-                    for p in particles.tolist())
+    lists = [numbers(simulation, these.particles) for these in simulation.effects[effect].lists]
+    assert all((particles >= 0).all() for particles in lists)
+    found = Counter((tuple if effect == 'bend' else frozenset)(p)
+                    for particles in lists for p in particles.tolist())
     assert found == expected(grids, effect)
     assert not found or set(found.values()) == {1}
 
@@ -81,9 +81,9 @@ def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect
                                                                           grids):
     """A whole vector is stored, lanes past the run's end too: its ends must not overlap."""
     simulation = cloths(grids, precision)
-    runs, slots = runs_of(simulation, effect), simulation.state.x.shape[1]
-    lanes = lane_count(precision)
-    for r in range(len(runs.start)):
+    slots, lanes = simulation.state.x.shape[1], lane_count(precision)
+    for runs, r in ((batch.runs, r) for batch in batches(simulation, effect)
+                    for r in range(len(batch.runs.start))):
         assert runs.count[r] > 0
         assert runs.rows[r] > 0
         for row in range(runs.rows[r]):
@@ -99,29 +99,28 @@ def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect
 @pytest.mark.parametrize('effect', EFFECTS)
 def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids):
     simulation = cloths(grids)
-    built = simulation.effects[effect]
-    runs, slots = runs_of(simulation, effect), simulation.state.x.shape[1]
-    particles, index, shape, place = listed(runs)
-    np.testing.assert_array_equal(built.constraints.particles, particles)
-    assert len(np.unique(index)) == len(index) == len(particles) == len(shape) == len(place)
-    if effect != 'bend':    # nobody asks for forces here
-        assert built.data.edges.force is None
-    built = cloths(grids, iterations=2).effects[effect]
-    force = built.data.force[0] if effect == 'bend' else built.data.edges.force
-    if not len(index):
-        return
-    assert index.min() >= 0
-    assert index.max() < len(force)
-    assert shape.max() < (len(built.data.weight) if effect == 'bend'
-                          else len(built.data.edges.axis))
-    for r in range(len(runs.start)):    # a vector past the run's end stays in the family
-        last = (runs.base[r] + runs.start[r] + (runs.rows[r] - 1) * runs.stride[r]
-                + runs.count[r] - 1 + lane_count('float64') - 1)
-        assert last < (runs.base[r] // slots + 1) * slots
+    slots = simulation.state.x.shape[1]
+    assert all(batch.force is None for batch in batches(simulation, effect))    # nobody asks
+    keeping = cloths(grids, iterations=2)
+    for batch, these in zip(batches(keeping, effect), keeping.effects[effect].lists, strict=True):
+        runs = batch.runs
+        particles, index, shape, place = listed(runs)
+        np.testing.assert_array_equal(these.particles, particles)
+        assert len(np.unique(index)) == len(index) == len(particles) == len(shape) == len(place)
+        if not len(index):
+            continue
+        assert index.min() >= 0
+        assert index.max() < batch.force.shape[-1]
+        assert shape.max() < len(batch.compliance)
+        assert (batch.compliance[shape, place] > 0.0).all()
+        for r in range(len(runs.start)):    # a vector past the run's end stays in the family
+            last = (runs.base[r] + runs.start[r] + (runs.rows[r] - 1) * runs.stride[r]
+                    + runs.count[r] - 1 + lane_count('float64') - 1)
+            assert last < (runs.base[r] // slots + 1) * slots
 
 
 def test_the_order_is_strip_after_strip():
-    runs = runs_of(cloths([(5, 2 * STRIP + 3)]), 'stretch')
+    runs = batches(cloths([(5, 2 * STRIP + 3)]), 'stretch')[0].runs
     (block,), _ = blocks([(2 * STRIP + 3, 5)], 'float64')
     row = (runs.start - block.first) // block.row_stride
     assert (np.diff(row // STRIP) >= 0).all()
@@ -129,10 +128,10 @@ def test_the_order_is_strip_after_strip():
     assert runs.rows.max() == STRIP
 
 
-def test_a_grid_has_no_hinges_where_it_has_no_cells():
+def test_a_grid_without_cells_has_no_twist():
     for rows, columns in ((1, 1), (1, 8), (8, 1)):
         (block,), slots = blocks([(rows, columns)], 'float64')
-        runs = grid_runs(block, grid_hinges(rows, columns), slots)
+        runs = grid_runs(block, twist_shapes(rows, columns), slots)
         particles, *numbers_ = listed(runs)
         assert particles.shape == (0, 4)
         assert all(column.shape == (0,) for column in numbers_)
@@ -140,12 +139,13 @@ def test_a_grid_has_no_hinges_where_it_has_no_cells():
 
 def test_joined_runs_are_those_of_one_grid_after_another():
     (a, b), slots = blocks([(3, 4), (5, 2)], 'float64')
-    first = grid_runs(a, grid_hinges(3, 4), slots)
-    second = grid_runs(b, grid_hinges(5, 2), slots, families=3, shapes_before=12)
+    first = grid_runs(a, curvature_shapes(3, 4), slots)
+    second = grid_runs(b, curvature_shapes(5, 2), slots, families=2, shapes_before=3)
     together = join([first, second])
     assert isinstance(together, Runs)
-    alone = list(listed(second._replace(shape=second.shape - 12)))
-    alone[2] += 12
+    alone = list(listed(second._replace(shape=second.shape - 3)))
+    assert len(alone[0]) == 6
+    alone[2] += 3
     for k, part in enumerate(listed(together)):
         np.testing.assert_array_equal(part, np.concatenate([listed(first)[k], alone[k]]))
 

@@ -1,21 +1,32 @@
 """
-Bend: isometric bending of each hinge as one linear vector constraint.
+Bend: the curvature of rows and columns, the twist of cells; isometric hinges on other meshes.
 
-For the hinge (x0, x1) with opposite particles x2, x3 and rest areas A0, A1,
+On a grid of spacing d along a row and rows w apart (half of it at the rim), every three particles
+in a row, and every cell dx × dy, have a linear vector constraint in R³:
 
-    C = Σ K_i x_i / sqrt(A0 + A1)  in R³,   K = (c03+c04, c01+c02, -c01-c03, -c02-c04),
+    curvature   C = x1 - 2 x2 + x3               α = d³ / (B w)
+    twist       C = x00 - x01 - x10 + x11        α = dx dy / (2 B)
+
+The energy |C|² / (2 α) is the plate's B (κxx² + κyy² + 2 κxy²) / 2 per area with κ by central
+differences, so the error falls with d². B is ``warp`` for rows, ``weft`` for columns, and the
+geometric mean of both for the twist.
+
+On any other mesh a hinge (x0, x1) with opposite particles x2, x3 and rest areas A0, A1 has
+
+    C = Σ K_i x_i / sqrt(A0 + A1),   K = (c03+c04, c01+c02, -c01-c03, -c02-c04),   α = 1 / B
 
 with c01 = cot(e, x2-x0), c02 = cot(e, x3-x0), c03 = cot(-e, x2-x1), c04 = cot(-e, x3-x1) at rest
-(Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). The energy is
-B |C|² / 2, so α = 1 / B [1/(N m)]. The gradient is constant: no singularity, no wrap at 180°. In
-force form, with mobilities m = w H², W = Σ m_i K_i² / (A0 + A1) and a 3-vector f = λ / H²,
+(Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). The hinges of a regular
+grid see the curvature of every other particle only, so a sheet free to relax would be a quarter
+too soft; hence the stencils above.
 
-    Δf = -(C + α f) / (W + α),   x_i += m_i K_i Δf / sqrt(A0 + A1).
+All gradients are constant weights k_i: no singularity, no wrap at 180°. In force form, with
+mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / H²,
 
-The diagonals of a grid count half, which makes the sheet's bending stiffness the same about both
-axes (NUMERICS 2.5).
+    Δf = -(C + α f) / (W + α),   x_i += m_i k_i Δf.
 
-Limits: a flat rest shape, deformations that keep lengths.
+Limits: a flat rest shape, deformations that keep lengths. Hinges of an irregular mesh are 6 to
+43 % too stiff, by the direction (NUMERICS 2.5).
 """
 
 from dataclasses import dataclass
@@ -23,7 +34,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.distance import release_forces, softest
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.distance import by_place, release_forces, softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
@@ -38,36 +50,66 @@ from xpbd_ros.sim.vector import both, first, fma, lanes, load, select
 
 @dataclass(frozen=True)
 class Parameters:
-    """The bending rigidity."""
+    """One bending rigidity, or two."""
 
-    stiffness: float = quantity(unit='N m', above=0.0, live=True, doc='bending rigidity B')
+    stiffness: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                       doc='bending rigidity B')
+    warp: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                  doc='of what bends warp')
+    weft: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                  doc='of what bends weft')
+
+    def __post_init__(self):
+        """Refuse both and neither."""
+        if (self.stiffness is None) == (self.warp is None and self.weft is None):
+            raise InputError('needs either stiffness (N m) or warp and weft (N m), not both')
+        if self.stiffness is None and (self.warp is None or self.weft is None):
+            raise InputError('needs warp and weft (N m), and only one of them is given')
+
+    @property
+    def rigidity(self) -> tuple[float, float]:
+        """B along warp and weft [N m]."""
+        return (self.warp or self.stiffness, self.weft or self.stiffness)
 
 
 class Held(NamedTuple):
-    """The hinges at pinned particles, whose forces somebody asks for."""
+    """The constraints at pinned particles, whose forces somebody asks for."""
 
     count: np.ndarray
     """shape (1,)"""
     particles: np.ndarray
-    """slots, shape (room, 4)"""
+    """slots, shape (room, particles of a constraint)"""
     index: np.ndarray
     """where each keeps its force, shape (room,)"""
     weight: np.ndarray
-    """K_i / sqrt(A0 + A1) [1/m], shape (room, 4)"""
+    """k_i, shape (room, particles of a constraint)"""
 
 
-class Bend(NamedTuple):
-    """Hinges in runs; edge start, edge end, opposite, opposite."""
+class Curvature(NamedTuple):
+    """Three particles in a row or a column, in runs."""
 
     runs: Runs
-    weight: np.ndarray
-    """K_i / sqrt(A0 + A1) [1/m], by shape; shape (shapes, 4)"""
     compliance: np.ndarray
-    """1 / B [1/(N m)], by shape; shape (shapes,)"""
+    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
     force: np.ndarray | None
-    """f, multiplier over H² [N m], shape (3, families * slots); None where nobody asks"""
+    """f [N], shape (3, families * slots); None where nobody asks"""
     held: Held | None
     """None in a scene without pins"""
+
+
+class Twist(NamedTuple):
+    """The four particles of a cell, in runs."""
+
+    runs: Runs
+    compliance: np.ndarray
+    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    force: np.ndarray | None
+    """f [N], shape (3, families * slots); None where nobody asks"""
+    held: Held | None
+    """None in a scene without pins"""
+
+
+WEIGHTS = {Curvature: (1.0, -2.0, 1.0), Twist: (1.0, -1.0, -1.0, 1.0)}
 
 
 class MeshBend(NamedTuple):
@@ -89,7 +131,8 @@ class MeshBend(NamedTuple):
     """None in a scene without pins"""
 
 
-@stage(prepare, Bend)
+@stage(prepare, Curvature)
+@stage(prepare, Twist)
 @stage(prepare, MeshBend)
 @jit
 def prepare_bend(bend, state, substep):
@@ -97,50 +140,95 @@ def prepare_bend(bend, state, substep):
     release_forces(bend)
 
 
-@stage(project, Bend)
+@stage(project, Curvature)
 @jit
-def project_bend(bend, state, substep):
-    """One Gauss-Seidel pass over all hinges, run after run."""
+def project_curvature(bend, state, substep):
+    """One Gauss-Seidel pass, run after run; linear, so the axes know nothing of one another."""
     for k in range(3):
-        _project(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
-                 state.apart, bend.runs, bend.weight, bend.compliance, False)
+        _straighten(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+                    state.apart, bend.runs, bend.compliance, False)
 
 
-@stage(project_back, Bend)
+@stage(project_back, Curvature)
 @jit
-def project_bend_back(bend, state, substep):
+def project_curvature_back(bend, state, substep):
     """Do the same pass in reverse."""
     for k in range(3):
-        _project(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
-                 state.apart, bend.runs, bend.weight, bend.compliance, True)
+        _straighten(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+                    state.apart, bend.runs, bend.compliance, True)
 
 
 @jit
-def _project(x, to, force, mobility, apart, runs, weight, compliance, reverse):
-    """Do one axis: the constraint is linear, so the axes know nothing of one another."""
+def _straighten(x, to, force, mobility, apart, runs, compliance, reverse):
+    places = compliance.shape[1]
     for a in range(len(runs.start)):
         r = len(runs.start) - 1 - a if reverse else a
-        shape, base = runs.shape[r], runs.base[r]
-        k0, k1, k2, k3 = weight[shape, 0], weight[shape, 1], weight[shape, 2], weight[shape, 3]
-        alpha = compliance[shape]
+        numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
+        last = (runs.count[r] - 1) // lanes(x) * lanes(x)
         for b in range(runs.rows[r]):
             anchor = runs.start[r] + (runs.rows[r] - 1 - b if reverse else b) * runs.stride[r]
-            for q in range(0, runs.count[r], lanes(x)):
+            for p in range(0, runs.count[r], lanes(x)):
+                q = last - p if reverse else p
+                c = anchor + q
+                i1, i2, i3 = (c + runs.offset[r, 0], c + runs.offset[r, 1],
+                              c + runs.offset[r, 2])
+                x1, x2, x3 = load(x, i1), load(x, i2), load(x, i3)
+                m1, m2, m3 = load(mobility, i1), load(mobility, i2), load(mobility, i3)
+                alpha, f = load(compliance, numbers + q), recall(apart, force, base + c)
+                total = fma(4.0, m2, m1 + m3)
+                there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
+                df = select(there, -misfit(fma(-2.0, x2, x1 + x3), alpha, f)
+                            / divisor(apart, total, alpha), 0.0)
+                keep(force, base + c, f, df)
+                put(x, to, i1, x1, m1, df)
+                put(x, to, i2, x2, -2.0 * m2, df)
+                put(x, to, i3, x3, m3, df)
+
+
+@stage(project, Twist)
+@jit
+def project_twist(bend, state, substep):
+    """One Gauss-Seidel pass, run after run."""
+    for k in range(3):
+        _untwist(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+                 state.apart, bend.runs, bend.compliance, False)
+
+
+@stage(project_back, Twist)
+@jit
+def project_twist_back(bend, state, substep):
+    """Do the same pass in reverse."""
+    for k in range(3):
+        _untwist(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+                 state.apart, bend.runs, bend.compliance, True)
+
+
+@jit
+def _untwist(x, to, force, mobility, apart, runs, compliance, reverse):
+    places = compliance.shape[1]
+    for a in range(len(runs.start)):
+        r = len(runs.start) - 1 - a if reverse else a
+        numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
+        last = (runs.count[r] - 1) // lanes(x) * lanes(x)
+        for b in range(runs.rows[r]):
+            anchor = runs.start[r] + (runs.rows[r] - 1 - b if reverse else b) * runs.stride[r]
+            for p in range(0, runs.count[r], lanes(x)):
+                q = last - p if reverse else p
                 c = anchor + q
                 i0, i1 = c + runs.offset[r, 0], c + runs.offset[r, 1]
                 i2, i3 = c + runs.offset[r, 2], c + runs.offset[r, 3]
                 x0, x1, x2, x3 = load(x, i0), load(x, i1), load(x, i2), load(x, i3)
-                m0, m1 = k0 * load(mobility, i0), k1 * load(mobility, i1)
-                m2, m3 = k2 * load(mobility, i2), k3 * load(mobility, i3)
-                total = fma(k0, m0, fma(k1, m1, fma(k2, m2, k3 * m3)))
-                f = recall(apart, force, base + c)
-                residual = fma(k0, x0, fma(k1, x1, fma(k2, x2, k3 * x3)))
-                moves = both(total > 0.0, first(x, runs.count[r] - q))
-                df = select(moves, -misfit(residual, alpha, f) / divisor(apart, total, alpha), 0.0)
+                m0, m1 = load(mobility, i0), load(mobility, i1)
+                m2, m3 = load(mobility, i2), load(mobility, i3)
+                alpha, f = load(compliance, numbers + q), recall(apart, force, base + c)
+                total = (m0 + m1) + (m2 + m3)
+                there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
+                df = select(there, -misfit((x0 - x1) - (x2 - x3), alpha, f)
+                            / divisor(apart, total, alpha), 0.0)
                 keep(force, base + c, f, df)
                 put(x, to, i0, x0, m0, df)
-                put(x, to, i1, x1, m1, df)
-                put(x, to, i2, x2, m2, df)
+                put(x, to, i1, x1, -m1, df)
+                put(x, to, i2, x2, -m2, df)
                 put(x, to, i3, x3, m3, df)
 
 
@@ -199,21 +287,22 @@ def _project_packs(records, apart, particles, weight, compliance, fx, fy, fz, re
         put_records(records, apart, p3, q, x3, y3, z3, m3, n3, dx, dy, dz)
 
 
-@stage(react, Bend)
+@stage(react, Curvature)
+@stage(react, Twist)
 @stage(react, MeshBend)
 @jit
 def react_bend(bend, state, substep):
-    """Forces on pinned particles: K_i f / sqrt(A0 + A1)."""
+    """Forces on pinned particles: k_i f."""
     part, held = substep.end - substep.begin, bend.held
     for h in range(held.count[0]):
-        for p in range(4):
+        for p in range(held.particles.shape[1]):
             i = held.particles[h, p]
             for k in range(3):
                 state.reaction[k, i] += part * held.weight[h, p] * bend.force[k, held.index[h]]
 
 
-class Hinges:
-    """The same hinges one by one, in sweep order, as people and NumPy want them."""
+class Linear:
+    """The same constraints one by one, in sweep order, as people and NumPy want them."""
 
     def __init__(self, particles, index, weight, compliance):
         self.particles = particles
@@ -222,57 +311,45 @@ class Hinges:
         self.compliance = compliance.astype(float)
 
     @staticmethod
-    def of(data: Bend | MeshBend) -> 'Hinges':
-        """Return the hinges of a batch."""
+    def of(data: Curvature | Twist | MeshBend) -> 'Linear':
+        """Return the constraints of a batch."""
         if isinstance(data, MeshBend):
             index = np.flatnonzero(data.particles[0] != data.particles[1])
-            return Hinges(data.particles[:, index].T.astype(np.int64), index,
+            return Linear(data.particles[:, index].T.astype(np.int64), index,
                           data.weight[:, index].T, data.compliance[index])
-        particles, index, shape, _ = listed(data.runs)
-        return Hinges(particles, index, data.weight[shape], data.compliance[shape])
+        particles, index, shape, place = listed(data.runs)
+        return Linear(particles, index, np.tile(WEIGHTS[type(data)], (len(index), 1)),
+                      data.compliance[shape, place])
 
     @staticmethod
-    def joined(lists: list['Hinges']) -> 'Hinges':
-        """Return the hinges of several batches; ``index`` counts within each."""
-        return Hinges(*(np.concatenate([getattr(hinges, name) for hinges in lists]) for name in (
+    def joined(lists: list['Linear']) -> 'Linear':
+        """
+        Return the constraints of several batches as ones of four particles.
+
+        Where there are three, the one in the middle comes first too, with no weight. ``index``
+        counts within each batch.
+        """
+        wide = [each if each.particles.shape[1] == 4 else Linear(
+            each.particles[:, [1, 0, 1, 2]], each.index,
+            np.pad(each.weight, ((0, 0), (1, 0))), each.compliance) for each in lists]
+        return Linear(*(np.concatenate([getattr(each, name) for each in wide]) for name in (
             'particles', 'index', 'weight', 'compliance')))
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C, shape (hinges, 3), straight from the definition; x has shape (3, slots)."""
+        """Return C, shape (constraints, 3), from the definition; x has shape (3, slots)."""
         return (self.weight[:, :, None] * x.T[self.particles]).sum(1)
 
     def energy(self, x: np.ndarray) -> float:
-        """Return Σ B |C|² / 2 [J]."""
+        """Return Σ |C|² / (2 α) [J]."""
         return float((0.5 * self.residual(x)**2 / self.compliance[:, None]).sum())
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
-        """Return B Σ |K_i| Σ |K_j| at each particle [N/m], shape (slots, 3, 3)."""
+        """Return Σ |k_i| Σ |k_j| / α at each particle [N/m], shape (slots, 3, 3)."""
         weight = np.abs(self.weight)
         total = np.zeros(x.shape[1])
         np.add.at(total, self.particles, weight * weight.sum(1, keepdims=True)
                   / self.compliance[:, None])
         return total[:, None, None] * np.eye(3)
-
-
-def grid_hinges(rows: int, columns: int) -> list[Shape]:
-    """
-    Return the hinges of a grid with alternating diagonals.
-
-    Where row + column is even the cell's diagonal rises from its first corner, so both neighbours
-    of an edge that starts there lie one column (or row) further on; where it is odd they do not.
-    """
-    shapes = []
-    for j in (0, 1):
-        for c in (0, 1):
-            n = 1 - (j + c) % 2
-            along, across = ((0, 0), (0, 1), (-1, n), (1, n)), ((0, 0), (1, 0), (n, -1), (n, 1))
-            diagonal = (((0, 0), (1, 1), (0, 1), (1, 0)) if n else
-                        ((0, 1), (1, 0), (0, 0), (1, 1)))
-            shapes += [
-                Shape(along, range(j or 2, rows - 1, 2), range(c, columns - 1, 2), 0),
-                Shape(across, range(j, rows - 1, 2), range(c or 2, columns - 1, 2), 1),
-                Shape(diagonal, range(j, rows - 1, 2), range(c, columns - 1, 2), 2)]
-    return shapes
 
 
 def isometric_weights(corners: np.ndarray) -> np.ndarray:
@@ -295,57 +372,94 @@ def isometric_weights(corners: np.ndarray) -> np.ndarray:
     return np.stack([c03 + c04, c01 + c02, -c01 - c03, -c02 - c04], 1) / np.sqrt(area)[:, None]
 
 
-def shape_weights(shapes: list[Shape], spacing: tuple[float, float]) -> np.ndarray:
-    """Return the weights of a grid's shapes, (shapes, 4): those of diagonals count half."""
-    corners = np.zeros((len(shapes), 4, 3))
-    corners[:, :, :2] = [[(c * spacing[0], j * spacing[1]) for j, c in shape.particles]
-                         for shape in shapes]
-    diagonal = (corners[:, 0, :2] != corners[:, 1, :2]).all(1)
-    return isometric_weights(corners) * np.sqrt(np.where(diagonal, 0.5, 1.0))[:, None]
+def curvature_shapes(rows: int, columns: int) -> list[Shape]:
+    """Return three in a row (inside, at the rim), three in a column."""
+    across = ((0, 0), (0, 1), (0, 2))
+    inside, rim = (range(1, rows - 1), range(0, rows, rows - 1)) if rows > 1 else (
+        range(1), range(0))
+    return [Shape(across, inside, range(columns - 2), 0),
+            Shape(across, rim, range(columns - 2), 0),
+            Shape(((0, 0), (1, 0), (2, 0)), range(rows - 2), range(columns), 1)]
 
 
-def _on_grids(cloths, world) -> Bend:
-    runs, weight, compliance = [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
-        shapes = grid_hinges(cloth.block.rows, cloth.block.columns)
-        runs.append(grid_runs(cloth.block, shapes, world.slots, families=3 * number,
-                              shapes_before=len(shapes) * number))
-        weight.append(shape_weights(shapes, cloth.mesh.spacing))
-        compliance.append(np.full(len(shapes), world.compliance_scale / chosen.stiffness))
-    dtype = world.state.x.dtype
-    runs = join(runs)
-    return Bend(runs, np.concatenate(weight).astype(dtype),
-                np.minimum(np.concatenate(compliance), softest(dtype)).astype(dtype),
-                zeros((3, 3 * len(cloths) * world.slots), dtype) if world.forces else None,
-                _room(len(listed(runs)[1])) if world.pins else None)
+def twist_shapes(rows: int, columns: int) -> list[Shape]:
+    """Return the cells."""
+    return [Shape(((0, 0), (0, 1), (1, 0), (1, 1)), range(rows - 1), range(columns - 1), 0)]
 
 
-def _on_meshes(cloths, world) -> MeshBend:
+def _on_grids(cloths, world) -> list[Curvature | Twist]:
+    found = []
+    for kind, shapes_of, families, compliance_of in (
+            (Curvature, curvature_shapes, 2, _curvature_compliance),
+            (Twist, twist_shapes, 1, _twist_compliance)):
+        runs, alpha = [], []
+        for number, (cloth, chosen) in enumerate(cloths):
+            shapes = shapes_of(cloth.block.rows, cloth.block.columns)
+            runs.append(grid_runs(cloth.block, shapes, world.slots, families=families * number,
+                                  shapes_before=len(shapes) * number))
+            alpha.append(world.compliance_scale * compliance_of(cloth, *chosen.rigidity))
+        runs = join(runs)
+        count = len(listed(runs)[1])
+        if count:
+            dtype, size = world.state.x.dtype, (3, families * len(cloths) * world.slots)
+            found.append(kind(runs, by_place(runs, alpha, dtype),
+                              zeros(size, dtype) if world.forces else None,
+                              _room(count, len(WEIGHTS[kind])) if world.pins else None))
+    return found
+
+
+def _curvature_compliance(cloth, warp: float, weft: float) -> np.ndarray:
+    """Return d³ / (B w) of the shapes [m/N], by place in a row; w is half at the rim."""
+    block, (dx, dy) = cloth.block, cloth.mesh.spacing
+    found = np.zeros((3, block.row_stride))
+    found[0] = dx**3 / (warp * dy)
+    found[1] = 2.0 * found[0]
+    found[2] = dy**3 / (weft * dx)
+    if block.columns > 1:
+        found[2, block.slots[0, [0, -1]] - block.first] *= 2.0
+    return found
+
+
+def _twist_compliance(cloth, warp: float, weft: float) -> np.ndarray:
+    """Return dx dy / (2 B) [m/N], by place in a row."""
+    dx, dy = cloth.mesh.spacing
+    return np.full((1, cloth.block.row_stride), dx * dy / (2.0 * np.sqrt(warp * weft)))
+
+
+def _on_meshes(cloths, world) -> list[MeshBend]:
     dtype = world.state.x.dtype
     particles = np.concatenate([cloth.slots[cloth.mesh.hinges] for cloth, _ in cloths])
     weight = np.concatenate([isometric_weights(cloth.mesh.positions[cloth.mesh.hinges])
                              for cloth, _ in cloths])
-    compliance = np.concatenate([np.full(len(cloth.mesh.hinges),
-                                         world.compliance_scale / chosen.stiffness)
-                                 for cloth, chosen in cloths])
+    compliance = world.compliance_scale * np.concatenate([
+        1.0 / _rigidity_across(cloth.mesh, *chosen.rigidity) for cloth, chosen in cloths])
+    if not len(particles):
+        return []
     order = pack(particles)
-    return MeshBend(
+    return [MeshBend(
         world.records,
         np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(weight, order, 0.0, dtype).T.copy(),
         padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
         zeros((3, len(order)), dtype) if world.forces else None,
-        _room(len(order)) if world.pins else None)
+        _room(len(order), 4) if world.pins else None)]
 
 
-def _room(count: int) -> Held:
-    return Held(np.zeros(1, np.int64), np.zeros((count, 4), np.int64), np.zeros(count, np.int64),
-                np.zeros((count, 4)))
+def _rigidity_across(mesh, warp: float, weft: float) -> np.ndarray:
+    """Return B of each hinge [N m]: what it bends lies across its edge."""
+    e = mesh.positions[mesh.hinges[:, 1]] - mesh.positions[mesh.hinges[:, 0]]
+    along = (e @ mesh.warp)**2 / (e**2).sum(1)
+    return weft * along + warp * (1.0 - along)
+
+
+def _room(count: int, width: int) -> Held:
+    return Held(np.zeros(1, np.int64), np.zeros((count, width), np.int64),
+                np.zeros(count, np.int64), np.zeros((count, width)))
 
 
 class BuiltBend(Built):
-    """The hinges of every cloth that bends: of grids, and of other meshes."""
+    """The curvatures and twists of grids that bend, and the hinges of other meshes."""
 
     def __init__(self, parameters, world):
         super().__init__()
@@ -354,17 +468,19 @@ class BuiltBend(Built):
             cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
                       if (cloth.mesh.grid is not None) == of_kind]
             if cloths:
-                parts.append(make(cloths, world))
-        self.data, *self.also = parts
-        self._lists = [Hinges.of(part) for part in parts]
-        self.constraints = Hinges.joined(self._lists)
+                parts += make(cloths, world)
+        self.data, *self.also = parts or [None]
+        self.lists = [Linear.of(part) for part in parts]
+        none = np.zeros(0, np.int64)
+        self.constraints = Linear.joined([
+            Linear(none.reshape(0, 4), none, none.reshape(0, 4), none), *self.lists])
 
     def hold(self, inv_mass):
-        for part, hinges in zip(self.parts, self._lists):
-            found = np.flatnonzero((inv_mass[hinges.particles] == 0.0).any(1))
+        for part, constraints in zip(self.parts, self.lists):
+            found = np.flatnonzero((inv_mass[constraints.particles] == 0.0).any(1))
             part.held.count[0] = len(found)
-            for column, numbers in zip(part.held[1:], (hinges.particles, hinges.index,
-                                                       hinges.weight)):
+            for column, numbers in zip(part.held[1:], (
+                    constraints.particles, constraints.index, constraints.weight)):
                 column[:len(found)] = numbers[found]
 
 

@@ -83,10 +83,12 @@ class BuiltShear(Built):
                                   shapes_before=2 * number))
             square = dx * dx + dy * dy
             rest += [np.sqrt(square)] * 2
-            alpha += [world.compliance_scale * 2.0 * dx * dy / (chosen.stiffness * square)] * 2
-        self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest,
-                                              np.array(alpha)[:, None], world=world))
+            alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
+                                 / (chosen.stiffness * square)))
+        self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha,
+                                              world=world))
         self.constraints = distance.Edges.of(self.data.edges)
+        self.lists = [self.constraints]
 
     def hold(self, inv_mass):
         distance.hold(self.data.edges.held, self.constraints, inv_mass)

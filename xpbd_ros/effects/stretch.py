@@ -144,12 +144,9 @@ def _on_grids(cloths, world) -> Stretch:
         table[2, block.slots[0] - block.first] = by_column
         alpha.append(table)
         line_alpha.append((by_row, by_column))
-    runs = join(runs)
-    table = np.zeros(runs.present.shape)
-    table[:] = np.concatenate([np.pad(a, ((0, 0), (0, table.shape[1] - a.shape[1])))
-                               for a in alpha])
     cloths = [cloth for cloth, _ in cloths]
-    return Stretch(distance.grid_edges(runs, family, rest, table, world=world), lines.grid_lines(
+    edges = distance.grid_edges(join(runs), family, rest, alpha, world=world)
+    return Stretch(edges, lines.grid_lines(
         [c.block for c in cloths], [c.mesh.spacing for c in cloths], line_alpha,
         slots=world.slots, dtype=world.state.x.dtype))
 
@@ -186,11 +183,11 @@ class BuiltStretch(Built):
             if cloths:
                 parts.append(make(cloths, world))
         self.data, *self.also = parts
-        self._lists = [distance.Edges.of(part.edges) for part in parts]
-        self.constraints = distance.Edges.joined(self._lists)
+        self.lists = [distance.Edges.of(part.edges) for part in parts]
+        self.constraints = distance.Edges.joined(self.lists)
 
     def hold(self, inv_mass):
-        for part, edges in zip(self.parts, self._lists):
+        for part, edges in zip(self.parts, self.lists):
             distance.hold(part.edges.held, edges, inv_mass)
 
 

@@ -138,7 +138,22 @@ def softest(dtype) -> float:
     return float(np.sqrt(np.finfo(dtype).max))
 
 
-def grid_edges(runs: Runs, family, rest_length, compliance: np.ndarray, *, world) -> GridEdges:
+def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
+    """Return the compliances of grids as one table, HOLE where there is no constraint."""
+    table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
+    table[:] = HOLE
+    first_ = 0
+    for each in compliance:
+        each = np.minimum(each, softest(dtype))
+        there = np.s_[first_:first_ + len(each), :runs.present.shape[1]]
+        width = each.shape[1] if each.shape[1] > 1 else runs.present.shape[1]
+        table[there][:, :width] = each
+        first_ += len(each)
+    table[:, :runs.present.shape[1]][~runs.present] = HOLE
+    return table
+
+
+def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world) -> GridEdges:
     """
     Return the edges of grids, ready for the kernels.
 
@@ -147,17 +162,13 @@ def grid_edges(runs: Runs, family, rest_length, compliance: np.ndarray, *, world
     runs : where they are
     family : of each shape, shape (shapes,)
     rest_length : by shape [m], shape (shapes,)
-    compliance : by shape and place in a row [m/N], shape (shapes, places)
+    compliance : of each grid, by its shapes and places in a row [m/N], (shapes, places) or (…, 1)
     world : tells the dtype, the slots, and what will be asked for
 
     """
     dtype, family = world.state.x.dtype, np.asarray(family)
-    table = zeros((len(family), runs.present.shape[1] + lane_count(dtype)), dtype)
-    table[:] = HOLE
-    table[:, :runs.present.shape[1]] = np.where(
-        runs.present, np.minimum(compliance, softest(dtype)), HOLE)
     force = zeros((family.max(initial=0) + 1) * world.slots, dtype) if world.forces else None
-    return GridEdges(runs, np.array(rest_length, dtype), table,
+    return GridEdges(runs, np.array(rest_length, dtype), by_place(runs, compliance, dtype),
                      np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
                      room(len(listed(runs)[1])) if world.pins else None)
 

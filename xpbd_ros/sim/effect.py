@@ -117,16 +117,19 @@ class Built:
     """
     An effect compiled for one scene.
 
-    ``data`` is the NamedTuple that the kernels get, ``also`` are more of them. ``commands`` maps a
-    command's type to a method ``(command, clock, state) -> reason``: None when applied, else why
-    it is refused.
+    ``data`` is the NamedTuple that the kernels get, None where there is nothing to do; ``also``
+    are more of them. ``commands`` maps a command's type to a method
+    ``(command, clock, state) -> reason``: None when applied, else why it is refused.
     """
 
-    data: tuple
+    data: tuple | None
     also: tuple[tuple, ...] = ()
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""
+
+    lists: list = ()
+    """the constraints of each of the parts"""
 
     def __init__(self):
         self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
@@ -134,7 +137,7 @@ class Built:
     @property
     def parts(self) -> tuple[tuple, ...]:
         """All that the kernels get, in their order."""
-        return (self.data, *self.also)
+        return (self.data, *self.also) if self.data is not None else ()
 
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""

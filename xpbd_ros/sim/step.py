@@ -5,6 +5,7 @@ M. Macklin, M. Müller, N. Chentanez, "XPBD", 2016, algorithm 1, with the subste
 Macklin et al., "Small steps in physics simulation", 2019.
 """
 
+from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import finish, force, prepare, react, touch
 from xpbd_ros.sim.state import begin, Substep, update_velocity
@@ -20,6 +21,7 @@ def advance(effects, state, method, frame_dt, substeps):
     """
     if substeps == 0:    # to compile
         return
+    mode = flush_denormals()
     h = frame_dt / substeps
     enter(method, effects, state, Substep(h, 0.0, 0.0))
     for k in range(substeps):
@@ -34,6 +36,7 @@ def advance(effects, state, method, frame_dt, substeps):
         finish(effects, state, substep)
         react(effects, state, substep)
     leave(method, effects, state, Substep(h, 1.0, 1.0))
+    restore_mode(mode)
 
 
 _COMPILED = {}
