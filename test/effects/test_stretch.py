@@ -9,6 +9,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim import stages
 from xpbd_ros.sim.lines import TINY
+from xpbd_ros.sim.measure import largest_strain
+from xpbd_ros.sim.mesh import edge_areas, edges
 from xpbd_ros.sim.state import Substep
 
 WARP, WEFT, G = 70.0, 40.0, 15.0
@@ -230,3 +232,62 @@ def test_a_hanging_mass_stretches_m_g_alpha(compliance, substeps, iterations, me
     stretched = -frame.x[1, 2] - 1.0
     weight = simulation.state.mass[simulation.slot[1]] * GRAVITY
     assert stretched == pytest.approx(weight * compliance, rel=1e-9, abs=1e-14)
+
+
+def test_a_mesh_of_nearly_equilateral_triangles_has_the_modulus_asked_for():
+    """Van Gelder's lattice: Y = k, ν = 1/3, where all triangles are equilateral."""
+    a = 0.1
+    rows, columns = 7, 9
+    vertices = np.array([[a * (c + 0.5 * (j % 2)), a * j * 0.75**0.5, 0.0]
+                         for j in range(rows) for c in range(columns)])
+    triangles = []
+    for j in range(rows - 1):
+        for c in range(columns - 1):
+            p, q = j * columns + c, (j + 1) * columns + c
+            triangles += ([(p, p + 1, q), (p + 1, q + 1, q)] if j % 2 == 0
+                          else [(p, p + 1, q + 1), (p, q + 1, q)])
+    triangles = np.array(triangles)
+    ends = edges(triangles)
+    area = edge_areas(triangles, ends, vertices)
+    assert area.sum() == pytest.approx(3.0 * len(triangles) * a * a * 3.0**0.5 / 4.0)
+    strain = np.array([[2e-4, 1e-4], [1e-4, -3e-4]])
+    d = vertices[ends[:, 1], :2] - vertices[ends[:, 0], :2]
+    stretched = np.einsum('ki,ij,kj->k', d, strain, d) / a
+    energy = (0.5 * 40.0 * area / a**2 * stretched**2).sum()
+    young, poisson = 40.0, 1.0 / 3.0
+    factor = young / (1.0 - poisson**2)
+    xx, yy, xy = strain[0, 0], strain[1, 1], strain[0, 1]
+    density = 0.5 * factor * (xx**2 + yy**2 + 2.0 * poisson * xx * yy
+                              + 2.0 * (1.0 - poisson) * xy**2)
+    assert energy == pytest.approx(density * len(triangles) * a * a * 3.0**0.5 / 4.0, rel=1e-9)
+
+
+def test_edges_of_a_mesh_are_stiffer_along_the_stiffer_direction():
+    """k = (warp cos² + weft sin²) Σ A / l²."""
+    simulation = simulate(mesh=True, effects={'stretch': {'warp': 500.0, 'weft': 20.0}})
+    mesh, built = simulation.cloths[0].mesh, simulation.effects['stretch'].constraints
+    number = np.full(simulation.state.x.shape[1], -1)
+    number[simulation.slot] = np.arange(len(simulation.slot))
+    ends = number[built.particles]
+    d = mesh.positions[ends[:, 1]] - mesh.positions[ends[:, 0]]
+    square = (d**2).sum(1)
+    np.testing.assert_allclose(built.rest_length**2, square, rtol=1e-12)
+    area = edge_areas(mesh.triangles, ends, mesh.positions)
+    cosine = d[:, 0]**2 / square
+    np.testing.assert_allclose(1.0 / built.compliance,
+                               (500.0 * cosine + 20.0 * (1.0 - cosine)) * area / square,
+                               rtol=1e-9)
+
+
+@pytest.mark.parametrize('method', ['gauss_seidel', 'line', 'jacobi', 'explicit'])
+def test_a_disc_of_triangles_hangs_with_its_weight_from_its_middle(method):
+    integrator = 'leapfrog' if method == 'explicit' else 'backward_euler'
+    simulation = simulate(mesh=True, density=0.4, effects={
+        'stretch': {'warp': 300.0, 'weft': 300.0}, 'bend': {'stiffness': 1e-3}},
+        pins={'a': {'cloth': 'c', 'at': [0]}}, scene_effects={'damping': {'rate': 12.0}},
+        substeps=60, iterations=2, method=method, integrator=integrator)
+    frame = run(simulation, 300)
+    weight = simulation.state.mass.sum() * GRAVITY
+    np.testing.assert_allclose(frame.pins['a'].force, [0.0, 0.0, -weight], atol=0.02 * weight)
+    assert frame.x[:, 2].min() < -0.2
+    assert largest_strain(simulation) < 0.2
