@@ -111,7 +111,8 @@ def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
 
 def test_the_effects_of_a_scene_are_in_projection_order_and_there_are_no_others():
     assert tuple(with_every_effect().effects) == tuple(EFFECTS)
-    simulation = simulate(effects={'stretch': EXAMPLES['stretch'], 'bend': EXAMPLES['bend']})
+    simulation = simulate((3, 1), effects={'stretch': EXAMPLES['stretch'],
+                                           'bend': EXAMPLES['bend']})
     assert tuple(simulation.effects) == ('bend', 'stretch')
     assert len(simulation._tuple) == 2
 

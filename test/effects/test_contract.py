@@ -78,7 +78,7 @@ def single(data, these, c):
 
 def one_by_one(built):
     """Yield each constraint of an effect, with the effect's data for it alone."""
-    for data, these in zip(built.parts, built.lists, strict=True):
+    for data, these in zip(built.parts, built.by_part, strict=True):
         batch = batch_of(data)
         for c in range(len(these.particles)):
             alone = single(data, these, c)
@@ -234,7 +234,7 @@ def of_kind(name, grid):
 @pytest.mark.parametrize('name', OF_CLOTHS)
 def test_no_two_constraints_of_a_vector_share_a_particle(name, grid):
     built = of_kind(name, grid).effects[name]
-    for data, these in zip(built.parts, built.lists, strict=True):
+    for data, these in zip(built.parts, built.by_part, strict=True):
         listed, seen = set(map(tuple, these.particles.tolist())), 0
         for members in vectors(batch_of(data)):
             assert len(np.unique(members)) == members.size

@@ -147,7 +147,7 @@ def test_a_gripper_that_starts_to_move_is_calm():
         'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [9, 9],
         'pins.left.motion': [[0.0, 0.0, 1.0, 1.5], [0.2, 0.0, 1.2, 1.5], [0.5, 0.0, 1.2, 1.5]]}))
     run(simulation, 40)
-    assert simulation.stats()['explicit_redone'] == 0
+    assert simulation.stats()['explicit_redone'] <= 1    # its first, at most
 
 
 def test_it_takes_as_many_substeps_as_it_needs_or_refuses():

@@ -24,8 +24,8 @@ def test_relaxation_is_one_over_the_most_constraints_at_a_particle():
     simulation = sheet('jacobi', 1)
     count = np.zeros(simulation.state.x.shape[1])
     for built in simulation.effects.values():
-        if built.constraints is not None:
-            for particles in built.constraints.particles:
+        for these in built.by_part:
+            for particles in these.particles:
                 count[particles] += 1
     assert simulation.state.apart.per_relaxation[0] == count.max() > 12
 

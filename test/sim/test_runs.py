@@ -66,7 +66,7 @@ def expected(grids, effect):
 @pytest.mark.parametrize('effect', EFFECTS)
 def test_every_constraint_of_a_grid_appears_once(effect, precision, grids):
     simulation = cloths(grids, precision)
-    lists = [numbers(simulation, these.particles) for these in simulation.effects[effect].lists]
+    lists = [numbers(simulation, these.particles) for these in simulation.effects[effect].by_part]
     assert all((particles >= 0).all() for particles in lists)
     found = Counter((tuple if effect == 'bend' else frozenset)(p)
                     for particles in lists for p in particles.tolist())
@@ -102,7 +102,8 @@ def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids)
     slots = simulation.state.x.shape[1]
     assert all(batch.force is None for batch in batches(simulation, effect))    # nobody asks
     keeping = cloths(grids, iterations=2)
-    for batch, these in zip(batches(keeping, effect), keeping.effects[effect].lists, strict=True):
+    lists = keeping.effects[effect].by_part
+    for batch, these in zip(batches(keeping, effect), lists, strict=True):
         runs = batch.runs
         particles, index, shape, place = listed(runs)
         np.testing.assert_array_equal(these.particles, particles)

@@ -88,7 +88,6 @@ class BuiltShear(Built):
         self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha,
                                               world=world))
         self.constraints = distance.Edges.of(self.data.edges)
-        self.lists = [self.constraints]
 
     def hold(self, inv_mass):
         distance.hold(self.data.edges.held, self.constraints, inv_mass)

@@ -59,8 +59,8 @@ def compile_scene(scene: Scene) -> Simulation:
         solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
         state = solved_by(state, history=solver.integrator == 'bdf2',
                           apart=APART.get(solver.method),
-                          constraints=[built.constraints.particles for built in effects.values()
-                                       if built.constraints is not None])
+                          constraints=[these.particles for built in effects.values()
+                                       for these in built.by_part])
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),

@@ -1,6 +1,6 @@
 """What an effect is: the value that its file registers, and what it becomes in a simulation."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, MISSING
 from functools import cached_property
 from typing import Any
@@ -128,8 +128,8 @@ class Built:
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""
 
-    lists: list = ()
-    """the constraints of each of the parts"""
+    lists: Sequence[Any] = ()
+    """the constraints of each of the parts, where there are several"""
 
     def __init__(self):
         self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
@@ -138,6 +138,12 @@ class Built:
     def parts(self) -> tuple[tuple, ...]:
         """All that the kernels get, in their order."""
         return (self.data, *self.also) if self.data is not None else ()
+
+    @property
+    def by_part(self) -> Sequence[Any]:
+        """The constraints of each of the parts."""
+        alone = self.data is not None and self.constraints is not None
+        return self.lists or ([self.constraints] if alone else [])
 
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""
