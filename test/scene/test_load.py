@@ -5,6 +5,7 @@ import time
 
 import pytest
 
+from xpbd_ros.effects import EFFECTS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text, settings_overrides
 
@@ -84,7 +85,7 @@ def test_a_mistake_in_a_cloth_is_told_with_key_value_unit_and_the_way_out(before
     ('effects: {stretch: {warp: 1, weft: 1}}',
      'effects.stretch: belongs under cloths.<name>.effects'),
     ('effects: {dampng: {rate: 1}}', "effects.dampng: unknown effect; did you mean 'damping'? "
-     '(known: pin, damping, contact, friction)'),
+     f'(known: {", ".join(name for name in EFFECTS if EFFECTS[name] == "scene")})'),
     ('effects: {damping: {}}', 'effects.damping.rate: missing (1/s)'),
     ('effects: {damping: {rate: -1}}', 'effects.damping.rate: must be at least 0 1/s (got -1)'),
     ('colliders: {floor: {plane: {}}}',
