@@ -37,7 +37,7 @@ def refusal(text, **options):
 
 @pytest.mark.parametrize('before, after, text', [
     ('stretch:', 'strech:', "cloths.flag.effects.strech: unknown effect; did you mean 'stretch'? "
-     '(known: bend, shear, stretch)'),
+     f'(known: {", ".join(name for name in EFFECTS if EFFECTS[name] == "cloth")})'),
     ('warp: 800.0', 'warp: -1', 'cloths.flag.effects.stretch.warp: must be > 0 N/m (got -1)'),
     ('warp: 800.0', 'warp: 0', 'cloths.flag.effects.stretch.warp: must be > 0 N/m (got 0)'),
     ('warp: 800.0', 'wrap: 800.0', "cloths.flag.effects.stretch.wrap: unknown key; did you mean "
