@@ -25,6 +25,7 @@ EXAMPLES = {
     'bend': {'stiffness': 2e-3},
     'shear': {'stiffness': 15.0},
     'stretch': {'warp': 60.0, 'weft': 40.0},
+    'self_collision': {'thickness': 0.003},
     'contact': {'thickness': 0.005},
     'friction': {},
 }

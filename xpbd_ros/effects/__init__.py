@@ -17,6 +17,7 @@ EFFECTS = {
     'bend': 'cloth',
     'shear': 'cloth',
     'stretch': 'cloth',
+    'self_collision': 'scene',
     'contact': 'scene',
     'friction': 'scene',
 }

@@ -56,6 +56,7 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.contacts import (
     Contacts,
+    DEPENETRATION,
     move_colliders,
     new_contacts,
     push_once,
@@ -69,8 +70,6 @@ from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
 from xpbd_ros.sim.stages import finish, prepare, stage, touch
 from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
 
-DEPENETRATION = 1.0
-"""speed at which an overlap that was there before is undone [m/s]"""
 CANDIDATES = 16
 """room for candidates, per particle"""
 CORNER = 8

@@ -10,7 +10,8 @@ overlap),
 stick where |Δp_t| ≤ μ_s d, else slide with the friction μ_k d. In rest on a slope d = g cos(θ) h²,
 so sticking is exact and a sliding particle slows by exactly μ_k g cos(θ). ``friction`` of a
 surface is its μ_k, and its μ_s too unless it has a ``static_friction``. μ of a pair is the
-geometric mean of the two coefficients unless one is given for the pair.
+geometric mean of the two coefficients unless one is given for the pair. Where the scene has
+self_collision, cloths rub against one another by the same law (``sim.touches``).
 
 Limits: what slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity changes where
 frames meet, at once, so cloth on one that speeds up slips a little where smooth motion would carry
@@ -24,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contacts import Contacts, push_once, surface_motion
+from xpbd_ros.sim.contacts import Contacts, push_once, shortened, surface_motion
 from xpbd_ros.sim.effect import Built, check_static, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import stage, touch
@@ -87,13 +88,10 @@ def resist(friction, state, substep):
         pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
         sx, sy = s[k, 0] - (px - pn * n[k, 0]), s[k, 1] - (py - pn * n[k, 1])
         sz = s[k, 2] - (pz - pn * n[k, 2])
-        l = sqrt(sx * sx + sy * sy + sz * sz)
         load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
         a, c = friction.cloth[i], contacts.collider[k]
         mu = friction.coefficient[a, c]
-        if l > holds(friction.static, a, c, mu) * load:
-            f = mu * load / l
-            sx, sy, sz = f * sx, f * sy, f * sz
+        sx, sy, sz = shortened(sx, sy, sz, holds(friction.static, a, c, mu) * load, mu * load)
         x[0, i] += sx - s[k, 0]
         x[1, i] += sy - s[k, 1]
         x[2, i] += sz - s[k, 2]
@@ -107,20 +105,26 @@ class BuiltFriction(Built):
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
-        self.contact = contact = world.built['contact']
+        self.contact = contact = world.built.get('contact')
         self.cloths = world.cloths
         self.pairs = parameters.pairs
-        cloth_of = np.zeros(world.slots, np.int64)
+        if 'self_collision' in world.built:
+            world.built['self_collision'].let_rub(*self._between_cloths())
         unknown = set(self.pairs) - {cloth.name for cloth in world.cloths}
         if unknown:
             raise InputError(f'effects.friction.pairs: unknown cloth {sorted(unknown)}')
-        for k, cloth in enumerate(world.cloths):
-            cloth_of[cloth.slots] = k
-            unknown = set(self.pairs.get(cloth.name, {})) - set(contact.entries)
+        entries = contact.entries if contact else {}
+        for cloth in world.cloths:
+            unknown = set(self.pairs.get(cloth.name, {})) - set(entries)
             if unknown:
                 raise InputError(f'effects.friction.pairs.{cloth.name}: unknown collider '
-                                 f'{sorted(unknown)} (known: {", ".join(contact.entries)})')
-        surfaces = [*world.cloths, *contact.entries.values(), *(
+                                 f'{sorted(unknown)} (known: {", ".join(entries)})')
+        if contact is None:
+            return
+        cloth_of = np.zeros(world.slots, np.int64)
+        for k, cloth in enumerate(world.cloths):
+            cloth_of[cloth.slots] = k
+        surfaces = [*world.cloths, *entries.values(), *(
             pair for pairs in self.pairs.values() for pair in pairs.values())]
         sticks = any(getattr(s, 'static_friction', None) is not None for s in surfaces)
         shape = len(world.cloths), len(contact.colliders.shape)
@@ -129,8 +133,18 @@ class BuiltFriction(Built):
         self.changes = None
         """the set of colliders that the coefficients are for"""
 
+    @property
+    def parts(self):
+        """All that the kernels get; nothing without colliders."""
+        return super().parts if self.contact else ()
+
+    def _between_cloths(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return μ_k and μ_s by cloth and cloth: geometric means."""
+        kinetic, static = np.transpose([both_of(cloth) for cloth in self.cloths])
+        return np.sqrt(np.outer(kinetic, kinetic)), np.sqrt(np.outer(static, static))
+
     def begin(self, clock, state):
-        if self.changes != self.contact.changes:
+        if self.contact is not None and self.changes != self.contact.changes:
             self.changes = self.contact.changes
             for k, cloth in enumerate(self.cloths):
                 for c, (name, placed) in enumerate(self.contact.placed.items()):

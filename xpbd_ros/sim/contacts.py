@@ -11,6 +11,9 @@ from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.rotation import rotate
 from xpbd_ros.sim.state import lose_history
 
+DEPENETRATION = 1.0
+"""speed at which an overlap that was there before is undone [m/s]"""
+
 
 class Contacts(NamedTuple):
     """The candidates of this substep; those with a push > 0 touch."""
@@ -133,3 +136,13 @@ def push_once(contacts, state):
         contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
         lose_history(state.history, i)
     contacts.count[2] = held_back
+
+
+@jit(inline=True)
+def shortened(sx, sy, sz, sticks, slides):
+    """Return friction's displacement: if longer than what sticks, as long as what slides [m]."""
+    l = sqrt(sx * sx + sy * sy + sz * sz)
+    if l > sticks:
+        f = slides / l
+        return f * sx, f * sy, f * sz
+    return sx, sy, sz

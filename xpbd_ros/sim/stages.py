@@ -39,6 +39,10 @@ def touch(effects, state, substep):
     """Contact and friction, after everything else of an iteration."""
 
 
+def bound(effects, state, substep):
+    """Last in an iteration: how far particles may get."""
+
+
 def finish(effects, state, substep):
     """Once per substep, after the velocities are known."""
 
@@ -85,7 +89,7 @@ def _asks_for_forces(state) -> bool:
     return not isinstance(state[state.fields.index('reaction')], types.NoneType)
 
 
-for _stub in (force, prepare, project, touch, finish):
+for _stub in (force, prepare, project, touch, bound, finish):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 walk(react, lambda effect, state: kernel_of(react, effect) if _asks_for_forces(state) else None)

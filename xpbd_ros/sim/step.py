@@ -7,7 +7,7 @@ Macklin et al., "Small steps in physics simulation", 2019.
 
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import finish, force, prepare, react, touch
+from xpbd_ros.sim.stages import bound, finish, force, prepare, react, touch
 from xpbd_ros.sim.state import begin, Substep, update_velocity
 from xpbd_ros.sim.sweeps import enter, leave, sweep
 
@@ -32,6 +32,7 @@ def advance(effects, state, method, frame_dt, substeps):
         for _ in range(method.iterations):
             sweep(method, effects, state, substep)
             touch(effects, state, substep)
+            bound(effects, state, substep)
         update_velocity(state, substep)
         finish(effects, state, substep)
         react(effects, state, substep)

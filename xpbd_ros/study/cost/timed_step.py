@@ -11,6 +11,7 @@ from numba import njit, typeof
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.stages import (
+    bound,
     finish,
     force,
     kernel_of,
@@ -71,7 +72,7 @@ def timed_step(effects: tuple, method: type):
              f'{inner}for _ in range(method.iterations):']
     for stub, backwards in SWEEPS[method]:
         lines += walk(stub, deep, backwards)
-    lines += [*walk(touch, deep), f'{deep}pass',
+    lines += [*walk(touch, deep), *walk(bound, deep), f'{deep}pass',
               f'{inner}update_velocity(state, substep)',
               f'{inner}lap(book, {integration})',
               *walk(finish, inner), *walk(react, inner)]

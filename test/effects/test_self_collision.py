@@ -1,0 +1,250 @@
+"""Cloth against cloth: the pairs found, what keeps them apart, and that nothing gets through."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from sim.crossings import crossings, of_edges, to_triangle
+from sim.small import EXAMPLES, GRAVITY, run, simulate
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.commands import MovePin, Pose
+from xpbd_ros.sim.contacts import DEPENETRATION
+from xpbd_ros.sim.measure import momentum
+from xpbd_ros.sim.state import places
+
+THICKNESS = 0.01
+STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}
+
+
+def scene(cloths, *, mode='surface', pins=None, gravity=GRAVITY, substeps=10, room=24,
+          thickness=THICKNESS, colliders=None, friction=0.4, rate=60.0):
+    """Return some cloths: name: (resolution, size, pose); one set of effects for all tests."""
+    return compile_scene(scene_from_mapping({
+        'gravity': [0.0, 0.0, -gravity], 'frame_rate': rate,
+        'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler',
+                   'substeps': substeps},
+        'cloths': {name: {'grid': {'size': list(size), 'resolution': list(resolution)},
+                          'density': 0.2, 'pose': pose, 'friction': friction, 'effects': STRETCH}
+                   for name, (resolution, size, pose) in cloths.items()},
+        'pins': pins or {},
+        'colliders': colliders or {},
+        'effects': {'friction': {}, 'contact': {'thickness': thickness}, 'self_collision': {
+            'thickness': thickness, 'mode': mode, 'room': room}},
+    }, where='small.yaml', name='small'))
+
+
+def triangles(simulation):
+    """Return the triangles of all cloths, particles in natural order."""
+    return np.concatenate([c.mesh.triangles + c.first for c in simulation.cloths])
+
+
+def square(z, n=6, size=0.25, x=0.0, y=0.0):
+    """Return a flat cloth at a height."""
+    return (n, n), (size, size), {'position': [x, y, z]}
+
+
+def flat(n=6, size=0.25):
+    """Return the edge of a cell of that square."""
+    return size / (n - 1)
+
+
+def stay(simulation):
+    """Run a frame of nothing, so that the list is that of the positions now."""
+    simulation.state.v[:] = 0.0
+    simulation.step()
+    return simulation.effects['self_collision'].data.near
+
+
+def crumpled(mode):
+    """Return two cloths that lie through one another anyhow, and where they are."""
+    simulation = scene({'a': square(0.0), 'b': square(0.01, x=0.02)}, mode=mode, gravity=0.0,
+                       thickness=0.02 if mode == 'particles' else THICKNESS, room=100,
+                       substeps=1, rate=1e4)
+    state, slot = simulation.state, simulation.slot
+    state.x[:, slot] += np.random.default_rng(1).normal(0.0, 0.01, (3, len(slot)))
+    return simulation, places(state.x, slot)
+
+
+def test_brute_force_finds_the_same_particles():
+    simulation, x = crumpled('particles')
+    near = stay(simulation)
+    found = list(zip(near.first[:near.kind_end[2]], near.second[:near.kind_end[2]]))
+    expected = []
+    for i, j in zip(*np.triu_indices(len(x), 1)):
+        keep = 0.02
+        if near.cloth[i] == near.cloth[j]:
+            keep = min(keep, 0.5 * np.linalg.norm(near.rest[i] - near.rest[j]))
+        if np.linalg.norm(x[i] - x[j]) < keep + near.margin[0]:
+            expected.append((i, j))
+    assert found == expected
+    assert len(found) > 30
+
+
+def test_brute_force_finds_the_same_triangles_and_edges():
+    simulation, x = crumpled('surface')
+    near = stay(simulation)
+    reach, surface = THICKNESS + near.margin[0], near.surface
+    pairs = list(zip(near.first[:near.kind_end[2]], near.second[:near.kind_end[2]]))
+    expected = [(v, t) for t, corners in enumerate(surface.triangles) for v in range(len(x))
+                if v not in corners and to_triangle(x[v], *x[corners]) < reach]
+    assert pairs[:near.kind_end[1]] == expected
+    edges = surface.edges
+    expected = [(e, f) for e in range(len(edges)) for f in range(e + 1, len(edges))
+                if not set(edges[e]) & set(edges[f])
+                and of_edges(*x[edges[e]], *x[edges[f]]) < reach]
+    assert pairs[near.kind_end[1]:] == expected
+    assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
+
+
+@pytest.mark.parametrize('mode', ['surface', 'particles'])
+def test_cloths_that_meet_keep_their_momentum(mode):
+    simulation = scene({'a': square(0.0), 'b': square(0.03, x=0.01, y=0.02)}, mode=mode,
+                       gravity=0.0, thickness=THICKNESS if mode == 'surface' else flat())
+    state, slots = simulation.state, simulation.cloths[1].slots
+    state.v[:, slots] = np.array([[0.2], [0.1], [-0.5]])
+    before = momentum(state)
+    touched = 0
+    for _ in range(20):
+        simulation.step()
+        touched += simulation.stats()['self_contacts']
+    assert touched > 20
+    assert simulation.stats()['self_stopped'] == 0
+    np.testing.assert_allclose(momentum(state), before, rtol=0.0, atol=1e-12)
+    one, other = (state.v[:, cloth.slots].mean(1) for cloth in simulation.cloths)
+    assert abs(one[2] - other[2]) < 0.15    # nothing bounces
+    assert np.linalg.norm(other[:2]) < 0.2 and np.linalg.norm(one[:2]) > 0.03    # it rubs
+
+
+def test_a_twist_of_three_turns_gets_nothing_through():
+    """H27: it ends as a rope."""
+    simulation = scene({'c': ((7, 19), (0.12, 0.36), {})}, substeps=12, thickness=0.005,
+                       gravity=0.0, pins={'low': {'cloth': 'c', 'at': 'edge_0x'},
+                                          'high': {'cloth': 'c', 'at': 'edge_1x'}})
+    (x, y, z), faces = simulation.step().pins['high'].pose.position, triangles(simulation)
+    touched = 0
+    for frame in range(240):
+        turns = 3.0 * min(frame / 180, 1.0)
+        pose = Pose((x, y - 0.05 * turns / 3.0, z),
+                    tuple(Rotation.from_euler('y', 2.0 * np.pi * turns).as_quat()))
+        shown = simulation.step([MovePin('high', pose)])
+        touched = max(touched, simulation.stats()['self_contacts'])
+        if frame % 10 == 9:
+            assert crossings(shown.x, faces) == 0, frame
+    assert touched > 30
+    assert simulation.stats()['self_without_room'] == 0
+    assert np.isfinite(shown.x).all()
+
+
+def test_a_fold_and_a_pile_get_nothing_through():
+    """H27: three cloths fall on a table and one another, the first from an edge on."""
+    upright = {'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5], 'position': [0.1, 0.13, 0.02]}
+    simulation = scene({'a': ((9, 9), (0.25, 0.25), upright), 'b': square(0.35, 9),
+                        'c': square(0.4, 9, x=0.05, y=0.02)},
+                       colliders={'table': {'plane': {}}}, thickness=0.006)
+    faces = triangles(simulation)
+    for frame in range(120):
+        shown = simulation.step()
+        if frame % 10 == 9:
+            assert crossings(shown.x, faces) == 0, frame
+    assert simulation.stats()['self_contacts'] > 50
+    assert shown.x[:, 2].min() > 0.0
+    assert shown.x[:, 2].max() < 0.15
+    assert np.abs(shown.v).max() < 1.0
+
+
+def test_without_it_they_pass_through_one_another():
+    """The count of crossings can count."""
+    simulation = simulate((9, 9), (0.25, 0.25), effects=STRETCH)
+    x = np.concatenate([simulation.frame().x, Rotation.from_euler('y', 0.5).apply(
+        simulation.frame().x) + (0.03, 0.004, -0.05)])
+    faces = simulation.cloths[0].mesh.triangles
+    assert crossings(x, np.concatenate([faces, faces + 81])) > 5
+
+
+@pytest.mark.parametrize('speed', [5.0, 50.0])
+def test_however_fast_it_does_not_get_through(speed):
+    """A bound on speeds alone would need other substeps."""
+    simulation = scene({'a': square(0.0), 'b': square(0.15, x=0.01, y=0.015)}, gravity=0.0,
+                       substeps=4, pins={'edge': {'cloth': 'a', 'at': list(range(36))}})
+    simulation.state.v[2, simulation.cloths[1].slots] = -speed
+    for _ in range(20):
+        shown = simulation.step()
+    assert shown.x[36:, 2].min() > 0.0
+
+
+@pytest.mark.parametrize('aside', [0.0, 0.013])
+@pytest.mark.parametrize('mode', ['surface', 'particles'])
+def test_an_overlap_comes_apart_without_a_kick(mode, aside):
+    """What lies aside is pushed aside too, and what that strains swings back."""
+    thickness = 0.02 if mode == 'surface' else flat()
+    simulation = scene({'a': square(0.0), 'b': square(0.2 * thickness, x=aside, y=aside)},
+                       mode=mode, thickness=thickness, gravity=0.0)
+    for _ in range(60):
+        shown = simulation.step()
+        assert np.abs(shown.v).max() < DEPENETRATION
+    apart = shown.x[36:, 2].mean() - shown.x[:36, 2].mean()
+    assert apart > 0.6 * thickness
+    if aside == 0.0:
+        assert apart < 1.1 * thickness
+        assert np.abs(shown.v).max() < 0.01
+
+
+@pytest.mark.parametrize('degrees, sticks', [(15.0, True), (30.0, False)])
+def test_a_cloth_sticks_to_a_slope_of_cloth_below_the_angle_of_friction(degrees, sticks):
+    """μ = 0.4: 21.8°."""
+    turn = Rotation.from_euler('y', -degrees, degrees=True)
+    q = turn.as_quat().tolist()
+    down = turn.apply([0.0, 0.0, 1.0])
+    place = (turn.apply([0.11, 0.1, 0.0]) + 0.0101 * down).tolist()
+    simulation = scene({'a': ((8, 8), (0.4, 0.4), {'orientation': q}),
+                        'b': ((5, 5), (0.1, 0.1), {'orientation': q, 'position': place})},
+                       pins={'all': {'cloth': 'a', 'at': list(range(64))}})
+    start = simulation.frame().x[64:].mean(0)
+    moved = np.linalg.norm(run(simulation, 30).x[64:].mean(0) - start)
+    if sticks:
+        assert moved < 0.004
+    else:
+        angle = np.radians(degrees)
+        slide = 0.5 * GRAVITY * (np.sin(angle) - 0.4 * np.cos(angle)) * 0.25
+        assert moved == pytest.approx(slide, rel=0.15)
+
+
+def test_what_lies_on_pinned_cloth_weighs_on_its_pins():
+    simulation = scene({'a': square(0.0), 'b': square(0.01, 5, 0.1, x=0.06, y=0.07)},
+                       pins={'all': {'cloth': 'a', 'at': list(range(36))}})
+    run(simulation, 60)
+    force = simulation.state.reaction.sum(1)
+    weight = simulation.state.mass[simulation.cloths[1].slots].sum() * GRAVITY
+    np.testing.assert_allclose(force, [0.0, 0.0, -weight], atol=0.02 * weight)
+
+
+def test_what_finds_no_room_is_counted_and_all_stays_finite():
+    simulation = scene({'a': square(0.0), 'b': square(0.005, x=0.01), 'c': square(0.01)}, room=1)
+    shown = run(simulation, 10)
+    assert simulation.stats()['self_without_room'] > 0
+    assert np.isfinite(shown.x).all()
+    assert np.abs(shown.v).max() < 5.0
+
+
+def test_everything_in_one_place_stays_finite():
+    simulation = scene({'a': square(0.0), 'b': square(0.0)}, gravity=0.0, substeps=2)
+    simulation.state.x[:, simulation.slot] = 0.1
+    shown = run(simulation, 3)
+    assert np.isfinite(shown.x).all()
+
+
+def test_a_run_repeats_to_the_bit():
+    hashes = []
+    for _ in range(2):
+        simulation = scene({'a': square(0.0), 'b': square(0.011, x=0.013)},
+                           colliders={'table': {'plane': {}}})
+        run(simulation, 20)
+        hashes.append(simulation.hash())
+    assert hashes[0] == hashes[1]
+
+
+def test_a_surface_needs_triangles():
+    with pytest.raises(InputError, match='surface needs triangles'):
+        simulate((5, 1), scene_effects={'self_collision': EXAMPLES['self_collision']})

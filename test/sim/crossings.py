@@ -1,0 +1,49 @@
+"""What tests of cloths that meet measure by brute force."""
+
+import numpy as np
+
+
+def crossings(x, triangles, block=512):
+    """Return how many pairs of edge and triangle, without a particle in common, cross."""
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    count = 0
+    for some in np.array_split(edges, len(edges) // block + 1):
+        p, q = x[some[:, 0], None], x[some[:, 1], None]
+        way, found = q - p, None
+        up, down = volume(a - p, b - p, c - p), volume(a - q, b - q, c - q)
+        found = up * down < 0.0
+        sides = [volume(s - p, t - p, way) for s, t in ((a, b), (b, c), (c, a))]
+        found &= (np.min(sides, 0) > 0.0) | (np.max(sides, 0) < 0.0)
+        found &= ~(some[:, None, :, None] == triangles[None, :, None, :]).any((2, 3))
+        count += int(found.sum())
+    return count
+
+
+def volume(a, b, c):
+    """Return a · (b × c)."""
+    return (a * np.cross(b, c)).sum(-1)
+
+
+def to_triangle(p, a, b, c):
+    """Return the distance of a point to a triangle: to its plane, or to the nearest side."""
+    n = np.cross(b - a, c - a)
+    inside = all(np.cross(t - s, p - s) @ n >= 0.0 for s, t in ((a, b), (b, c), (c, a)))
+    if inside:
+        return abs((p - a) @ n) / np.linalg.norm(n)
+    return min(to_edge(p, s, t) for s, t in ((a, b), (b, c), (c, a)))
+
+
+def to_edge(p, a, b):
+    """Return the distance of a point to an edge."""
+    share = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+    return np.linalg.norm(p - a - share * (b - a))
+
+
+def of_edges(a, b, c, d):
+    """Return the distance of two edges: of their lines between the ends, or from an end."""
+    n = np.cross(b - a, d - c)
+    s, t = np.linalg.lstsq(np.stack([b - a, c - d], 1), c - a, rcond=None)[0]
+    if 0.0 <= s <= 1.0 and 0.0 <= t <= 1.0:
+        return abs((c - a) @ n) / np.linalg.norm(n)
+    return min(to_edge(a, c, d), to_edge(b, c, d), to_edge(c, a, b), to_edge(d, a, b))
