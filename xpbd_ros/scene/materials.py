@@ -8,9 +8,9 @@ stretched by a sixth, C11 pulled along warp, C22 along weft, C12 the mean of bot
 modulus at 45° (half of the fourth number, which multiplies the tensor's strain); of bending the
 mean of warp, weft and 45° at the smallest curvature. Of paper the nominal values of ARCSim's file.
 
-What a lattice cannot carry (NUMERICS 2.7): it has C12 = C66, so Poisson's ratio is not free. Kept
-are the moduli of a strip pulled along warp and along weft, and the shear modulus. A knit gets
-softer than this at small strains, up to tenfold.
+A membrane carries all of this. What a lattice cannot carry (NUMERICS 2.7): it has C12 = C66, so
+Poisson's ratio is not free. Kept are the moduli of a strip pulled along warp and along weft, and
+the shear modulus. A knit gets softer than this at small strains, up to tenfold.
 """
 
 from dataclasses import dataclass
@@ -64,6 +64,10 @@ class Isotropic:
     density: float = quantity(unit='kg/m³', above=0.0, doc='of the solid')
 
 
+INSTEAD = {'stretch': {'compliance'}, 'membrane': {'young'}, 'hinge': {'warp', 'weft'}}
+"""effect: keys with which it takes nothing from the material"""
+
+
 def sheet_of(solid: Isotropic) -> Sheet:
     """Return the sheet that a solid of some thickness makes, by plate theory."""
     plane = solid.young * solid.thickness / (1.0 - solid.poisson**2)
@@ -97,6 +101,12 @@ def lattice(sheet: Sheet, *, shears: bool) -> dict[str, dict[str, float]]:
             'bend': {'stiffness': sheet.bend}}
 
 
+def membrane(sheet: Sheet) -> dict[str, float]:
+    """Return what a membrane takes, which carries all of it."""
+    warp, weft = pulled(sheet)
+    return {'warp': warp, 'weft': weft, 'shear': sheet.shear, 'poisson': sheet.c12 / sheet.c22}
+
+
 def with_material(cloth: Any, path: str) -> Any:
     """
     Return a cloth's mapping with what its material says, where the mapping says nothing.
@@ -109,12 +119,14 @@ def with_material(cloth: Any, path: str) -> Any:
     sheet = _sheet(cloth['material'], f'{path}.material')
     effects = mapping(cloth.get('effects'), f'{path}.effects')
     filled = dict(effects)
-    for effect, values in lattice(sheet, shears='shear' in effects).items():
+    for effect, values in {**lattice(sheet, shears='shear' in effects),
+                           'membrane': membrane(sheet),
+                           'hinge': {'stiffness': sheet.bend}}.items():
         given = mapping(effects.get(effect), f'{path}.effects.{effect}')
-        if effect not in effects or 'compliance' in given:
+        if effect not in effects or INSTEAD.get(effect, set()) & set(given):
             continue
         filled[effect] = {**values, **given}
-        if any(values[key] <= 0.0 for key in values if key not in given):
+        if any(values[key] <= 0.0 for key in values if key not in {*given, 'poisson'}):
             raise InputError(f'{path}.material: a lattice with this much shear cannot be as soft '
                              f'along one thread as {cloth["material"]}; give effects.{effect} '
                              'yourself')

@@ -148,6 +148,9 @@ class Built:
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""
 
+    def again(self) -> None:
+        """Forget a frame that will be done again from its start."""
+
     def end(self, clock: Clock, state: State) -> None:
         """Look at a frame that is done."""
 

@@ -260,6 +260,8 @@ class ExplicitGuard:
         state.x[:], state.v[:] = self._x, self._v
         if state.reaction is not None:
             state.reaction[:] = 0.0
+        for built in simulation.effects.values():
+            built.again()
         self.redo(simulation.solver.rough_substeps)
         self.redone += 1
 

@@ -195,6 +195,20 @@ def root(typing, a):
 
 
 @intrinsic
+def absolute(typing, a):
+    """Return |a|, lane by lane."""
+    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+        builder, 'fabs', signature.return_type, arguments)
+
+
+@intrinsic
+def nearest(typing, a):
+    """Return the nearest whole numbers; of halves, the even ones."""
+    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+        builder, 'nearbyint', signature.return_type, arguments)
+
+
+@intrinsic
 def larger(typing, a, b):
     """Return the larger of two vectors, lane by lane; one may be a scalar."""
     vector = a if isinstance(a, Vector) else b

@@ -1,0 +1,305 @@
+"""
+Hinge: the dihedral angle of each hinge, kept near the one at rest, so that a shape can be curved.
+
+For the edge (x0, x1) with opposite particles x2, x3, e = x1 - x0, n1 = e × (x2 - x0) and
+n2 = (x3 - x0) × e (``sim.hinges``; NUMERICS 2.4),
+
+    C = θ - θ0,   θ = atan2((n1 × n2)·e / |e|, n1·n2) = atan2(-|e| n1·(x3 - x0), n1·n2)
+    g2 = -|e| n1 / |n1|²,   g3 = -|e| n2 / |n2|²,   g1 = t1 n1 / |n1|² + t2 n2 / |n2|²
+    g0 = -g1 - g2 - g3,   t1 = (x2 - x0)·e / |e|,   t2 = (x3 - x0)·e / |e|
+
+with the energy B |e|² C² / (2 (A0 + A1)) of the rest shape, so α = (A0 + A1) / (B |e|²) [1/(N m)].
+In force form Δf = -(C + α f) / (W + α), x_i += m_i g_i Δf, with W = Σ m_i |g_i|². The angle goes
+on beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last.
+
+A hinge whose triangle has no height (below 1e-12 of its edge; 5e-4 in float32) has no angle: it is
+left alone until it has one.
+
+Limits: within a substep a fold turns by less than half a turn. On an irregular mesh the rigidity
+depends on the triangles, 1.06 to 1.4 of B on a cylinder (NUMERICS 2.5).
+"""
+
+from dataclasses import dataclass
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.angle import angle_of
+from xpbd_ros.sim.distance import release_forces, softest
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.hinges import all_hinges, dihedral, rigidity, slenderness
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.mesh import cross, dot, length
+from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
+from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.update import divisor, keep, misfit, recall
+from xpbd_ros.sim.vector import both, fma, lanes, load, nearest, root, select, store
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Either one bending rigidity, or two."""
+
+    stiffness: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                       doc='bending rigidity B, alike in all directions')
+    warp: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                  doc='bending rigidity of a strip along warp')
+    weft: float | None = quantity(None, unit='N m', above=0.0, live=True,
+                                  doc='bending rigidity of a strip along weft')
+
+    def __post_init__(self):
+        """Refuse both and neither."""
+        threads = (self.warp, self.weft)
+        if self.stiffness is None and None in threads or (
+                self.stiffness is not None and threads != (None, None)):
+            raise InputError('needs either stiffness, or warp and weft (N m)')
+
+    @property
+    def rigidities(self) -> tuple[float, float]:
+        """Along warp and along weft [N m]."""
+        return (self.warp, self.weft) if self.stiffness is None else (self.stiffness,) * 2
+
+
+class Held(NamedTuple):
+    """The hinges at pinned particles, whose forces somebody asks for."""
+
+    count: np.ndarray
+    """shape (1,)"""
+    particles: np.ndarray
+    """slots, shape (room, 4)"""
+    index: np.ndarray
+    """where each keeps its force, shape (room,)"""
+
+
+class Hinge(NamedTuple):
+    """Hinges in packs."""
+
+    records: np.ndarray
+    """particles as records, shape (slots, 4)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots: edge start, edge end, opposite, opposite; shape (4, hinges)"""
+    rest_angle: np.ndarray
+    """[rad], shape (hinges,)"""
+    compliance: np.ndarray
+    """[1/(N m)], shape (hinges,)"""
+    angle: np.ndarray
+    """as seen last [rad], whole turns included; shape (hinges,)"""
+    force: np.ndarray | None
+    """f [N m], shape (hinges,); None where nobody asks"""
+    held: Held | None
+    """None in a scene without pins"""
+
+
+@stage(prepare, Hinge)
+@jit
+def prepare_hinge(hinge, state, substep):
+    """Zero the multipliers."""
+    release_forces(hinge)
+
+
+@stage(project, Hinge)
+@jit
+def project_hinge(hinge, state, substep):
+    """One pass over all hinges."""
+    _project(hinge, state, False)
+
+
+@stage(project_back, Hinge)
+@jit
+def project_hinge_back(hinge, state, substep):
+    """Do the same pass in reverse."""
+    _project(hinge, state, True)
+
+
+@jit
+def _project(hinge, state, reverse):
+    first, last = hinge.slots[0], hinge.slots[1]
+    to_records(state, hinge.records, first, last)
+    _project_packs(hinge.records, state.apart, hinge.particles, hinge.rest_angle,
+                   hinge.compliance, hinge.angle, hinge.force,
+                   (4096.0 * np.finfo(state.x.dtype).eps)**2, reverse)
+    from_records(state, hinge.records, first, last)
+
+
+@jit
+def _project_packs(records, apart, particles, rest_angle, compliance, angle, force, flat,
+                   reverse):
+    i0, i1, i2, i3 = particles[0], particles[1], particles[2], particles[3]
+    count, step = len(rest_angle), lanes(rest_angle)
+    for p in range(0, count, step):
+        q = count - step - p if reverse else p
+        x0, y0, z0, m0 = load_records(records, i0, q)
+        x1, y1, z1, m1 = load_records(records, i1, q)
+        x2, y2, z2, m2 = load_records(records, i2, q)
+        x3, y3, z3, m3 = load_records(records, i3, q)
+        ex, ey, ez = x1 - x0, y1 - y0, z1 - z0
+        ax, ay, az = x2 - x0, y2 - y0, z2 - z0
+        bx, by, bz = x3 - x0, y3 - y0, z3 - z0
+        nx, ny, nz = fma(ey, az, -(ez * ay)), fma(ez, ax, -(ex * az)), fma(ex, ay, -(ey * ax))
+        ox, oy, oz = fma(by, ez, -(bz * ey)), fma(bz, ex, -(bx * ez)), fma(bx, ey, -(by * ex))
+        square = fma(ex, ex, fma(ey, ey, ez * ez))
+        n_n = fma(nx, nx, fma(ny, ny, nz * nz))
+        o_o = fma(ox, ox, fma(oy, oy, oz * oz))
+        n_o = fma(nx, ox, fma(ny, oy, nz * oz))
+        n_b = fma(nx, bx, fma(ny, by, nz * bz))
+        least = flat * square * square
+        open_ = both(n_n > least, o_o > least)
+        l = select(open_, root(square), 1.0)
+        r1, r2 = 1.0 / select(open_, n_n, 1.0), 1.0 / select(open_, o_o, 1.0)
+        last = load(angle, q)
+        now = angle_of(-(l * n_b), n_o)
+        now = fma(2.0 * pi, nearest((last - now) * (0.5 / pi)), now)
+        now = select(open_, now, last)
+        store(angle, q, now)
+
+        t1 = fma(ax, ex, fma(ay, ey, az * ez)) / l
+        t2 = fma(bx, ex, fma(by, ey, bz * ez)) / l
+        s1, s2, mixed = l - t1, l - t2, 2.0 * n_o * r1 * r2
+        w0 = fma(s1 * s1, r1, fma(s2 * s2, r2, s1 * s2 * mixed))
+        w1 = fma(t1 * t1, r1, fma(t2 * t2, r2, t1 * t2 * mixed))
+        total = fma(m0, w0, fma(m1, w1, square * fma(m2, r1, m3 * r2)))
+        alpha, f = load(compliance, q), recall(apart, force, q)
+        df = select(both(open_, total > 0.0), -misfit(now - load(rest_angle, q), alpha, f)
+                    / divisor(apart, total, alpha), 0.0)
+        keep(force, q, f, df)
+        ux, uy, uz = r1 * nx, r1 * ny, r1 * nz
+        vx, vy, vz = r2 * ox, r2 * oy, r2 * oz
+        d0, d1, dl = m0 * df, m1 * df, -(l * df)
+        put_records(records, apart, i0, q, x0, y0, z0, m0, d0, fma(s1, ux, s2 * vx),
+                    fma(s1, uy, s2 * vy), fma(s1, uz, s2 * vz))
+        put_records(records, apart, i1, q, x1, y1, z1, m1, d1, fma(t1, ux, t2 * vx),
+                    fma(t1, uy, t2 * vy), fma(t1, uz, t2 * vz))
+        put_records(records, apart, i2, q, x2, y2, z2, m2, m2 * dl, ux, uy, uz)
+        put_records(records, apart, i3, q, x3, y3, z3, m3, m3 * dl, vx, vy, vz)
+
+
+@stage(react, Hinge)
+@jit
+def react_hinge(hinge, state, substep):
+    """Forces on pinned particles: g_i f."""
+    part, held, x = substep.end - substep.begin, hinge.held, state.x
+    e, a, b, n, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    for h in range(held.count[0]):
+        i0, i1, i2, i3 = (held.particles[h, 0], held.particles[h, 1], held.particles[h, 2],
+                          held.particles[h, 3])
+        f = part * hinge.force[held.index[h]]
+        if f == 0.0:    # or without an angle
+            continue
+        for k in range(3):
+            e[k], a[k], b[k] = x[k, i1] - x[k, i0], x[k, i2] - x[k, i0], x[k, i3] - x[k, i0]
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            n[k], o[k] = e[i] * a[j] - e[j] * a[i], b[i] * e[j] - b[j] * e[i]
+        l, n_n, o_o = np.sqrt((e * e).sum()), (n * n).sum(), (o * o).sum()
+        if n_n == 0.0 or o_o == 0.0:
+            continue
+        t1, t2 = (a * e).sum() / l, (b * e).sum() / l
+        for k in range(3):
+            u, v = f * n[k] / n_n, f * o[k] / o_o
+            state.reaction[k, i0] += (l - t1) * u + (l - t2) * v
+            state.reaction[k, i1] += t1 * u + t2 * v
+            state.reaction[k, i2] -= l * u
+            state.reaction[k, i3] -= l * v
+
+
+class Angles:
+    """The same hinges one by one, in sweep order, as people and NumPy want them."""
+
+    def __init__(self, particles, index, rest_angle, compliance, angle):
+        self.particles = particles
+        self.index = index
+        self.rest_angle = rest_angle.astype(float)
+        self.compliance = compliance.astype(float)
+        self._angle = angle
+
+    @staticmethod
+    def of(data: Hinge) -> 'Angles':
+        """Return the hinges of a batch."""
+        index = np.flatnonzero(data.particles[0] != data.particles[1])
+        return Angles(data.particles[:, index].T.astype(np.int64), index,
+                      data.rest_angle[index], data.compliance[index], data.angle)
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Return C [rad], shape (hinges,), from the definition, in turns nearest to the last."""
+        angle = dihedral(x.T.astype(float)[self.particles])
+        turns = np.round((self._angle[self.index] - angle) / (2.0 * pi))
+        return angle + 2.0 * pi * turns - self.rest_angle
+
+    def energy(self, x: np.ndarray) -> float:
+        """Return Σ C² / (2 α) [J]."""
+        return float((0.5 * self.residual(x)**2 / self.compliance).sum())
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """Return 4 Σ g_i g_iᵀ / α at each particle [N/m], shape (slots, 3, 3): K is no more."""
+        x0, x1, x2, x3 = (x.T.astype(float)[self.particles[:, k]] for k in range(4))
+        e, a, b = x1 - x0, x2 - x0, x3 - x0
+        l = length(e)[:, None]
+        u, v = cross(e, a), cross(b, e)
+        u, v = u / dot(u, u)[:, None], v / dot(v, v)[:, None]
+        t1, t2 = dot(a, e)[:, None] / l, dot(b, e)[:, None] / l
+        found = np.zeros((x.shape[1], 3, 3))
+        for k, g in enumerate(((l - t1) * u + (l - t2) * v, t1 * u + t2 * v, -l * u, -l * v)):
+            np.add.at(found, self.particles[:, k], 4.0 / self.compliance[:, None, None]
+                      * g[:, :, None] * g[:, None, :])
+        return found
+
+
+class BuiltHinge(Built):
+    """The hinges of every cloth that has this effect."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        particles, rest, compliance = [], [], []
+        for cloth, chosen in parameters.items():
+            mesh = cloth.mesh
+            these, share = all_hinges(mesh)
+            corners = mesh.positions[these]
+            particles.append(cloth.slots[these])
+            rest.append(dihedral(corners))
+            with np.errstate(over='ignore', divide='ignore'):
+                compliance.append(world.compliance_scale / (
+                    share * rigidity(mesh, these, *chosen.rigidities) * slenderness(corners)))
+        dtype = world.state.x.dtype
+        particles, rest, compliance = map(np.concatenate, (particles, rest, compliance))
+        order = pack(particles)
+        rest = padded(rest, order, 0.0, dtype)
+        angle = zeros(len(order), dtype)
+        angle[:] = rest
+        self.data = Hinge(
+            world.records,
+            np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
+            padded(particles, order, world.slots - 1, np.int32).T.copy(), rest,
+            padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype), angle,
+            zeros(len(order), dtype) if world.forces else None,
+            Held(np.zeros(1, np.int64), np.zeros((len(order), 4), np.int64),
+                 np.zeros(len(order), np.int64)) if world.pins else None)
+        self._before = angle.copy()
+        self.constraints = Angles.of(self.data)
+
+    def hold(self, inv_mass):
+        held, these = self.data.held, self.constraints
+        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
+        held.count[0] = len(found)
+        for column, numbers in zip(held[1:], (these.particles, these.index)):
+            column[:len(found)] = numbers[found]
+
+    def begin(self, clock, state):
+        self._before[:] = self.data.angle
+
+    def again(self):
+        self.data.angle[:] = self._before
+
+    def reset(self, state, now_ns):
+        self.data.angle[:] = self.data.rest_angle
+
+    def adopt(self, old):
+        self.data.angle[:] = old.data.angle
+
+
+EFFECT = Effect('hinge', Parameters, BuiltHinge)
