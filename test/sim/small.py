@@ -23,6 +23,7 @@ EXAMPLES = {
     'drag': {},
     'damping': {'rate': 1.0},
     'bend': {'stiffness': 2e-3},
+    'cross_bend': {'stiffness': 1e-3},
     'hinge': {'warp': 2e-3, 'weft': 1e-3},
     'shear': {'stiffness': 15.0},
     'membrane': {'warp': 2.0, 'weft': 1.5, 'shear': 0.6, 'poisson': 0.3},

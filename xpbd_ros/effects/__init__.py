@@ -15,6 +15,7 @@ EFFECTS = {
     'drag': 'scene',
     'damping': 'scene',
     'bend': 'cloth',
+    'cross_bend': 'cloth',
     'hinge': 'cloth',
     'shear': 'cloth',
     'membrane': 'cloth',

@@ -1,0 +1,119 @@
+"""
+Cross bend: elastic edges between the opposite particles of each hinge, the cheapest bending.
+
+C = |x2 - x3| - L (``sim.distance``), L the distance at rest. Folded by θ, triangles of heights h2,
+h3 over the shared edge, their feet p apart, have their tips sqrt(p² + h2² + h3² + 2 h2 h3 cos θ)
+apart. Each edge has the k that stores, 90° from rest, what a hinge of rigidity B would
+(``sim.hinges``): k C² = B |e|² (π/2)² / (A0 + A1).
+
+Limits: a flat hinge gives way to small folds (C grows with θ², so at 10° it stores 1 % of what a
+hinge would) and folds either way; a curved one resists at once. The edges also resist stretch and
+shear, by about 7 B over the square of the mesh width [N/m].
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim import distance
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.hinges import all_hinges, dihedral, slenderness
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.mesh import dot, length
+from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The bending rigidity."""
+
+    stiffness: float = quantity(unit='N m', above=0.0, live=True,
+                                doc='bending rigidity B, met at a fold of 90°')
+
+
+class CrossBend(NamedTuple):
+    """Data of the kernels."""
+
+    edges: distance.MeshEdges
+
+
+@stage(prepare, CrossBend)
+@jit
+def prepare_cross_bend(bend, state, substep):
+    """Zero the multipliers."""
+    distance.release_forces(bend.edges)
+
+
+@stage(project, CrossBend)
+@jit
+def project_cross_bend(bend, state, substep):
+    """One pass over all edges."""
+    distance.project_packs(bend.edges, state, False)
+
+
+@stage(project_back, CrossBend)
+@jit
+def project_cross_bend_back(bend, state, substep):
+    """Do the same pass in reverse."""
+    distance.project_packs(bend.edges, state, True)
+
+
+@stage(react, CrossBend)
+@jit
+def react_cross_bend(bend, state, substep):
+    """Forces on pinned particles."""
+    distance.react_edges(bend.edges, state, substep)
+
+
+def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Return the edges of a mesh for B = 1.
+
+    Returns
+    -------
+    particles (edges, 2), rest lengths [m] and stiffnesses [1/m²], shape (edges,); a pair that is
+    opposite in two hinges is one edge
+
+    """
+    particles, share = all_hinges(mesh)
+    corners = mesh.positions[particles]
+    e = corners[:, 1] - corners[:, 0]
+    unit = e / length(e)[:, None]
+    a, b = (corners[:, k] - corners[:, 0] for k in (2, 3))
+    p, q = dot(a, unit), dot(b, unit)
+    heights = [length(v - t[:, None] * unit) for v, t in ((a, p), (b, q))]
+
+    def apart(angle):
+        h, g = heights
+        return np.sqrt((p - q)**2 + h * h + g * g + 2.0 * h * g * np.cos(angle))
+
+    rest = np.abs(dihedral(corners))
+    folded = np.where(rest > 0.5 * np.pi, rest - 0.5 * np.pi, rest + 0.5 * np.pi)
+    k = share * slenderness(corners) * (0.5 * np.pi / (apart(folded) - apart(rest)))**2
+    pairs, which = np.unique(np.sort(particles[:, 2:], 1), axis=0, return_inverse=True)
+    ends = mesh.positions[pairs]
+    return pairs, length(ends[:, 0] - ends[:, 1]), np.bincount(which.ravel(), k, len(pairs))
+
+
+class BuiltCrossBend(Built):
+    """The edges of every cloth that has this effect."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        particles, rest, compliance = [], [], []
+        for cloth, chosen in parameters.items():
+            pairs, lengths, k = crossings(cloth.mesh)
+            particles.append(cloth.slots[pairs])
+            rest.append(lengths)
+            with np.errstate(over='ignore', divide='ignore'):
+                compliance.append(world.compliance_scale / (chosen.stiffness * k))
+        self.data = CrossBend(distance.mesh_edges(
+            *map(np.concatenate, (particles, rest, compliance)), world=world))
+        self.constraints = distance.Edges.of(self.data.edges)
+
+    def hold(self, inv_mass):
+        distance.hold(self.data.edges.held, self.constraints, inv_mass)
+
+
+EFFECT = Effect('cross_bend', Parameters, BuiltCrossBend)
