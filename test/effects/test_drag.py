@@ -6,7 +6,6 @@ from sim.small import GRAVITY, run, run_until_still, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Reset, SetKey, SetWind
-from xpbd_ros.sim.sweeps import METHODS
 
 AIR, NORMAL, SKIN = 1.2, 1.2, 0.01
 STILL = (0.0, 0.0, 0.0)
@@ -57,7 +56,7 @@ def test_a_sheet_that_moves_with_the_wind_feels_nothing_and_a_faster_one_is_slow
         assert np.sign(simulation.step().v[:, 2] - 1.0) == pytest.approx(change)
 
 
-@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('method', ['line', 'jacobi', 'explicit'])
 def test_light_cloth_in_a_sudden_storm_never_outruns_it(method):
     """H28: 30 m/s on 50 g/m² in a step of 1/60 s, 9 times too long for an explicit force."""
     simulation = sheet((30.0, 0.0, 0.0), density=0.05, pose={'orientation': [0.3, 0.5, 0.1, 0.8]},

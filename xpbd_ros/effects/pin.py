@@ -20,16 +20,13 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
-from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
 from xpbd_ros.sim.stages import prepare, stage
 from xpbd_ros.sim.state import forget, places
-
-PLACES = ('corner_00', 'corner_01', 'corner_10', 'corner_11',
-          'edge_0x', 'edge_1x', 'edge_x0', 'edge_x1')
 
 
 @dataclass(frozen=True)
@@ -56,11 +53,7 @@ class Entry:
         """Refuse what has no meaning."""
         if (self.at is None) == (self.near is None):
             raise InputError("needs either 'at' or 'near', and only one of them")
-        if self.at is not None and not self.at:
-            raise InputError('at: must name at least one particle')
-        if isinstance(self.at, str) and self.at not in PLACES:
-            raise InputError(f"at: unknown place '{self.at}' (known: {', '.join(PLACES)}, or a "
-                             'list of particle indices)')
+        check_place(self.at)
         if self.target is not None and self.motion is not None:
             raise InputError("needs either 'target' or 'motion', not both")
         check_motion(self.motion)
@@ -195,19 +188,11 @@ class BuiltPin(Built):
                 raise InputError(f'pins.{name}: no particle within {entry.radius:g} m of '
                                  f'{list(entry.near)}; the nearest is {gap:.3g} m away')
             return near
-        if isinstance(entry.at, str):
-            if cloth.mesh.grid is None:
-                raise InputError(f'pins.{name}.at: {entry.at} is a place on a grid, and '
-                                 f"'{cloth.name}' is a mesh; use near and radius (m), or a list "
-                                 'of particle numbers')
-            rows, columns = (-1 if c == '1' else 0 if c == '0' else slice(None)
-                             for c in entry.at.split('_')[1])
-            return cloth.block.slots[rows, columns].ravel()
-        count = len(cloth.slots)
-        if not all(0 <= i < count for i in entry.at):
-            raise InputError(f'pins.{name}.at: indices must be from 0 to {count - 1} '
-                             f'(got {list(entry.at)})')
-        return cloth.slots[np.unique(np.array(entry.at, np.int64))]
+        if isinstance(entry.at, str) and cloth.mesh.grid is None:
+            raise InputError(f'pins.{name}.at: {entry.at} is a place on a grid, and '
+                             f"'{cloth.name}' is a mesh; use near and radius (m), or a list "
+                             'of particle numbers')
+        return cloth.at(entry.at, f'pins.{name}.at')
 
     def _hold(self, name, particles, pose, max_speed, state, keyframes=None) -> Held:
         offset = places(state.x, particles) - pose.position

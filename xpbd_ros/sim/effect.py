@@ -33,6 +33,19 @@ def quantity(default: Any = MISSING, *, unit: str = '', above: float | None = No
     return field(default=default, metadata=metadata)
 
 
+PLACES = ('corner_00', 'corner_01', 'corner_10', 'corner_11',
+          'edge_0x', 'edge_1x', 'edge_x0', 'edge_x1')
+
+
+def check_place(at: str | tuple[int, ...] | None) -> None:
+    """Refuse a place that no cloth has."""
+    if at is not None and not at:
+        raise InputError('at: must name at least one particle')
+    if isinstance(at, str) and at not in PLACES:
+        raise InputError(f"at: unknown place '{at}' (known: {', '.join(PLACES)}, or a list of "
+                         'particle indices)')
+
+
 def check_static(static: float | None, friction: float) -> None:
     """Refuse what slides harder than it sticks."""
     if static is not None and static < friction:
@@ -63,6 +76,20 @@ class Cloth:
     def slots(self) -> np.ndarray:
         """Its particles' slots in natural order, shape (particles,)."""
         return self.block.slots.ravel()
+
+    def at(self, place: str | tuple[int, ...], path: str) -> np.ndarray:
+        """Return the slots of a place of a grid, or of particles by number; ``path`` names it."""
+        if isinstance(place, str):
+            if self.mesh.grid is None:
+                raise InputError(f"{path}: {place} is a place on a grid, and '{self.name}' is a "
+                                 'mesh; use a list of particle numbers')
+            rows, columns = (-1 if c == '1' else 0 if c == '0' else slice(None)
+                             for c in place.split('_')[1])
+            return self.block.slots[rows, columns].ravel()
+        count = len(self.slots)
+        if not all(0 <= i < count for i in place):
+            raise InputError(f'{path}: indices must be from 0 to {count - 1} (got {list(place)})')
+        return self.slots[np.unique(np.array(place, np.int64))]
 
 
 @dataclass(frozen=True)

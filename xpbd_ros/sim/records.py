@@ -159,6 +159,12 @@ def _zero(apart, first, last):    # Numba prunes a branch on None where that is 
 
 
 @jit
+def to_positions(state, records, first, last):
+    """Copy positions back, whatever the method."""
+    _back(state, None, records, first, last)
+
+
+@jit
 def from_records(state, records, first, last):
     """Copy positions back, or add the moves to those of the other constraints."""
     _back(state, state.apart, records, first, last)

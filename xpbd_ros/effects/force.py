@@ -1,0 +1,112 @@
+"""
+Force: a constant force on particles, whatever they do.
+
+    v <- v + H w f,   x <- x + H² w f
+
+with f [N] of each particle: ``per_particle`` itself, ``per_mass`` times its mass (a field such as
+gravity), or its share by mass of the ``total`` over all that are named. It acts on one cloth or
+all, or on some particles of a cloth; what is pinned hands it to its pin.
+
+Limits: one force in a scene, constant in space and time but for live changes. With the method
+``explicit`` velocities lag behind by half a substep of it.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.stages import force, react, stage
+from xpbd_ros.sim.state import step_of
+from xpbd_ros.sim.vector import fma, lanes, load, select, store
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """One of three measures, and where it acts."""
+
+    per_particle: Vector | None = quantity(None, unit='N', live=True, doc='on each particle')
+    per_mass: Vector | None = quantity(None, unit='N/kg', live=True, doc='on each kilogram')
+    total: Vector | None = quantity(None, unit='N', live=True, doc='shared out by mass')
+    cloth: str | None = quantity(None, doc='the cloth that it acts on; all unless given')
+    at: str | tuple[int, ...] | None = quantity(
+        None, doc='corner_00 …, edge_0x …, or indices; all particles unless given')
+
+    def __post_init__(self):
+        """Refuse what has no meaning."""
+        if sum(f is not None for f in (self.per_particle, self.per_mass, self.total)) != 1:
+            raise InputError('needs per_particle (N), per_mass (N/kg) or total (N), and only one '
+                             'of them')
+        check_place(self.at)
+        if self.at is not None and self.cloth is None:
+            raise InputError('at: needs cloth, to tell whose particles are meant')
+
+
+class Force(NamedTuple):
+    """Data of the kernels."""
+
+    f: np.ndarray
+    """[N], shape (3, slots)"""
+
+
+@stage(force, Force)
+@jit
+def push(data, state, substep):
+    """Move every free particle on."""
+    x, v, w, f, slots = state.x, state.v, state.inv_mass, data.f, len(state.inv_mass)
+    for q in range(0, slots, lanes(w)):
+        step = step_of(state.history, w, q, substep.h)
+        rate = step * load(w, q)
+        for k in range(3):
+            i = k * slots + q
+            change = rate * load(f, i)
+            store(v, i, load(v, i) + change)
+            store(x, i, fma(step, change, load(x, i)))
+
+
+@stage(react, Force)
+@jit
+def react_force(data, state, substep):
+    """Hand the force on pinned particles to their pins."""
+    r, w, f, slots = state.reaction, state.inv_mass, data.f, len(state.inv_mass)
+    part = substep.end - substep.begin
+    for q in range(0, slots, lanes(w)):
+        free = load(w, q) > 0.0
+        for k in range(3):
+            i = k * slots + q
+            store(r, i, load(r, i) + select(free, 0.0, part * load(f, i)))
+
+
+class BuiltForce(Built):
+    """The force on each particle."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        state, cloths = world.state, {cloth.name: cloth for cloth in world.cloths}
+        if parameters.cloth is not None and parameters.cloth not in cloths:
+            raise InputError(f"effects.force.cloth: unknown cloth '{parameters.cloth}' "
+                             f'(known: {", ".join(cloths)})')
+        if parameters.cloth is None:
+            slots = np.concatenate([cloth.slots for cloth in world.cloths])
+        elif parameters.at is None:
+            slots = cloths[parameters.cloth].slots
+        else:
+            slots = cloths[parameters.cloth].at(parameters.at, 'effects.force.at')
+        mass = state.mass[slots].astype(float)
+        if parameters.per_particle is not None:
+            force_, share = parameters.per_particle, np.ones(len(slots))
+        elif parameters.per_mass is not None:
+            force_, share = parameters.per_mass, mass
+        else:
+            force_, share = parameters.total, mass / mass.sum()
+        self.data = Force(zeros((3, world.slots), state.x.dtype))
+        self.data.f[:, slots] = np.outer(force_, share)
+
+
+EFFECT = Effect('force', Parameters, BuiltForce)

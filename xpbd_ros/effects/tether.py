@@ -1,0 +1,169 @@
+"""
+Tether: no particle is further from a pinned one than the cloth reaches (long-range attachments).
+
+C = |x - a| - r ≤ 0 for a particle x and a pinned particle a, gradient n = (x - a) / |x - a|,
+α = 0. What is too far comes back,
+
+    f = -C / m where C > 0,   x += m f n,
+
+with r = (1 + slack) times the shortest way from a to x along edges at rest (Kim, Chentanez and
+Müller 2012, algorithm 1). Each group of neighbouring pinned particles holds every particle by the
+nearest of them, up to four groups each; ways and groups are found anew when a pin grasps or lets
+go. So an error of the solver cannot grow along the cloth, however few the substeps. It comes last
+in each iteration, before contact.
+
+Limits: a bound and no elasticity: it hides real stretch beyond ``slack``, so leave it out where
+accuracy counts. Ways along edges are up to 8 % longer than straight ones on a grid. It does
+nothing for cloth without pins.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.mesh import length
+from xpbd_ros.sim.stages import prepare, react, stage, touch
+
+GROUPS = 4
+"""pinned groups that hold one particle"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """How taut it is."""
+
+    slack: float = quantity(0.05, minimum=0.0, live=True,
+                            doc='part of the way that it may be further off')
+
+
+class Tether(NamedTuple):
+    """Data of the kernels."""
+
+    count: np.ndarray
+    """tethers, shape (1,)"""
+    particle: np.ndarray
+    """slot of what each holds, in rising order, shape (room,)"""
+    pinned: np.ndarray
+    """slot of what holds it, shape (room,)"""
+    longest: np.ndarray
+    """r [m], shape (room,)"""
+    force: np.ndarray
+    """f [N], negative in tension, shape (room,)"""
+
+
+@stage(prepare, Tether)
+@jit
+def prepare_tethers(tether, state, substep):
+    """Zero the forces."""
+    tether.force[:tether.count[0]] = 0.0
+
+
+@stage(touch, Tether)
+@jit
+def pull_back(tether, state, substep):
+    """Put what is too far away back, particle after particle."""
+    x = state.x
+    for t in range(tether.count[0]):
+        i, a, most = tether.particle[t], tether.pinned[t], tether.longest[t]
+        dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
+        square = dx * dx + dy * dy + dz * dz
+        if square > most * most:
+            l = np.sqrt(square)
+            back = (most - l) / l
+            x[0, i] += back * dx
+            x[1, i] += back * dy
+            x[2, i] += back * dz
+            tether.force[t] += (most - l) / state.mobility[i]
+
+
+@stage(react, Tether)
+@jit
+def react_tethers(tether, state, substep):
+    """Force on what is pinned: -f n."""
+    x, part = state.x, substep.end - substep.begin
+    for t in range(tether.count[0]):
+        f = tether.force[t]
+        if f != 0.0:
+            i, a = tether.particle[t], tether.pinned[t]
+            dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
+            f *= part / np.sqrt(dx * dx + dy * dy + dz * dz)
+            state.reaction[0, a] -= f * dx
+            state.reaction[1, a] -= f * dy
+            state.reaction[2, a] -= f * dz
+
+
+@dataclass
+class Ways:
+    """One cloth: its edges as a graph, and what it is tethered by."""
+
+    slots: np.ndarray
+    """of its particles, shape (particles,)"""
+    edges: coo_array
+    """lengths at rest [m]"""
+    slack: float
+
+    @staticmethod
+    def of(cloth, slack: float) -> 'Ways':
+        """Return the graph of a cloth; along a strip of one row it is the row."""
+        mesh = cloth.mesh
+        ends = mesh.edges
+        if mesh.grid is not None and not len(ends):
+            row = mesh.grid.ravel()
+            ends = np.stack([row[:-1], row[1:]], 1)
+        d = length(mesh.positions[ends[:, 0]] - mesh.positions[ends[:, 1]])
+        count = len(mesh.positions)
+        return Ways(cloth.slots, coo_array((d, ends.T), (count, count)).tocsr(), slack)
+
+    def tethers(self, inv_mass: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return particle, pinned particle (slots) and r [m] of each tether."""
+        pinned = np.flatnonzero(inv_mass[self.slots] == 0.0)
+        none = np.zeros(0, np.int64)
+        if not len(pinned) or len(pinned) == len(self.slots):
+            return none, none, np.zeros(0)
+        _, group = connected_components(self.edges[pinned][:, pinned], directed=False)
+        ways, nearest = [], []
+        for g in range(group.max() + 1):
+            way, _, source = dijkstra(self.edges, directed=False, indices=pinned[group == g],
+                                      return_predecessors=True, min_only=True)
+            ways.append(way)
+            nearest.append(source)
+        ways, nearest = np.array(ways), np.array(nearest)
+        free = np.flatnonzero(inv_mass[self.slots] > 0.0)
+        order = np.argsort(ways[:, free], 0, kind='stable')[:GROUPS]
+        particle = np.broadcast_to(free, order.shape)
+        way = ways[order, particle]
+        there = np.isfinite(way)
+        source = nearest[order, particle]
+        return (self.slots[particle[there]], self.slots[source[there]],
+                (1.0 + self.slack) * way[there])
+
+
+class BuiltTether(Built):
+    """The tethers of every cloth that has them, as long as something is pinned."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        self._ways = [Ways.of(cloth, chosen.slack) for cloth, chosen in parameters.items()]
+        room = GROUPS * sum(len(ways.slots) for ways in self._ways) if world.pins else 0
+        self.data = Tether(np.zeros(1, np.int64), np.zeros(room, np.int64),
+                           np.zeros(room, np.int64), np.zeros(room), np.zeros(room))
+
+    def hold(self, inv_mass):
+        found = [np.concatenate(columns) for columns in zip(
+            *(ways.tethers(inv_mass) for ways in self._ways))]
+        order = np.argsort(found[0], kind='stable')
+        self.data.count[0] = len(order)
+        for column, numbers in zip(self.data[1:4], found):
+            column[:len(order)] = numbers[order]
+
+    def stats(self):
+        taut = self.data.force[:self.data.count[0]] < 0.0
+        return {'tethers': len(taut), 'tethers_taut': int(taut.sum())}
+
+
+EFFECT = Effect('tether', Parameters, BuiltTether)
