@@ -215,7 +215,7 @@ def shares(mesh) -> np.ndarray:
     total = np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.positions))
     if mesh.grid is None:
         return np.full(len(total), 1.0 / 3.0)
-    return np.divide(mesh.area, total, out=np.zeros_like(total), where=total > 0.0)
+    return np.divide(mesh.area, total, out=np.zeros(len(total)), where=total > 0.0)
 
 
 class BuiltDrag(Built):
