@@ -15,6 +15,7 @@ EFFECTS = {
     'drag': 'scene',
     'force': 'scene',
     'damping': 'scene',
+    'rayleigh': 'cloth',
     'bend': 'cloth',
     'cross_bend': 'cloth',
     'hinge': 'cloth',

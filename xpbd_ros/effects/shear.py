@@ -69,7 +69,7 @@ class BuiltShear(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        runs, rest, alpha = [], [], []
+        runs, rest, alpha, time = [], [], [], []
         for number, (cloth, chosen) in enumerate(parameters.items()):
             if cloth.mesh.grid is None:
                 raise InputError(f'cloths.{cloth.name}.effects.shear: a mesh has no diagonals; '
@@ -83,10 +83,11 @@ class BuiltShear(Built):
                                   shapes_before=2 * number))
             square = dx * dx + dy * dy
             rest += [np.sqrt(square)] * 2
+            time += [distance.relaxation(world, cloth)] * 2
             alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
                                  / (chosen.stiffness * square)))
         self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha,
-                                              world=world))
+                                              world=world, time=distance.times(time)))
         self.constraints = distance.Edges.of(self.data.edges)
 
     def hold(self, inv_mass):

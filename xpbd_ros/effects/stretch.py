@@ -114,7 +114,7 @@ def react_stretch(stretch, state, substep):
 
 def _on_grids(cloths, world) -> Stretch:
     """Return warp and weft edges; those along the rim have half a cell beside them."""
-    runs, family, rest, alpha, line_alpha = [], [], [], [], []
+    runs, family, rest, alpha, line_alpha, time = [], [], [], [], [], []
     for number, (cloth, chosen) in enumerate(cloths):
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
         rows, columns = block.rows, block.columns
@@ -139,13 +139,15 @@ def _on_grids(cloths, world) -> Stretch:
                               shapes_before=len(shapes) * number))
         family += [2 * number, 2 * number, 2 * number + 1]
         rest += [dx, dx, dy]
+        time += [distance.relaxation(world, cloth)] * 3
         table = np.zeros((3, block.row_stride))
         table[0], table[1] = warp, warp_rim
         table[2, block.slots[0] - block.first] = by_column
         alpha.append(table)
         line_alpha.append((by_row, by_column))
     cloths = [cloth for cloth, _ in cloths]
-    edges = distance.grid_edges(join(runs), family, rest, alpha, world=world)
+    edges = distance.grid_edges(join(runs), family, rest, alpha, world=world,
+                                time=distance.times(time))
     return Stretch(edges, lines.grid_lines(
         [c.block for c in cloths], [c.mesh.spacing for c in cloths], line_alpha,
         slots=world.slots, dtype=world.state.x.dtype))
@@ -153,12 +155,13 @@ def _on_grids(cloths, world) -> Stretch:
 
 def _on_meshes(cloths, world) -> MeshStretch:
     """Return all edges of meshes."""
-    particles, rest, alpha = [], [], []
+    particles, rest, alpha, time = [], [], [], []
     for cloth, chosen in cloths:
         mesh, ends = cloth.mesh, cloth.mesh.edges
         d = mesh.positions[ends[:, 1]] - mesh.positions[ends[:, 0]]
         square = (d**2).sum(1)
         particles.append(cloth.slots[ends])
+        time += [distance.relaxation(world, cloth)] * len(ends)
         rest.append(np.sqrt(square))
         if chosen.compliance is not None:
             alpha.append(np.full(len(ends), world.compliance_scale * chosen.compliance))
@@ -168,7 +171,7 @@ def _on_meshes(cloths, world) -> MeshStretch:
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
     return MeshStretch(distance.mesh_edges(*map(np.concatenate, (particles, rest, alpha)),
-                                           world=world))
+                                           world=world, time=distance.times(time)))
 
 
 class BuiltStretch(Built):

@@ -35,7 +35,13 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     asked. ``explicit`` itself takes the bound of ``stability_limit``, and some more.
     ``budget_ms`` bounds the substeps by the cost table above.
     """
-    method = 'line' if keys.method == 'auto' else keys.method
+    barred = {method: name for name, built in effects.items() for method in built.not_with}
+    method = keys.method
+    if method == 'auto':
+        method = 'gauss_seidel_symmetric' if 'line' in barred else 'line'
+    if method in barred:
+        raise InputError(f"solver.method: '{method}' does without {barred[method]}, which the "
+                         'scene has; take gauss_seidel_symmetric, gauss_seidel or jacobi')
     integrator = keys.integrator or INTEGRATOR[method]
     if (integrator == 'leapfrog') != (method == 'explicit'):
         fitting = 'leapfrog' if method == 'explicit' else 'backward_euler or bdf2'

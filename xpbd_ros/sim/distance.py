@@ -25,6 +25,15 @@ from xpbd_ros.sim.records import (
     put_records,
     to_records,
 )
+from xpbd_ros.sim.relax import (
+    apart_before,
+    Damping,
+    gamma_of,
+    gammas_of,
+    lag,
+    records_before,
+    shared,
+)
 from xpbd_ros.sim.runs import listed, Runs
 from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, target
 from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
@@ -64,6 +73,8 @@ class GridEdges(NamedTuple):
     asks"""
     held: Held | None
     """None in a scene without pins"""
+    damping: Damping | None = None
+    """None in a scene without ``rayleigh``"""
 
 
 class MeshEdges(NamedTuple):
@@ -83,6 +94,8 @@ class MeshEdges(NamedTuple):
     """f [N], shape (edges,); None where nobody asks"""
     held: Held | None
     """None in a scene without pins"""
+    damping: Damping | None = None
+    """None in a scene without ``rayleigh``"""
 
 
 class Edges:
@@ -153,7 +166,8 @@ def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
     return table
 
 
-def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world) -> GridEdges:
+def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
+               time=None) -> GridEdges:
     """
     Return the edges of grids, ready for the kernels.
 
@@ -164,17 +178,20 @@ def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world) -> G
     rest_length : by shape [m], shape (shapes,)
     compliance : of each grid, by its shapes and places in a row [m/N], (shapes, places) or (…, 1)
     world : tells the dtype, the slots, and what will be asked for
+    time : relaxation time by shape [s], where the scene has ``rayleigh``
 
     """
     dtype, family = world.state.x.dtype, np.asarray(family)
     force = zeros((family.max(initial=0) + 1) * world.slots, dtype) if world.forces else None
-    return GridEdges(runs, np.array(rest_length, dtype), by_place(runs, compliance, dtype),
+    table = by_place(runs, compliance, dtype)
+    return GridEdges(runs, np.array(rest_length, dtype), table,
                      np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
-                     room(len(listed(runs)[1])) if world.pins else None)
+                     room(len(listed(runs)[1])) if world.pins else None,
+                     damping(world, time, (table == 0.0).any(1), dtype))
 
 
 def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.ndarray, *,
-               world) -> MeshEdges:
+               world, time=None) -> MeshEdges:
     """
     Return the edges of meshes, ready for the kernels.
 
@@ -184,6 +201,7 @@ def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.nd
     rest_length : [m], shape (edges,)
     compliance : [m/N], shape (edges,)
     world : tells the dtype, the slots, and what will be asked for
+    time : relaxation time [s], where the scene has ``rayleigh``; shape (edges,)
 
     """
     dtype = world.state.x.dtype
@@ -194,7 +212,26 @@ def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.nd
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(rest_length, order, 0.0, dtype),
         padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
-        zeros(count, dtype) if world.forces else None, room(count) if world.pins else None)
+        zeros(count, dtype) if world.forces else None, room(count) if world.pins else None,
+        None if time is None else damping(world, padded(time, order, 0.0, dtype),
+                                          padded(compliance, order, 1.0, dtype) == 0.0, dtype))
+
+
+def damping(world, time, rigid: np.ndarray, dtype) -> Damping | None:
+    """Return the damping of constraints by their relaxation times; what is rigid has none."""
+    if time is None:
+        return None
+    return Damping(world.built['rayleigh'].past, np.where(rigid, 0.0, time).astype(dtype))
+
+
+def times(found: list) -> np.ndarray | None:
+    """Return relaxation times as an array; None where there are none."""
+    return None if None in found else np.array(found)
+
+
+def relaxation(world, cloth) -> float | None:
+    """Return the relaxation time of a cloth [s]; None in a scene without ``rayleigh``."""
+    return world.built['rayleigh'].time(cloth) if 'rayleigh' in world.built else None
 
 
 def room(count: int) -> Held:
@@ -225,7 +262,7 @@ def _zero(force):    # Numba prunes a branch on None where that is an argument
 
 
 @jit(inline=True)
-def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz):
+def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
     """
     Return the step along d of an edge, d itself and Δf, for particles dx, dy, dz apart.
 
@@ -234,8 +271,9 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz):
     l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
     apart_ = l > 0.0
     l_or_1 = select(apart_, l, 1.0)
-    step = select(both(total > 0.0, there), -misfit(l - rest, alpha, f)
-                  / (l_or_1 * divisor(apart, total, alpha)), 0.0)
+    wrong = lag(misfit(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
+    step = select(both(total > 0.0, there),
+                  -wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
     return (step, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
             step * l_or_1)
 
@@ -245,18 +283,20 @@ def project_edges(edges, state, reverse):
     """One Gauss-Seidel pass over all edges, run after run."""
     _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
              target(state.apart, 0), target(state.apart, 1), target(state.apart, 2),
-             edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis, reverse)
+             edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis,
+             edges.damping, reverse)
 
 
 @jit
 def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
-             reverse):
+             damping, reverse):
     runs_count, places = len(runs.start), compliance.shape[1]
     for a in range(runs_count):
         r = runs_count - 1 - a if reverse else a
         shape = runs.shape[r]
         to_i, to_j, base = runs.offset[r, 0], runs.offset[r, 1], runs.base[r]
         ux, uy, uz = axis[shape, 0], axis[shape, 1], axis[shape, 2]
+        gamma = gamma_of(damping, shape)
         rest, numbers = rest_length[shape], shape * places + runs.place[r]
         for b in range(runs.rows[r]):
             row = runs.rows[r] - 1 - b if reverse else b
@@ -270,7 +310,8 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
                 alpha, f = load(compliance, numbers + q), recall(apart, force, c)
                 there = both(alpha >= 0.0, first(x, runs.count[r] - q))
                 g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
-                                         f, there, ux, uy, uz)
+                                         f, there, ux, uy, uz, gamma,
+                                         apart_before(damping, i, j))
                 keep(force, c, f, df)
                 gi, gj = g * mi, -g * mj
                 put(x, tx, i, xi, gi, dx)
@@ -287,12 +328,13 @@ def project_packs(edges, state, reverse):
     first_, last = edges.slots[0], edges.slots[1]
     to_records(state, edges.records, first_, last)
     _project_packs(edges.records, state.apart, edges.particles[0],
-                   edges.particles[1], edges.rest_length, edges.compliance, edges.force, reverse)
+                   edges.particles[1], edges.rest_length, edges.compliance, edges.force,
+                   edges.damping, reverse)
     from_records(state, edges.records, first_, last)
 
 
 @jit
-def _project_packs(records, apart, i, j, rest_length, compliance, force, reverse):
+def _project_packs(records, apart, i, j, rest_length, compliance, force, damping, reverse):
     count, step = len(i), lanes(rest_length)
     for p in range(0, count, step):
         q = count - step - p if reverse else p
@@ -300,7 +342,8 @@ def _project_packs(records, apart, i, j, rest_length, compliance, force, reverse
         xj, yj, zj, mj = load_records(records, j, q)
         alpha, f = load(compliance, q), recall(apart, force, q)
         g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
-                                 load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0)
+                                 load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0,
+                                 gammas_of(damping, q), records_before(damping, i, j, q))
         keep(force, q, f, df)
         gi, gj = g * mi, -g * mj
         put_records(records, apart, i, q, xi, yi, zi, mi, gi, dx, dy, dz)
