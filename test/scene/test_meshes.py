@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import box, disc, obj_text
+from sim.shapes import ball, box, disc, obj_text, vtk_text
 from sim.small import run
 import yaml
 
@@ -11,6 +11,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_text
 from xpbd_ros.scene.save import scene_text
+from xpbd_ros.share import share_folder
 from xpbd_ros.sim.measure import largest_strain
 
 EFFECTS = {'contact': {'thickness': 0.01}, 'friction': {}, 'damping': {'rate': 0.5}}
@@ -162,3 +163,10 @@ def test_a_mesh_that_is_refused_is_named_with_its_file(scene, tmp_path):
         f'{tmp_path}/scene.yaml: cloths.c.mesh: {tmp_path}/flat.obj: triangle 0 is degenerate: '
         'its corners lie in line (1 triangle so); remove or remesh such cells in the program '
         'that made the file')
+
+
+def test_the_shipped_meshes_are_what_is_written_here():
+    """One source for each: write it anew from here when it changes."""
+    folder = share_folder() / 'scenes' / 'meshes'
+    assert {file.name: file.read_text() for file in folder.iterdir()} == {
+        'ball.obj': obj_text(*ball(2, 0.15)), 'box.vtk': vtk_text(*box((4, 4, 4), 0.05))}

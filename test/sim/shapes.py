@@ -1,4 +1,9 @@
-"""Small meshes, and one as OBJ text."""
+"""Small meshes, and their texts and files."""
+
+import atexit
+from pathlib import Path
+import shutil
+import tempfile
 
 import numpy as np
 
@@ -47,7 +52,55 @@ def box(cells: tuple[int, int, int] = (2, 2, 3), size: float = 0.1):
     return vertices, np.array(tetrahedra)
 
 
+def ball(splits: int = 1, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of an icosahedron whose edges are halved some times."""
+    golden = 0.5 * (1.0 + 5.0**0.5)
+    vertices = np.array([np.roll([0.0, a, b * golden], k) for k in range(3)
+                         for a in (-1.0, 1.0) for b in (-1.0, 1.0)]) / np.hypot(1.0, golden)
+    near = np.linalg.norm(vertices[:, None] - vertices, axis=-1) < 1.2
+    triangles = np.array([(i, j, k) for i in range(12) for j in range(i) for k in range(j)
+                          if near[i, j] and near[j, k] and near[i, k]])
+    inward = np.linalg.det(vertices[triangles]) < 0.0
+    triangles[inward] = triangles[inward][:, ::-1]
+    for _ in range(splits):
+        sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2)
+        edges, number = np.unique(sides.reshape(-1, 2), axis=0, return_inverse=True)
+        middles = vertices[edges].sum(1)
+        (i, j, k), (a, b, c) = triangles.T, len(vertices) + number.reshape(-1, 3).T
+        vertices = np.concatenate(
+            [vertices, middles / np.linalg.norm(middles, axis=1, keepdims=True)])
+        triangles = np.concatenate([np.stack(corners, 1) for corners in (
+            (i, a, c), (a, j, b), (c, b, k), (a, b, c))])
+    return radius * vertices, triangles
+
+
 def obj_text(vertices, triangles) -> str:
     """Return a mesh as OBJ."""
     return ''.join([*(f'v {x!r} {y!r} {z!r}\n' for x, y, z in np.asarray(vertices).tolist()),
                     *(f'f {a + 1} {b + 1} {c + 1}\n' for a, b, c in triangles)])
+
+
+def vtk_text(vertices, tetrahedra) -> str:
+    """Return a body as legacy VTK."""
+    return ''.join([
+        '# vtk DataFile Version 3.0\nbody\nASCII\nDATASET UNSTRUCTURED_GRID\n',
+        f'POINTS {len(vertices)} double\n',
+        *(f'{x!r} {y!r} {z!r}\n' for x, y, z in np.asarray(vertices).tolist()),
+        f'CELLS {len(tetrahedra)} {5 * len(tetrahedra)}\n',
+        *(f'4 {a} {b} {c} {d}\n' for a, b, c, d in tetrahedra),
+        f'CELL_TYPES {len(tetrahedra)}\n', '10\n' * len(tetrahedra)])
+
+
+_FOLDER = []
+
+
+def file_of(vertices, cells) -> str:
+    """Return a file that holds triangles or tetrahedra, and is gone when the tests are over."""
+    if not _FOLDER:
+        _FOLDER.append(Path(tempfile.mkdtemp(prefix='xpbd_ros_shapes_')))
+        atexit.register(shutil.rmtree, _FOLDER[0], ignore_errors=True)
+    solid = len(cells[0]) == 4
+    text = (vtk_text if solid else obj_text)(vertices, cells)
+    file = _FOLDER[0] / f'{len(list(_FOLDER[0].iterdir()))}.{"vtk" if solid else "obj"}'
+    file.write_text(text)
+    return str(file)

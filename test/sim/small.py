@@ -7,7 +7,7 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from sim.shapes import disc, obj_text
+from sim.shapes import ball, box, disc, obj_text
 
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
@@ -27,6 +27,9 @@ EXAMPLES = {
     'bend': {'stiffness': 2e-3},
     'cross_bend': {'stiffness': 1e-3},
     'hinge': {'warp': 2e-3, 'weft': 1e-3},
+    'volume': {'young': 5.0, 'poisson': 0.35},
+    'area': {'stiffness': 5.0},
+    'pressure': {'outside': 20.0},
     'shear': {'stiffness': 15.0},
     'membrane': {'warp': 2.0, 'weft': 1.5, 'shear': 0.6, 'poisson': 0.3},
     'stretch': {'warp': 60.0, 'weft': 40.0},
@@ -37,6 +40,9 @@ EXAMPLES = {
     'friction': {},
 }
 """parameters for each effect there is, of a cloth of about 1 m"""
+SHAPES = {'volume': lambda: box((2, 1, 1), 0.2), 'pressure': lambda: ball(1)}
+"""vertices and cells for each effect of cloths that a grid cannot have"""
+OF_SHEETS = [name for name, scope in EFFECTS.items() if scope == 'cloth' and name not in SHAPES]
 SETTINGS = [*((method, integrator) for method in ('gauss_seidel', 'gauss_seidel_symmetric', 'line',
                                                   'jacobi')
               for integrator in ('backward_euler', 'bdf2')), ('explicit', 'leapfrog')]
@@ -53,7 +59,8 @@ def disc_file() -> str:
     return str(file)
 
 
-def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool = False, effects: dict | None = None,
+def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
+             effects: dict | None = None,
              scene_effects: dict | None = None, pins: dict | None = None,
              colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
@@ -63,15 +70,16 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool = False, effects: dict 
     """
     Return the simulation of one cloth, ``c``.
 
-    It is a grid, or a disc of triangles. ``effects`` belong to the cloth and ``scene_effects`` to
-    the scene; ``rate`` is in frames per second, ``scale`` multiplies all compliances.
+    It is a grid, a disc of triangles, or a mesh from a file. ``effects`` belong to the cloth and
+    ``scene_effects`` to the scene; ``rate`` is in frames per second, ``scale`` multiplies all
+    compliances.
     """
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
         'solver': {'method': method, 'integrator': integrator, 'iterations': iterations,
                    'precision': precision, 'compliance_scale': scale,
                    **({} if substeps is None else {'substeps': substeps})},
-        'cloths': {'c': {**({'mesh': {'file': disc_file()}} if mesh else
+        'cloths': {'c': {**({'mesh': {'file': disc_file() if mesh is True else mesh}} if mesh else
                             {'grid': {'size': list(size), 'resolution': list(grid)}}),
                          'density': density, 'friction': friction, 'pose': pose or {},
                          'effects': effects or {}}},
@@ -81,9 +89,9 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool = False, effects: dict 
 
 
 def with_every_effect(grid=(6, 5), **options: Any) -> Simulation:
-    """Return a cloth, pinned at a corner, that lies on a table; it has every effect there is."""
-    kinds = {scope: {name: EXAMPLES[name] for name, its in EFFECTS.items() if its == scope}
-             for scope in ('cloth', 'scene')}
+    """Return a cloth, pinned at a corner, on a table; it has every effect that a sheet can."""
+    kinds = {scope: {name: EXAMPLES[name] for name, its in EFFECTS.items()
+                     if its == scope and name not in SHAPES} for scope in ('cloth', 'scene')}
     if options.get('method') in ('line', 'explicit'):
         del kinds['cloth']['rayleigh']
     return simulate(grid, effects=kinds['cloth'], scene_effects=kinds['scene'], **{

@@ -9,9 +9,8 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import EXAMPLES, run, simulate, with_every_effect
+from sim.small import EXAMPLES, OF_SHEETS, run, simulate, with_every_effect
 
-from xpbd_ros.effects import EFFECTS
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Grasp,
@@ -27,7 +26,7 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.measure import angular_momentum, momentum
 
 ROOT = Path(__file__).resolve().parents[2]
-CLOTH = {name: EXAMPLES[name] for name, scope in EFFECTS.items() if scope == 'cloth'}
+CLOTH = {name: EXAMPLES[name] for name in OF_SHEETS}
 MOVING = {
     'pins': {'a': {'cloth': 'c', 'at': 'corner_00',
                    'motion': [[0.0, 0.0, 0.0, 0.0], [0.5, 0.2, 0.0, 0.3], [1.0, 0.2, 0.4, 0.1]]}},

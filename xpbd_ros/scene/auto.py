@@ -51,7 +51,8 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
               'precision': keys.precision, 'threads': keys.threads}
     affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
     rate = sum(stretch_rate(name, built, state, method) for name, built in effects.items()
-               if built.constraints is not None and built.constraints.particles.shape[1] < 4)
+               if built.constraints is not None and (built.constraints.particles.shape[1] < 4
+                                                     or hasattr(built.constraints, 'stretch')))
     needed = frame_dt * sqrt(rate) if rate < 1e20 else inf
     if method == 'explicit':
         needed = frame_dt * stability_limit(effects, state)
@@ -123,9 +124,9 @@ def stability_limit(effects, state) -> float:
 
 def stretch_rate(name, built, state, method) -> float:
     """
-    Return the largest k / m of edges, or what triangles have in its place [1/s²].
+    Return the largest k / m of edges, or what others have in its place [1/s²].
 
-    Triangles have no lines, so whatever the method they want all that an explicit one needs.
+    What has no lines wants all that an explicit method needs, whatever the method.
     """
     if built.constraints.particles.shape[1] == 2:
         return largest_rate(built.constraints, state.mass)

@@ -125,20 +125,21 @@ def solved_by(state: State, *, history: bool, apart: type | None, constraints) -
     if apart is not None:
         state = state._replace(apart=apart(
             vectors(), zeros((slots, 4), dtype),
-            *([np.full(1, _most_constraints(constraints, slots), dtype)] * (apart is Jacobi))))
+            *([np.full(1, _most_constraints(constraints, state.mass > 0.0), dtype)]
+              * (apart is Jacobi))))
     return state
 
 
-def _most_constraints(constraints, slots: int) -> float:
+def _most_constraints(constraints, there: np.ndarray) -> float:
     """
     Return the most constraints at a particle.
 
     With J M Jᵀ + α = A, x A x ≤ most · Σ x² diag(A), so Jacobi with ω = 1 / most never overshoots.
     """
-    count = np.zeros(slots)
+    count = np.zeros(len(there))
     for particles in constraints:
         np.add.at(count, particles, 1.0)
-    return max(1.0, count.max())
+    return count[there].max(initial=1.0)
 
 
 def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:

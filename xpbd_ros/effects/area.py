@@ -1,0 +1,232 @@
+"""
+Area: triangles that keep their area, whatever their shape.
+
+C = A - A0 with 2 A n = (x1-x0) × (x2-x0), |n| = 1, so
+
+    ∇1 = (x2-x0) × n / 2,   ∇2 = n × (x1-x0) / 2,   ∇0 = -∇1 - ∇2.
+
+The energy of a triangle is stiffness C² / (2 A0), so α = A0 / stiffness [m³/N], and ``stiffness``
+is the tension that a sheet has when its area is doubled. For flat bodies and skins, beside what
+resists shear; of a body of tetrahedra it is the skin.
+
+Limits: a triangle whose corners lie in line has no normal and is not moved. Alone it lets a
+triangle shear without end.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.distance import softest
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
+from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.update import divisor, keep, misfit, recall
+from xpbd_ros.sim.vector import both, fma, lanes, load, root, select
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """The area modulus."""
+
+    stiffness: float = quantity(unit='N/m', above=0.0, live=True,
+                                doc='tension per relative change of area')
+
+
+class Held(NamedTuple):
+    """The triangles at pinned particles, whose forces somebody asks for."""
+
+    count: np.ndarray
+    """shape (1,)"""
+    particles: np.ndarray
+    """slots, shape (room, 3)"""
+    index: np.ndarray
+    """where each keeps its force, shape (room,)"""
+
+
+class Area(NamedTuple):
+    """Triangles in packs."""
+
+    records: np.ndarray
+    """particles as records, shape (slots, 4)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots, shape (3, triangles)"""
+    rest_area: np.ndarray
+    """A0 [m²], shape (triangles,)"""
+    compliance: np.ndarray
+    """A0 / stiffness [m³/N], shape (triangles,)"""
+    force: np.ndarray | None
+    """f, multiplier over H² [N/m], negative in tension, shape (triangles,); None where nobody
+    asks"""
+    held: Held | None
+    """None in a scene without pins"""
+
+
+@stage(prepare, Area)
+@jit
+def prepare_area(area, state, substep):
+    """Zero the multipliers."""
+    _zero(area.force)
+
+
+@jit
+def _zero(force):    # Numba prunes a branch on None where that is an argument
+    if force is not None:
+        force[:] = 0.0
+
+
+@stage(project, Area)
+@jit
+def project_area(area, state, substep):
+    """One pass over all triangles."""
+    _project(area, state, False)
+
+
+@stage(project_back, Area)
+@jit
+def project_area_back(area, state, substep):
+    """Do the same pass in reverse."""
+    _project(area, state, True)
+
+
+@jit
+def _project(area, state, reverse):
+    first, last = area.slots[0], area.slots[1]
+    to_records(state, area.records, first, last)
+    _project_packs(area.records, state.apart, area.particles, area.rest_area, area.compliance,
+                   area.force, reverse)
+    from_records(state, area.records, first, last)
+
+
+@jit
+def _project_packs(records, apart, particles, rest_area, compliance, force, reverse):
+    count, step = len(compliance), lanes(compliance)
+    p0, p1, p2 = particles[0], particles[1], particles[2]
+    for p in range(0, count, step):
+        q = count - step - p if reverse else p
+        x0, y0, z0, m0 = load_records(records, p0, q)
+        x1, y1, z1, m1 = load_records(records, p1, q)
+        x2, y2, z2, m2 = load_records(records, p2, q)
+        ax, ay, az = x1 - x0, y1 - y0, z1 - z0
+        bx, by, bz = x2 - x0, y2 - y0, z2 - z0
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        twice = root(fma(nx, nx, fma(ny, ny, nz * nz)))
+        there = twice > 0.0
+        per = select(there, 0.5 / select(there, twice, 1.0), 0.0)
+        nx, ny, nz = per * nx, per * ny, per * nz
+        gx, gy, gz = by * nz - bz * ny, bz * nx - bx * nz, bx * ny - by * nx
+        hx, hy, hz = ny * az - nz * ay, nz * ax - nx * az, nx * ay - ny * ax
+        ex, ey, ez = -(gx + hx), -(gy + hy), -(gz + hz)
+        total = fma(m0, fma(ex, ex, fma(ey, ey, ez * ez)), fma(
+            m1, fma(gx, gx, fma(gy, gy, gz * gz)), m2 * fma(hx, hx, fma(hy, hy, hz * hz))))
+        alpha, f = load(compliance, q), recall(apart, force, q)
+        df = select(both(there, total > 0.0), -misfit(0.5 * twice - load(rest_area, q), alpha, f)
+                    / divisor(apart, total, alpha), 0.0)
+        keep(force, q, f, df)
+        put_records(records, apart, p0, q, x0, y0, z0, m0, m0 * df, ex, ey, ez)
+        put_records(records, apart, p1, q, x1, y1, z1, m1, m1 * df, gx, gy, gz)
+        put_records(records, apart, p2, q, x2, y2, z2, m2, m2 * df, hx, hy, hz)
+
+
+@stage(react, Area)
+@jit
+def react_area(area, state, substep):
+    """Forces on pinned particles: f ∇C."""
+    part, held, x = substep.end - substep.begin, area.held, state.x
+    for k in range(held.count[0]):
+        i, j, l = held.particles[k, 0], held.particles[k, 1], held.particles[k, 2]
+        ax, ay, az = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+        bx, by, bz = x[0, l] - x[0, i], x[1, l] - x[1, i], x[2, l] - x[2, i]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        twice = np.sqrt(nx * nx + ny * ny + nz * nz)
+        if twice == 0.0:
+            continue
+        f = part * area.force[held.index[k]] * 0.5 / twice
+        for axis, g, h in ((0, by * nz - bz * ny, ny * az - nz * ay),
+                           (1, bz * nx - bx * nz, nz * ax - nx * az),
+                           (2, bx * ny - by * nx, nx * ay - ny * ax)):
+            state.reaction[axis, j] += f * g
+            state.reaction[axis, l] += f * h
+            state.reaction[axis, i] -= f * (g + h)
+
+
+class Triangles:
+    """The same triangles one by one, in sweep order, as people and NumPy want them."""
+
+    def __init__(self, particles, index, rest_area, compliance):
+        self.particles = particles
+        self.index = index
+        self.rest_area = rest_area.astype(float)
+        self.compliance = compliance.astype(float)
+
+    @staticmethod
+    def of(data: Area) -> 'Triangles':
+        """Return the triangles of a batch."""
+        index = np.flatnonzero(data.particles[0] != data.particles[1])
+        return Triangles(data.particles[:, index].T.astype(np.int64), index,
+                         data.rest_area[index], data.compliance[index])
+
+    def _sides(self, x):
+        corners = x.T.astype(float)[self.particles]
+        return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Return C [m²], shape (triangles,), straight from the definition; x is (3, slots)."""
+        return 0.5 * length(cross(*self._sides(x))) - self.rest_area
+
+    def energy(self, x: np.ndarray) -> float:
+        """Return Σ C² / (2 α) [J]."""
+        return float((0.5 * self.residual(x)**2 / self.compliance).sum())
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """Return Σ |∇i| Σ |∇j| / α at each particle [N/m], shape (slots, 3, 3)."""
+        a, b = self._sides(x)
+        slopes = 0.5 * length(np.stack([a - b, b, a], 1))    # each half its opposite side
+        total = np.zeros(x.shape[1])
+        np.add.at(total, self.particles,
+                  slopes * slopes.sum(1, keepdims=True) / self.compliance[:, None])
+        return total[:, None, None] * np.eye(3)
+
+
+class BuiltArea(Built):
+    """The triangles of every cloth that keeps its area."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        particles, rest, compliance = [], [], []
+        for cloth, chosen in parameters.items():
+            a, b, c = (cloth.mesh.positions[cloth.mesh.triangles[:, k]] for k in range(3))
+            area = 0.5 * length(cross(b - a, c - a))
+            particles.append(cloth.slots[cloth.mesh.triangles])
+            rest.append(area)
+            compliance.append(world.compliance_scale * area / chosen.stiffness)
+        particles, rest, compliance = map(np.concatenate, (particles, rest, compliance))
+        dtype, order = world.state.x.dtype, pack(particles)
+        count = len(order)
+        self.data = Area(
+            world.records,
+            np.array([particles.min(initial=world.slots), particles.max(initial=-1) + 1]),
+            padded(particles, order, world.slots - 1, np.int32).T.copy(),
+            padded(rest, order, 0.0, dtype),
+            padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+            zeros(count, dtype) if world.forces else None,
+            Held(np.zeros(1, np.int64), np.zeros((count, 3), np.int64),
+                 np.zeros(count, np.int64)) if world.pins else None)
+        self.constraints = Triangles.of(self.data)
+
+    def hold(self, inv_mass):
+        these, held = self.constraints, self.data.held
+        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
+        held.count[0] = len(found)
+        held.particles[:len(found)] = these.particles[found]
+        held.index[:len(found)] = these.index[found]
+
+
+EFFECT = Effect('area', Parameters, BuiltArea)

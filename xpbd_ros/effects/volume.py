@@ -1,0 +1,395 @@
+"""
+Volume: bodies of tetrahedra, stable neo-Hookean, as two coupled constraints of each.
+
+With the deformation gradient F = [f1 f2 f3] = [x1-x0, x2-x0, x3-x0] Dm⁻¹ and J = det F, the energy
+of Smith et al. 2018 (stable neo-Hookean, without their barrier) of a rest volume V0 is
+
+    V0 (μ/2 (tr FᵀF - 3) + (λ+μ)/2 (J - 1 - μ/(λ+μ))²) + const = C_D² / (2 α_D) + C_H² / (2 α_H),
+
+    C_D = sqrt(tr FᵀF + J² - 4 J),  α_D = 1 / (μ V0);    C_H = J - 1,  α_H = 1 / (λ V0),
+
+with Lamé's λ and μ of the Young's modulus and Poisson's ratio asked for (C_D² ≥ 0 as means
+have it). In this split both constraints are 0 at rest. Macklin and Müller 2021 take sqrt(tr FᵀF)
+and J - 1 - μ/(λ+μ), whose forces cancel at rest: a substep of more than about sqrt(ρ / E) times
+the size of a tetrahedron then blows up, which here it does not.
+The gradients are [∇1 ∇2 ∇3] = P Dm⁻ᵀ, ∇0 = -∇1 - ∇2 - ∇3, with
+
+    P_D = (F + (J - 2) cof F) / C_D,   P_H = cof F = [f2×f3, f3×f1, f1×f2].
+
+Both are solved together: J M Jᵀ + α, 2 by 2, after C_H's gradient is made orthogonal to C_D's, so
+that nothing cancels however stiff the body. det F is a polynomial: a tetrahedron that is flat or
+inside out goes through and comes back.
+
+Limits: poisson from 0 up to, but not, 0.5; linear tetrahedra lock near it, and in bending where
+they are few. A tetrahedron that is crushed to a point stays there, as the energy has it.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.distance import softest
+from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.mesh import length
+from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
+from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.update import divisor, keep, misfit, recall, row
+from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
+
+SMALL = 8.0
+"""tr FᵀF below which C_D is taken from the strain: at rest its terms cancel"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Young's modulus and Poisson's ratio."""
+
+    young: float = quantity(unit='Pa', above=0.0, live=True, doc="Young's modulus")
+    poisson: float = quantity(0.3, minimum=0.0, live=True, doc="Poisson's ratio, below 0.5")
+
+    def __post_init__(self):
+        """Refuse what has no finite bulk modulus."""
+        if self.poisson >= 0.5:
+            raise InputError(f'poisson: must be < 0.5 (got {self.poisson:g}); 0.49 or 0.499 keeps '
+                             'the volume nearly')
+
+    @property
+    def lame(self) -> tuple[float, float]:
+        """Lamé's λ and μ [Pa]."""
+        young, nu = self.young, self.poisson
+        return (young * nu / ((1.0 + nu) * (1.0 - 2.0 * nu)), 0.5 * young / (1.0 + nu))
+
+
+class Held(NamedTuple):
+    """The tetrahedra at pinned particles, whose forces somebody asks for."""
+
+    count: np.ndarray
+    """shape (1,)"""
+    particles: np.ndarray
+    """slots, shape (room, 4)"""
+    index: np.ndarray
+    """where each keeps its forces, shape (room,)"""
+    inverse: np.ndarray
+    """Dm⁻¹ [1/m], shape (room, 3, 3)"""
+
+
+class Volume(NamedTuple):
+    """Tetrahedra in packs."""
+
+    records: np.ndarray
+    """particles as records, shape (slots, 4)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots, shape (4, tetrahedra)"""
+    inverse: np.ndarray
+    """Dm⁻¹ [1/m], row after row, shape (9, tetrahedra)"""
+    compliance: np.ndarray
+    """α_D and α_H [1/J], shape (2, tetrahedra)"""
+    force: np.ndarray | None
+    """f of C_D and of C_H, multipliers over H² [J], shape (2, tetrahedra); None where nobody
+    asks"""
+    held: Held | None
+    """None in a scene without pins"""
+    work: np.ndarray
+    """room for F, cof F and FᵀF - 1 of one tetrahedron, shape (3, 3, 3)"""
+
+
+@stage(prepare, Volume)
+@jit
+def prepare_volume(volume, state, substep):
+    """Zero the multipliers."""
+    _zero(volume.force)
+
+
+@jit
+def _zero(force):    # Numba prunes a branch on None where that is an argument
+    if force is not None:
+        force[:] = 0.0
+
+
+@stage(project, Volume)
+@jit
+def project_volume(volume, state, substep):
+    """One pass over all tetrahedra."""
+    _project(volume, state, False)
+
+
+@stage(project_back, Volume)
+@jit
+def project_volume_back(volume, state, substep):
+    """Do the same pass in reverse."""
+    _project(volume, state, True)
+
+
+@jit
+def _project(volume, state, reverse):
+    first, last = volume.slots[0], volume.slots[1]
+    to_records(state, volume.records, first, last)
+    _project_packs(volume.records, state.apart, volume.particles, volume.inverse,
+                   volume.compliance, row(volume.force, 0), row(volume.force, 1), reverse)
+    from_records(state, volume.records, first, last)
+
+
+@jit(inline=True)
+def mix(a, x, b, y, c, z):
+    """Return a x + b y + c z."""
+    return fma(a, x, fma(b, y, c * z))
+
+
+@jit(inline=True)
+def gradients(p, b):
+    """Return ∇0 … ∇3, each x y z, of the columns of P and the rows of Dm⁻¹."""
+    (px, py, pz), (qx, qy, qz), (rx, ry, rz) = p
+    b11, b12, b13, b21, b22, b23, b31, b32, b33 = b
+    x1, y1, z1 = (mix(px, b11, qx, b12, rx, b13), mix(py, b11, qy, b12, ry, b13),
+                  mix(pz, b11, qz, b12, rz, b13))
+    x2, y2, z2 = (mix(px, b21, qx, b22, rx, b23), mix(py, b21, qy, b22, ry, b23),
+                  mix(pz, b21, qz, b22, rz, b23))
+    x3, y3, z3 = (mix(px, b31, qx, b32, rx, b33), mix(py, b31, qy, b32, ry, b33),
+                  mix(pz, b31, qz, b32, rz, b33))
+    return ((-(x1 + x2 + x3), -(y1 + y2 + y3), -(z1 + z2 + z3)), (x1, y1, z1), (x2, y2, z2),
+            (x3, y3, z3))
+
+
+@jit(inline=True)
+def inner(m, g, h):
+    """Return Σ m g·h over four particles."""
+    m0, m1, m2, m3 = m
+    (a0, b0, c0), (a1, b1, c1), (a2, b2, c2), (a3, b3, c3) = g
+    (u0, v0, w0), (u1, v1, w1), (u2, v2, w2), (u3, v3, w3) = h
+    return fma(m0, mix(a0, u0, b0, v0, c0, w0), mix(
+        m1, mix(a1, u1, b1, v1, c1, w1), m2, mix(a2, u2, b2, v2, c2, w2),
+        m3, mix(a3, u3, b3, v3, c3, w3)))
+
+
+@jit(inline=True)
+def combined(a, g, b, h):
+    """Return a g + b h for four particles."""
+    (a0, b0, c0), (a1, b1, c1), (a2, b2, c2), (a3, b3, c3) = g
+    (u0, v0, w0), (u1, v1, w1), (u2, v2, w2), (u3, v3, w3) = h
+    return ((fma(a, a0, b * u0), fma(a, b0, b * v0), fma(a, c0, b * w0)),
+            (fma(a, a1, b * u1), fma(a, b1, b * v1), fma(a, c1, b * w1)),
+            (fma(a, a2, b * u2), fma(a, b2, b * v2), fma(a, c2, b * w2)),
+            (fma(a, a3, b * u3), fma(a, b3, b * v3), fma(a, c3, b * w3)))
+
+
+@jit(inline=True)
+def strained(d1, d2, d3, b):
+    """Return C_D², C_H, and the columns of C_D P_D and of P_H, for the sides of a tetrahedron."""
+    (x1, y1, z1), (x2, y2, z2), (x3, y3, z3) = d1, d2, d3
+    b11, b12, b13, b21, b22, b23, b31, b32, b33 = b
+    fx, fy, fz = (mix(x1, b11, x2, b21, x3, b31), mix(y1, b11, y2, b21, y3, b31),
+                  mix(z1, b11, z2, b21, z3, b31))
+    gx, gy, gz = (mix(x1, b12, x2, b22, x3, b32), mix(y1, b12, y2, b22, y3, b32),
+                  mix(z1, b12, z2, b22, z3, b32))
+    hx, hy, hz = (mix(x1, b13, x2, b23, x3, b33), mix(y1, b13, y2, b23, y3, b33),
+                  mix(z1, b13, z2, b23, z3, b33))
+    ux, uy, uz = gy * hz - gz * hy, gz * hx - gx * hz, gx * hy - gy * hx
+    vx, vy, vz = hy * fz - hz * fy, hz * fx - hx * fz, hx * fy - hy * fx
+    wx, wy, wz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
+    j = mix(fx, ux, fy, uy, fz, uz) - 1.0
+    # G = FᵀF - 1, its principal minors of order 2 and 3: tr G = 2 j + j² - minors - det
+    e11, e22, e33 = (mix(fx, fx, fy, fy, fz, fz) - 1.0, mix(gx, gx, gy, gy, gz, gz) - 1.0,
+                     mix(hx, hx, hy, hy, hz, hz) - 1.0)
+    e12, e13, e23 = (mix(fx, gx, fy, gy, fz, gz), mix(fx, hx, fy, hy, fz, hz),
+                     mix(gx, hx, gy, hy, gz, hz))
+    m23, m13, m12 = e22 * e33 - e23 * e23, e11 * e33 - e13 * e13, e11 * e22 - e12 * e12
+    det = e11 * m23 - e12 * (e12 * e33 - e13 * e23) + e13 * (e12 * e23 - e13 * e22)
+    trace = e11 + e22 + e33 + 3.0
+    square = select(trace < SMALL, 2.0 * j * j - (m12 + m13 + m23) - det,
+                    trace + (j + 1.0) * (j + 1.0) - 4.0 * (j + 1.0))
+    deviatoric = ((fma(j, ux, fx - ux), fma(j, uy, fy - uy), fma(j, uz, fz - uz)),
+                  (fma(j, vx, gx - vx), fma(j, vy, gy - vy), fma(j, vz, gz - vz)),
+                  (fma(j, wx, hx - wx), fma(j, wy, hy - wy), fma(j, wz, hz - wz)))
+    return square, j, deviatoric, ((ux, uy, uz), (vx, vy, vz), (wx, wy, wz))
+
+
+@jit
+def _project_packs(records, apart, particles, inverse, compliance, fd, fh, reverse):
+    count, step = particles.shape[1], lanes(inverse)
+    p0, p1, p2, p3 = particles[0], particles[1], particles[2], particles[3]
+    for p in range(0, count, step):
+        q = count - step - p if reverse else p
+        x0, y0, z0, m0 = load_records(records, p0, q)
+        x1, y1, z1, m1 = load_records(records, p1, q)
+        x2, y2, z2, m2 = load_records(records, p2, q)
+        x3, y3, z3, m3 = load_records(records, p3, q)
+        b = (load(inverse, q), load(inverse, count + q), load(inverse, 2 * count + q),
+             load(inverse, 3 * count + q), load(inverse, 4 * count + q),
+             load(inverse, 5 * count + q), load(inverse, 6 * count + q),
+             load(inverse, 7 * count + q), load(inverse, 8 * count + q))
+        square, ch, deviatoric, cofactor = strained(
+            (x1 - x0, y1 - y0, z1 - z0), (x2 - x0, y2 - y0, z2 - z0),
+            (x3 - x0, y3 - y0, z3 - z0), b)
+        cd = root(larger(square, 0.0))
+        m = m0, m1, m2, m3
+        gd, gh = gradients(deviatoric, b), gradients(cofactor, b)
+        per = select(cd > 0.0, 1.0 / select(cd > 0.0, cd, 1.0), 0.0)
+        gd = combined(per, gd, 0.0, gd)
+        wd = inner(m, gd, gd)
+        t = select(wd > 0.0, inner(m, gd, gh) / select(wd > 0.0, wd, 1.0), 0.0)
+        gh = combined(1.0, gh, -t, gd)    # orthogonal to gd: its multiplier stays the same
+        wh = inner(m, gh, gh)
+        alpha_d, alpha_h = load(compliance, q), load(compliance, count + q)
+        f, g = recall(apart, fd, q), recall(apart, fh, q)
+        rd, rh = -misfit(cd, alpha_d, f), -misfit(ch, alpha_h, g)
+        # [wd + α_D, -t α_D; -t α_D, wh + t² α_D + α_H] [u; v] = [rd; rh - t rd]
+        wd, wh = divisor(apart, wd, 0.0), divisor(apart, wh, 0.0)
+        ad, ah = divisor(apart, 0.0, alpha_d), divisor(apart, 0.0, alpha_h)
+        along = t * ad
+        det = (wd + ad) * (wh + ah) + t * along * wd
+        u = ((wh + ah) * rd + along * rh) / det
+        v = (wd * (rh - t * rd) + ad * rh) / det
+        keep(fd, q, f, u - t * v)
+        keep(fh, q, g, v)
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz) = combined(u, gd, v, gh)
+        put_records(records, apart, p0, q, x0, y0, z0, m0, m0, ax, ay, az)
+        put_records(records, apart, p1, q, x1, y1, z1, m1, m1, bx, by, bz)
+        put_records(records, apart, p2, q, x2, y2, z2, m2, m2, cx, cy, cz)
+        put_records(records, apart, p3, q, x3, y3, z3, m3, m3, dx, dy, dz)
+
+
+@stage(react, Volume)
+@jit
+def react_volume(volume, state, substep):
+    """Forces on pinned particles: f_D ∇C_D + f_H ∇C_H."""
+    part, held, x = substep.end - substep.begin, volume.held, state.x
+    f, c, e = volume.work[0], volume.work[1], volume.work[2]
+    for k in range(held.count[0]):
+        corners, b, index = held.particles[k], held.inverse[k], held.index[k]
+        for a in range(3):
+            for axis in range(3):
+                f[axis, a] = 0.0
+                for i in range(3):
+                    f[axis, a] += (x[axis, corners[i + 1]] - x[axis, corners[0]]) * b[i, a]
+        for a in range(3):
+            n, o = (a + 1) % 3, (a + 2) % 3
+            c[0, a] = f[1, n] * f[2, o] - f[2, n] * f[1, o]
+            c[1, a] = f[2, n] * f[0, o] - f[0, n] * f[2, o]
+            c[2, a] = f[0, n] * f[1, o] - f[1, n] * f[0, o]
+        for a in range(3):
+            for n in range(3):
+                e[a, n] = (f[0, a] * f[0, n] + f[1, a] * f[1, n] + f[2, a] * f[2, n]
+                           - (1.0 if a == n else 0.0))
+        j = f[0, 0] * c[0, 0] + f[1, 0] * c[1, 0] + f[2, 0] * c[2, 0] - 1.0
+        square = 2.0 * j * j
+        for a in range(3):
+            n, o = (a + 1) % 3, (a + 2) % 3
+            minor = e[n, n] * e[o, o] - e[n, o] * e[n, o]
+            square -= minor + (e[0, a] * (e[1, n] * e[2, o] - e[1, o] * e[2, n]))
+        per = volume.force[0, index] / np.sqrt(square) if square > 0.0 else 0.0
+        for a in range(3):
+            for axis in range(3):
+                stress = (per * (f[axis, a] - c[axis, a] + j * c[axis, a])
+                          + volume.force[1, index] * c[axis, a])
+                for i in range(3):
+                    pull = part * stress * b[i, a]
+                    state.reaction[axis, corners[i + 1]] += pull
+                    state.reaction[axis, corners[0]] -= pull
+
+
+class Tetrahedra:
+    """The same tetrahedra one by one, in sweep order, as people and NumPy want them."""
+
+    stretch = True
+    """what the substeps have to resolve, unlike bending"""
+
+    def __init__(self, particles, index, inverse, compliance):
+        self.particles = particles
+        self.index = index
+        self.inverse = inverse.astype(float).reshape(-1, 3, 3)
+        self.compliance = compliance.astype(float)
+
+    @staticmethod
+    def of(data: Volume) -> 'Tetrahedra':
+        """Return the tetrahedra of a batch."""
+        index = np.flatnonzero(data.particles[0] != data.particles[1])
+        return Tetrahedra(data.particles[:, index].T.astype(np.int64), index,
+                          data.inverse[:, index].T, data.compliance[:, index].T)
+
+    @property
+    def block(self) -> np.ndarray:
+        """α of the two constraints of each, shape (tetrahedra, 2, 2)."""
+        return self.compliance[:, :, None] * np.eye(2)
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """Return F, shape (tetrahedra, 3, 3); x has shape (3, slots)."""
+        corners = x.T.astype(float)[self.particles]
+        return (corners[:, 1:] - corners[:, :1]).swapaxes(1, 2) @ self.inverse
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Return C_D and C_H, shape (tetrahedra, 2), straight from the definition."""
+        f = self.gradient(x)
+        det = np.linalg.det(f)
+        square = (f * f).sum((1, 2)) + det * det - 4.0 * det
+        return np.stack([np.sqrt(np.maximum(square, 0.0)), det - 1.0], 1)
+
+    def energy(self, x: np.ndarray) -> float:
+        """Return Σ C_D² / (2 α_D) + C_H² / (2 α_H) [J]."""
+        return float((0.5 * self.residual(x)**2 / self.compliance).sum())
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """
+        Return V0 (2 μ + 3 λ) Σ |b_i| Σ |b_j| at each particle [N/m], shape (slots, 3, 3).
+
+        b_i is the gradient of i's shape function: |∇u|² ≤ (Σ |b_i| |u_i|)². About the rest shape.
+        """
+        rows = np.concatenate([-self.inverse.sum(1, keepdims=True), self.inverse], 1)
+        slopes = length(rows)
+        stiffness = 2.0 / self.compliance[:, 0] + 3.0 / self.compliance[:, 1]
+        total = np.zeros(x.shape[1])
+        np.add.at(total, self.particles,
+                  stiffness[:, None] * slopes * slopes.sum(1, keepdims=True))
+        return total[:, None, None] * np.eye(3)
+
+
+class BuiltVolume(Built):
+    """The tetrahedra of every body that has an elastic volume."""
+
+    def __init__(self, parameters, world):
+        super().__init__()
+        particles, inverse, compliance = [], [], []
+        for cloth, chosen in parameters.items():
+            mesh = cloth.mesh
+            if not len(mesh.tetrahedra):
+                raise InputError(
+                    f'cloths.{cloth.name}.effects.volume: needs a mesh of tetrahedra, and this is '
+                    'a surface; pressure fills a closed one, and area keeps the triangles of any')
+            corners = mesh.positions[mesh.tetrahedra]
+            sides = (corners[:, 1:] - corners[:, :1]).swapaxes(1, 2)
+            volume = np.linalg.det(sides) / 6.0
+            particles.append(cloth.slots[mesh.tetrahedra])
+            inverse.append(np.linalg.inv(sides).reshape(-1, 9))
+            with np.errstate(divide='ignore'):
+                compliance.append([world.compliance_scale / (modulus * volume)
+                                   for modulus in chosen.lame[::-1]])
+        particles, inverse = np.concatenate(particles), np.concatenate(inverse)
+        dtype = world.state.x.dtype
+        compliance = np.minimum(np.concatenate(compliance, 1).T, softest(dtype))
+        order = pack(particles)
+        count = len(order)
+        self.data = Volume(
+            world.records, np.array([particles.min(), particles.max() + 1]),
+            padded(particles, order, world.slots - 1, np.int32).T.copy(),
+            padded(inverse, order, 0.0, dtype).T.copy(),
+            padded(compliance, order, 1.0, dtype).T.copy(),
+            zeros((2, count), dtype) if world.forces else None,
+            Held(np.zeros(1, np.int64), np.zeros((count, 4), np.int64), np.zeros(count, np.int64),
+                 np.zeros((count, 3, 3))) if world.pins else None, np.zeros((3, 3, 3)))
+        self.constraints = Tetrahedra.of(self.data)
+
+    def hold(self, inv_mass):
+        these, held = self.constraints, self.data.held
+        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
+        held.count[0] = len(found)
+        for column, numbers in zip(held[1:], (these.particles, these.index, these.inverse)):
+            column[:len(found)] = numbers[found]
+
+
+EFFECT = Effect('volume', Parameters, BuiltVolume)
