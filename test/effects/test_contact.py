@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, simulate, with_every_effect
+from sim.small import GRAVITY, run, simulate, with_effects
 
 from xpbd_ros.effects.contact import DEPENETRATION
 from xpbd_ros.errors import InputError
@@ -156,7 +156,7 @@ def test_a_turning_box_sweeps_what_lies_beside_it():
 
 
 def test_a_lift_carries_cloth_up_and_never_lets_it_through():
-    simulation = with_every_effect((8, 8), substeps=6, pins={}, colliders={
+    simulation = with_effects((8, 8), substeps=6, pins={}, colliders={
         's': {'box': {'size': [1.5, 1.5, 0.2]}, 'position': [0.5, 0.5, -0.105], 'motion': [
             [0.0, 0.5, 0.5, -0.105], [0.5, 0.5, 0.5, -0.105], [1.0, 0.5, 0.5, 0.2],
             [1.5, 0.5, 0.5, 0.2]]}})
@@ -186,7 +186,7 @@ def test_between_two_planes_closer_than_its_thickness_a_particle_lies_still():
 
 def test_a_collider_told_to_jump_into_the_cloth_comes_at_max_speed_and_is_reported():
     """H15."""
-    simulation = with_every_effect(substeps=10, pins={}, colliders={
+    simulation = with_effects(substeps=10, pins={}, colliders={
         'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]},
         's': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, 2.0]}})
     run(simulation, 5)

@@ -13,7 +13,7 @@ from sim.small import (
     SETTINGS,
     SHAPES,
     simulate,
-    with_every_effect,
+    with_effects,
 )
 
 from xpbd_ros.effects import EFFECTS, load, SECTIONS
@@ -360,8 +360,12 @@ def test_a_pinned_particle_is_not_moved_and_all_pinned_is_fine(name, mesh, stage
     np.testing.assert_array_equal(state.x, before)
 
 
+@pytest.mark.parametrize('names', [
+    ('bend', 'shear', 'stretch'),
+    pytest.param(('hinge', 'membrane'), marks=pytest.mark.slow),
+    pytest.param(tuple(SHEETS), id='all', marks=pytest.mark.slow)])
 @pytest.mark.parametrize('method, integrator', [s for s in SETTINGS if s[0] not in SLOW])
-def test_a_hanging_cloth_balances_its_weight(method, integrator):
+def test_a_hanging_cloth_balances_its_weight(method, integrator, names):
     """
     The forces are those of the energies' definitions: Σ ∇E = m g at every free particle.
 
@@ -370,15 +374,14 @@ def test_a_hanging_cloth_balances_its_weight(method, integrator):
     errors = []
     for substeps in (4, 8, 16):
         simulation = simulate(
-            (4, 4), effects={name: EXAMPLES[name] for name in SHEETS}, substeps=substeps,
-            iterations=30, density=0.2,
-            scene_effects={'damping': {'rate': 15.0}},
+            (4, 4), effects={name: EXAMPLES[name] for name in names}, substeps=substeps,
+            iterations=30, density=0.2, scene_effects={'damping': {'rate': 15.0}},
             pins={'a': {'cloth': 'c', 'at': 'corner_10'}, 'b': {'cloth': 'c', 'at': 'edge_0x'}},
             method=method, integrator=integrator)
         run_until_still(simulation, speed=1e-10)
         state = simulation.state
         pull = -gradient(lambda x, effects=simulation.effects: sum(
-            effects[name].constraints.energy(x) for name in SHEETS), state.x,
+            effects[name].constraints.energy(x) for name in names), state.x,
             simulation.slot).T
         weight = state.mass[simulation.slot, None] * state.gravity
         free = state.inv_mass[simulation.slot] > 0.0
@@ -413,11 +416,12 @@ def test_every_parameter_has_a_range_that_is_kept(name):
         assert str(error.value).startswith(f'small.yaml: {path}.{field.name}: must be ')
 
 
+@pytest.mark.slow
 def test_all_effects_together_run_the_same_twice_and_end_at_rest():
     """A cloth on a table, held at a corner."""
     hashes = []
     for _ in range(2):
-        simulation = with_every_effect((9, 8), substeps=8, pins={
+        simulation = with_effects((9, 8), names=EFFECTS, substeps=8, pins={
             'a': {'cloth': 'c', 'at': 'corner_00', 'target': [0.2, 0.2, 0.3]}})
         frame = run(simulation, 1000)
         assert np.linalg.norm(frame.v, axis=1).max() < 1e-6

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, simulate, with_every_effect
+from sim.small import GRAVITY, run, simulate, with_effects
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import stages
@@ -127,7 +127,7 @@ def test_a_turntable_carries_what_lies_on_it_round():
 
 def test_cloth_rides_on_a_table_that_moves_and_turns_without_slipping():
     """With a large coefficient it keeps its place in the table's axes."""
-    simulation = with_every_effect((5, 5), substeps=4, pins={}, colliders={
+    simulation = with_effects((5, 5), substeps=4, pins={}, colliders={
         't': {'box': {'size': [3.0, 3.0, 0.2]}, 'position': [0.5, 0.5, -0.105], 'friction': 1e4}})
     start = simulation.natural(simulation._start)
     run(simulation, 10)

@@ -40,6 +40,8 @@ EXAMPLES = {
     'friction': {},
 }
 """parameters for each effect there is, of a cloth of about 1 m"""
+USUAL = ('pin', 'damping', 'bend', 'shear', 'stretch', 'contact', 'friction')
+"""what most scenes call for; with all effects there are, a scene compiles for a minute"""
 SHAPES = {'volume': lambda: box((2, 1, 1), 0.2), 'pressure': lambda: ball(1)}
 """vertices and cells for each effect of cloths that a grid cannot have"""
 OF_SHEETS = [name for name, scope in EFFECTS.items() if scope == 'cloth' and name not in SHAPES]
@@ -88,12 +90,12 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
     }, where='small.yaml', name='small'))
 
 
-def with_every_effect(grid=(6, 5), **options: Any) -> Simulation:
-    """Return a cloth, pinned at a corner, on a table; it has every effect that a sheet can."""
-    kinds = {scope: {name: EXAMPLES[name] for name, its in EFFECTS.items()
-                     if its == scope and name not in SHAPES} for scope in ('cloth', 'scene')}
-    if options.get('method') in ('line', 'explicit'):
-        del kinds['cloth']['rayleigh']
+def with_effects(grid=(6, 5), *, names=USUAL, **options: Any) -> Simulation:
+    """Return a cloth, pinned at a corner, on a table; it has these effects where a sheet can."""
+    names = [name for name in names if name not in SHAPES and not (
+        name == 'rayleigh' and options.get('method') in ('line', 'explicit'))]
+    kinds = {scope: {name: EXAMPLES[name] for name in names if EFFECTS[name] == scope}
+             for scope in ('cloth', 'scene')}
     return simulate(grid, effects=kinds['cloth'], scene_effects=kinds['scene'], **{
         'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}},
         'colliders': {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]}}, **options})

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sim.small import run, with_every_effect
+from sim.small import run, with_effects
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -104,7 +104,7 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
 @pytest.mark.parametrize('grid', [(6, 5), (1, 7), (7, 1)])
 def test_nothing_moves_the_padding(grid, method, integrator):
     """It has neither mass nor mobility; whatever passes over it leaves it where it is."""
-    simulation = with_every_effect(grid, substeps=3, iterations=2, method=method,
+    simulation = with_effects(grid, substeps=3, iterations=2, method=method,
                                    integrator=integrator)
     state = simulation.state
     padding = np.setdiff1d(np.arange(state.x.shape[1]), simulation.slot)
@@ -112,7 +112,7 @@ def test_nothing_moves_the_padding(grid, method, integrator):
     for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
         assert (array[..., padding] == 0.0).all()
     plain = simulation.hash()
-    again = with_every_effect(grid, substeps=3, iterations=2, method=method,
+    again = with_effects(grid, substeps=3, iterations=2, method=method,
                               integrator=integrator)
     again.state.x[:, padding] = np.random.default_rng(1).normal(size=(3, len(padding)))
     again.state.x_prev[:] = again.state.x

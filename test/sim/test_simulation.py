@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import EXAMPLES, OF_SHEETS, run, simulate, with_every_effect
+from sim.small import EXAMPLES, OF_SHEETS, run, simulate, with_effects
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
@@ -49,7 +49,7 @@ METHODS = pytest.mark.parametrize('options', [
 
 def story(**options):
     """Return the hash of every frame of a run in which something of each kind happens."""
-    simulation = with_every_effect(substeps=5, iterations=2, **MOVING, **options)
+    simulation = with_effects(substeps=5, iterations=2, **MOVING, **options)
     hashes = []
     for k in range(40):
         simulation.step(COMMANDS.get(k, ()))
@@ -75,7 +75,7 @@ def test_another_process_has_the_same_bits():
 
 @METHODS
 def test_the_hash_sees_the_last_bit_of_anything(options):
-    simulation = with_every_effect(**options)
+    simulation = with_effects(**options)
     seen = {simulation.hash()}
     state, last = simulation.state, simulation.slot[-1]
     arrays = [state.x[2], state.v[2], state.inv_mass]
@@ -90,7 +90,7 @@ def test_the_hash_sees_the_last_bit_of_anything(options):
 @METHODS
 def test_after_a_reset_the_run_repeats_though_time_goes_on(options):
     """Pins and colliders that move by themselves too set out anew."""
-    simulation = with_every_effect(substeps=5, **MOVING, **options)
+    simulation = with_effects(substeps=5, **MOVING, **options)
     first, first_poses = [], []
     for _ in range(20):
         frame = simulation.step()
@@ -105,7 +105,7 @@ def test_after_a_reset_the_run_repeats_though_time_goes_on(options):
             *frame.pins.values(), *frame.colliders.values())], first_poses[k], atol=1e-12)
         assert list(frame.pins) == ['a']
     # where nothing moves by itself, even its bits, and nothing is remembered of what was before
-    simulation = with_every_effect(substeps=5, pose={'position': [0.0, 0.0, 2.0]}, **options)
+    simulation = with_effects(substeps=5, pose={'position': [0.0, 0.0, 2.0]}, **options)
     run(simulation, 20)
     expected = simulation.hash()
     run(simulation, 10, [Grasp('hand', Pose((1.0, 1.0, 2.0)), 0.5)])
@@ -116,7 +116,7 @@ def test_after_a_reset_the_run_repeats_though_time_goes_on(options):
 @METHODS
 def test_a_live_key_set_to_what_it_is_changes_no_bit(options):
     """What was built anew goes on from where the old one was."""
-    plain, touched = (with_every_effect(substeps=5, **MOVING, **options) for _ in range(2))
+    plain, touched = (with_effects(substeps=5, **MOVING, **options) for _ in range(2))
     hand = [Grasp('hand', Pose((1.0, 1.0, 0.0)), 0.3)]
     turned = [MoveCollider('block', Pose((0.4, 0.5, 0.05)), Twist((0.1, 0.0, 0.0)), 0)]
     for k in range(30):
@@ -136,7 +136,7 @@ def test_a_live_key_set_to_what_it_is_changes_no_bit(options):
     ('gravity.x', 1, 'gravity.x: cannot change while running (these can: '),
     ('', 1, ': cannot change while running (these can: ')])
 def test_a_bad_live_key_is_refused_and_nothing_happens(key, value, text):
-    plain, touched = (with_every_effect(substeps=3) for _ in range(2))
+    plain, touched = (with_effects(substeps=3) for _ in range(2))
     command = SetKey(key, value)
     for simulation, commands in ((plain, []), (touched, [command])):
         simulation.step()
@@ -159,7 +159,7 @@ def test_live_keys_act():
     assert frame.v[0, 2] == pytest.approx(0.3)
     simulation.step([SetKey('solver.substeps', 4)])
     assert simulation.solver.substeps == 4
-    simulation = with_every_effect()
+    simulation = with_effects()
     simulation.step([SetKey('cloths.c.effects.bend.stiffness', 0.5)])
     assert (simulation.effects['bend'].data.compliance == 2.0).all()
     simulation.step([SetKey('effects.contact.thickness', 0.02)])
@@ -178,7 +178,7 @@ def test_what_the_scene_has_no_effect_for_is_refused(command):
 
 
 def test_commands_act_in_their_order():
-    simulation = with_every_effect()
+    simulation = with_effects()
     there = Pose((1.0, 1.0, 0.0))
     commands = [Grasp('b', there, 0.01), Release('b'), Grasp('c', there, 0.01),
                 Grasp('d', there, 0.01)]
@@ -201,7 +201,7 @@ def test_frames_are_exact_in_time():
 
 def test_a_frame_shares_nothing_with_the_simulation():
     """It stays what it was, and what is written into it goes nowhere."""
-    plain, touched = (with_every_effect() for _ in range(2))
+    plain, touched = (with_effects() for _ in range(2))
     frame, same = plain.step(), touched.step()
     for array in (same.x, same.v, same.inv_mass):
         array[:] = 1.0
@@ -229,7 +229,7 @@ def test_substeps_of_another_length_move_nothing_by_themselves(integrator):
 
 
 def test_compiling_moves_nothing():
-    simulation = with_every_effect(pose={'position': [0.0, 0.0, 2.0]})
+    simulation = with_effects(pose={'position': [0.0, 0.0, 2.0]})
     before = simulation.hash()
     simulation.compile()
     assert simulation.hash() == before
@@ -238,9 +238,9 @@ def test_compiling_moves_nothing():
 
 @pytest.mark.parametrize('grid', [(1, 1), (2, 1), (1, 2), (1, 7), (7, 1), (2, 2)])
 @METHODS
-def test_the_smallest_cloths_run_with_every_effect(options, grid):
+def test_the_smallest_cloths_run(options, grid):
     """H22."""
-    simulation = with_every_effect(grid, substeps=3, **options, pins={
+    simulation = with_effects(grid, substeps=3, **options, pins={
         'a': {'cloth': 'c', 'at': 'corner_00', 'target': [0.0, 0.0, 0.5]}})
     frame = run(simulation, 60, [Grasp('hand', Pose((0.0, 0.0, 0.0)), 5.0)])
     frame = run(simulation, 60, [ReleaseAll()])

@@ -13,7 +13,7 @@ from sim.small import (
     run,
     run_until_still,
     simulate,
-    with_every_effect,
+    with_effects,
 )
 
 SETTINGS = [(1, 1), (1, 20), (5, 20), (20, 10)]
@@ -142,8 +142,8 @@ def native_allocations(simulation):
 
 def test_a_substep_allocates_nothing():
     """The count is that of the arguments' wrappers, whatever the substeps and iterations."""
-    few = with_every_effect((40, 40), substeps=1, iterations=1)
-    many = with_every_effect((40, 40), substeps=9, iterations=3)
+    few = with_effects((40, 40), substeps=1, iterations=1)
+    many = with_effects((40, 40), substeps=9, iterations=3)
     few.step()
     many.step()
     assert many.stats()['contacts'] > 1000
@@ -156,7 +156,7 @@ def test_a_substep_allocates_nothing():
 
 def test_a_step_allocates_no_array_of_the_size_of_the_state(monkeypatch):
     """All but the frame that it hands out, which is a copy."""
-    simulation = with_every_effect((80, 80), substeps=3)
+    simulation = with_effects((80, 80), substeps=3)
     frame = simulation.frame()
     monkeypatch.setattr(simulation, 'frame', lambda: frame)
     tracemalloc.start()
@@ -172,7 +172,7 @@ def test_a_step_allocates_no_array_of_the_size_of_the_state(monkeypatch):
 
 
 def test_a_frame_that_is_let_go_leaves_nothing_behind():
-    simulation = with_every_effect((80, 80), substeps=3)
+    simulation = with_effects((80, 80), substeps=3)
     tracemalloc.start()
     try:
         run(simulation, 10)
