@@ -25,7 +25,7 @@ with warnings.catch_warnings():
     text = ''.join(simulation._step.inspect_asm().values())
 print(json.dumps({
     'imported': [name for name in sys.modules if name.startswith('xpbd_ros.effects.')],
-    'kernels': [name for name in kernels if name in text],
+    'kernels': [name for name in kernels if f'{len(name)}{name}B' in text],    # as mangled
     'data': [type(data).__name__ for data in simulation._tuple],
     'reaction': simulation.state.reaction is not None,
     'cached': bool(simulation._step.stats.cache_hits)}))
