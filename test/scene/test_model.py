@@ -10,7 +10,7 @@ from xpbd_ros.scene.model import live_keys, with_key
 def test_live_keys_are_those_that_have_a_value_and_can_change():
     scene = load_scene('drape')
     keys = live_keys(scene)
-    assert {'gravity', 'cloths.cover.friction',
+    assert {'gravity', 'solver.iterations', 'cloths.cover.friction',
             'cloths.cover.effects.stretch.warp', 'cloths.cover.effects.bend.stiffness',
             'colliders.ball.friction', 'effects.contact.thickness',
             'effects.damping.rate'} <= set(keys)

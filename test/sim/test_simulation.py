@@ -157,8 +157,8 @@ def test_live_keys_act():
     frame = simulation.step([SetKey('gravity', [0.0, 0.0, 3.0])])
     assert frame.applied == (SetKey('gravity', [0.0, 0.0, 3.0]),)
     assert frame.v[0, 2] == pytest.approx(0.3)
-    simulation.step([SetKey('solver.substeps', 4)])
-    assert simulation.solver.substeps == 4
+    simulation.step([SetKey('solver.substeps', 4), SetKey('solver.iterations', 2)])
+    assert (simulation.solver.substeps, simulation.solver.iterations) == (4, 2)
     simulation = with_effects()
     simulation.step([SetKey('cloths.c.effects.bend.stiffness', 0.5)])
     assert (simulation.effects['bend'].data.compliance == 2.0).all()

@@ -33,7 +33,7 @@ from xpbd_ros.ros.inputs import read_pose, READERS
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
-from xpbd_ros.ros.signals import interrupt_on_signals
+from xpbd_ros.ros.signals import interrupt_on_signals, nothing_to_finish
 from xpbd_ros.ros.stepper import Stepper
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
@@ -129,7 +129,8 @@ class ClothNode(LifecycleNode):
             log.warning(text)
         log.info('compiling for this scene; the first time takes some seconds')
         begin = time.perf_counter()
-        simulation.compile()
+        with nothing_to_finish():
+            simulation.compile()
         log.info(f'compiled in {time.perf_counter() - begin:.1f} s')
         self.scene, self.simulation = scene, simulation
         self.inbox = Inbox(log.warning, max_message_bytes=self.value('max_message_bytes'),
@@ -569,7 +570,7 @@ def main(args: list[str] | None = None) -> int:
         if node.value('autostart'):
             good = TransitionCallbackReturn.SUCCESS
             if node.trigger_configure() != good or node.trigger_activate() != good:
-                return 2
+                return 2 if rclpy.ok() else 0
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -577,10 +578,11 @@ def main(args: list[str] | None = None) -> int:
         print(f'cloth_node: {error}', file=sys.stderr)
         return 2
     except RuntimeError as error:
-        if node is not None:
+        if node is None:
+            print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
+            return 2
+        if rclpy.ok():    # else ROS was told to end in the midst of something
             raise
-        print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
-        return 2
     finally:
         if node is not None:
             node.close()

@@ -1,37 +1,41 @@
 """Being told to end: SIGINT and SIGTERM interrupt whatever runs, once."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+import os
 import signal
 import sys
 
-AGAIN = 0.01
-"""until an interrupt that got lost is tried anew [s]"""
+_at_once = False
 
 
 def interrupt_on_signals() -> None:
-    """
-    Raise KeyboardInterrupt on the first SIGINT or SIGTERM; the log has to be finished after it.
-
-    Python drops an exception that comes up inside a callback from foreign code, of which the
-    compiler has some, and goes on; the interrupt is then tried again a moment later.
-    """
+    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM; the log has to be finished after."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, _leave)    # rclpy calls these after its own
-    signal.signal(signal.SIGALRM, _interrupt)
-    sys.unraisablehook = _try_again
+
+
+@contextmanager
+def nothing_to_finish() -> Iterator[None]:
+    """
+    Let a signal end the process at once, with 0: there is nothing to finish yet.
+
+    While the compiler works, an exception may come up inside its callbacks, where Python drops it
+    or leaves the compiler in pieces.
+    """
+    global _at_once
+    _at_once = True
+    try:
+        yield
+    finally:
+        _at_once = False
 
 
 def _leave(number, frame):
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, lambda *_: None)
-    _interrupt()
-
-
-def _interrupt(*_):
+    if _at_once:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
     raise KeyboardInterrupt
-
-
-def _try_again(lost):
-    if lost.exc_type is KeyboardInterrupt:
-        signal.setitimer(signal.ITIMER_REAL, AGAIN)
-    else:
-        sys.__unraisablehook__(lost)

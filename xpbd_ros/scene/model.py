@@ -18,7 +18,7 @@ class SolverKeys:
                                       doc='what goes with the method unless given')
     substeps: int | None = quantity(None, minimum=1, maximum=10_000, live=True,
                                     doc='per frame; what auto chooses unless given')
-    iterations: int = quantity(1, minimum=1, maximum=10_000, doc='per substep')
+    iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
     precision: str = quantity('float64', choices=('float64', 'float32'))
     threads: int = quantity(1, minimum=1, maximum=1)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
