@@ -247,7 +247,7 @@ def test_a_mesh_of_nearly_equilateral_triangles_has_the_modulus_asked_for():
             triangles += ([(p, p + 1, q), (p + 1, q + 1, q)] if j % 2 == 0
                           else [(p, p + 1, q + 1), (p, q + 1, q)])
     triangles = np.array(triangles)
-    ends = edges(triangles)
+    ends = edges(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2))
     area = edge_areas(triangles, ends, vertices)
     assert area.sum() == pytest.approx(3.0 * len(triangles) * a * a * 3.0**0.5 / 4.0)
     strain = np.array([[2e-4, 1e-4], [1e-4, -3e-4]])
@@ -285,7 +285,8 @@ def test_a_disc_of_triangles_hangs_with_its_weight_from_its_middle(method):
     simulation = simulate(mesh=True, density=0.4, effects={
         'stretch': {'warp': 300.0, 'weft': 300.0}, 'bend': {'stiffness': 1e-3}},
         pins={'a': {'cloth': 'c', 'at': [0]}}, scene_effects={'damping': {'rate': 12.0}},
-        substeps=60, iterations=2, method=method, integrator=integrator)
+        substeps=60, iterations=1 if method == 'explicit' else 2, method=method,
+        integrator=integrator)
     frame = run(simulation, 300)
     weight = simulation.state.mass.sum() * GRAVITY
     np.testing.assert_allclose(frame.pins['a'].force, [0.0, 0.0, -weight], atol=0.02 * weight)

@@ -158,6 +158,8 @@ def test_it_takes_as_many_substeps_as_it_needs_or_refuses():
                          ({'effects': {'stretch': {'compliance': 1e-12}}}, 'to be stable')):
         with pytest.raises(InputError, match=text):
             simulate((6, 5), method='explicit', integrator='leapfrog', substeps=None, **change)
+    with pytest.raises(InputError, match='takes each force once'):
+        sheet(64, iterations=2)
     for method, integrator in (('explicit', 'bdf2'), ('line', 'leapfrog')):
         with pytest.raises(InputError, match='goes with'):
             sheet(4, method, integrator)

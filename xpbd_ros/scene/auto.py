@@ -47,6 +47,9 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         fitting = 'leapfrog' if method == 'explicit' else 'backward_euler or bdf2'
         raise InputError(f"solver.integrator: method '{method}' goes with {fitting} "
                          f"(got '{integrator}')")
+    if method == 'explicit' and keys.iterations > 1:
+        raise InputError('solver.iterations: explicit takes each force once (got '
+                         f'{keys.iterations}); give it more substeps')
     chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
               'precision': keys.precision, 'threads': keys.threads}
     affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))

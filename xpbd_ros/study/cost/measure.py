@@ -174,8 +174,13 @@ def _mean(rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _in_code(name: str, text: str) -> int:
     """Return how many of an effect's kernels some machine code holds."""
     module = f'xpbd_ros.effects.{name}'
-    return sum(kind.__module__ == module and kernel.__name__ in text
+    return sum(kind.__module__ == module and _mangled(kernel.__name__) in text
                for (_, kind), kernel in stages._KERNELS.items())
+
+
+def _mangled(name: str) -> str:
+    """Return a function's name as machine code has it: with its length, and a B behind."""
+    return f'{len(name)}{name}B'
 
 
 def _bytes(data, seen: set[int]) -> int:

@@ -9,6 +9,7 @@ the caches as the others leave them.
 from numba import njit, typeof
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.stages import (
     bound,
@@ -48,7 +49,8 @@ def timed_step(effects: tuple, method: type):
         known = {kind: name for name, kind in METHODS.items()}
         raise InputError(f"solver.method: cost cannot take a step of '{known[method]}' apart "
                          f'(it can: {", ".join(known[kind] for kind in SWEEPS)})')
-    names = {'begin': begin, 'update_velocity': update_velocity, 'Substep': Substep, 'lap': lap}
+    names = {'begin': begin, 'update_velocity': update_velocity, 'Substep': Substep, 'lap': lap,
+             'flush_denormals': flush_denormals, 'restore_mode': restore_mode}
     integration = len(effects)
 
     def walk(stub, indent, backwards=False):
@@ -62,6 +64,7 @@ def timed_step(effects: tuple, method: type):
 
     inner, deep = ' ' * 8, ' ' * 12
     lines = ['def advance(effects, state, method, frame_dt, substeps, book):',
+             '    mode = flush_denormals()',
              '    h = frame_dt / substeps',
              '    lap(book, -1)',
              '    for k in range(substeps):',
@@ -75,6 +78,6 @@ def timed_step(effects: tuple, method: type):
     lines += [*walk(touch, deep), *walk(bound, deep), f'{deep}pass',
               f'{inner}update_velocity(state, substep)',
               f'{inner}lap(book, {integration})',
-              *walk(finish, inner), *walk(react, inner)]
+              *walk(finish, inner), *walk(react, inner), '    restore_mode(mode)']
     exec('\n'.join(lines), names)
     return njit(**FLAGS)(names['advance'])
