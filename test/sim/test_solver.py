@@ -1,5 +1,6 @@
 """The methods and integrators: orders, symmetry of bits, and what they do when it gets rough."""
 
+from itertools import product
 import os
 import signal
 import subprocess
@@ -175,7 +176,7 @@ def test_one_plain_sweep_of_lines_with_bdf2_is_wilder():
     """So that the test above can fail: its two cures, taken away, are missed."""
     worse = 0
     for kind in KINDS:
-        for substeps, seed in ((8, 1), (16, 1), (16, 2), (32, 1), (32, 2), (32, 3)):
+        for substeps, seed in product((8, 16, 32), range(1, 7)):
             worst = {}
             for cured in (True, False):
                 sheet = simulation('line', 'bdf2', substeps)
@@ -189,7 +190,7 @@ def test_one_plain_sweep_of_lines_with_bdf2_is_wilder():
                     now = energy(sheet) / start
                     worst[cured] = max(worst[cured], now if np.isfinite(now) else np.inf)
             worse += worst[False] > 3.0 * worst[True]
-    assert worse >= 2
+    assert worse >= 8
 
 
 def test_stiff_swing_is_right_with_far_fewer_substeps():
