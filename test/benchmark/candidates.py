@@ -61,7 +61,7 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
                   for family, (_, a, b) in enumerate(FAMILIES)]
         first = np.cumsum([0, *(len(s.rows) * len(s.columns) for s in shapes)])[:-1]
         edges = grid_edges(grid_runs(sheet.block, shapes, sheet.slots), range(len(shapes)),
-                           work.edges.rest_length[first], work.edges.compliance[first, None],
+                           work.edges.rest_length[first], [work.edges.compliance[first, None]],
                            world=sheet)
         effects = (Stretch(edges, None),)
     else:
