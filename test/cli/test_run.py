@@ -67,6 +67,19 @@ def simulated(scene, overrides=None) -> list:
     return [simulation.frame(), *(simulation.step() for _ in range(15))]
 
 
+def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, tmp_path, capsys):
+    whole, = done[1].glob('*.mcap')
+    damaged = tmp_path / 'damaged.mcap'
+    damaged.write_bytes(whole.read_bytes()[:-5])
+    words = ['run', str(scene), '-o', str(tmp_path / 'again'), '--commands', str(damaged)]
+    assert main(words) == 0
+    assert capsys.readouterr().err == (
+        'xpbd_ros run: damaged log: the mark at its end is missing or damaged; '
+        'inputs may be lost\n')
+    assert main([*words[:3], str(tmp_path / 'whole'), '--commands', str(whole)]) == 0
+    assert capsys.readouterr().err == ''
+
+
 def test_json_on_stdout_is_all_that_is_printed_there(done, scene):
     numbers = json.loads(done[0].stdout)
     assert done[0].stderr == ''

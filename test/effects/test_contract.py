@@ -269,19 +269,18 @@ def test_the_force_on_a_pinned_particle_is_minus_the_gradient_of_the_energy(name
         state.inv_mass[:] = inv_mass
 
 
-GRIDS = pytest.mark.parametrize('grid', [(7, 6), (5, 19), (18, 3), None])
-"""None: the mesh"""
+KINDS_AND_GRIDS = pytest.mark.parametrize('name, grid', [
+    (name, grid) for name, mesh in ON_MESHES
+    for grid in ([None] if mesh else [(7, 6), (5, 19), (18, 3)])])
+"""each effect of cloths on grids of several sizes, and (None) on a mesh where it can be"""
 
 
 def of_kind(name, grid):
-    """Return a cloth with one effect, or skip what cannot be."""
-    if (name, grid is None) not in ON_MESHES:
-        pytest.skip(f'{name} is for {"meshes" if grid else "grids"}')
+    """Return a cloth with one effect."""
     return cloth(name, grid or (2, 2), mesh=grid is None)
 
 
-@GRIDS
-@pytest.mark.parametrize('name', ELASTIC)
+@KINDS_AND_GRIDS
 def test_no_two_constraints_of_a_vector_share_a_particle(name, grid):
     built = of_kind(name, grid).effects[name]
     if name == 'pressure':    # one constraint, its triangles in packs
@@ -316,8 +315,7 @@ def vectors(batch):
                 yield anchors[:, None] + runs.offset[r]
 
 
-@GRIDS
-@pytest.mark.parametrize('name', ELASTIC)
+@KINDS_AND_GRIDS
 def test_a_sweep_takes_one_constraint_after_another_and_back_in_exactly_the_reverse(name, grid):
     simulation = of_kind(name, grid)
     state, built = crumple(simulation), simulation.effects[name]

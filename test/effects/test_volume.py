@@ -11,7 +11,7 @@ from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
 from xpbd_ros.sim.mesh import cross, dot
 from xpbd_ros.sim.state import Substep
 
-pytest.importorskip('meshio')
+pytest.importorskip('meshio', reason='the extra mesh is not installed')
 CELLS, SIZE = (2, 2, 3), 0.1
 YOUNG = 2e4
 

@@ -88,7 +88,7 @@ def test_a_mesh_falls_on_a_table_and_is_held_by_pins(scene):
 
 
 def test_a_body_falls_like_a_cloth(scene, tmp_path):
-    meshio = pytest.importorskip('meshio')
+    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
     vertices, tetrahedra = box()
     meshio.write_points_cells(tmp_path / 'box.vtk', vertices, [('tetra', tetrahedra)])
     simulation = compile_scene(scene({'file': 'box.vtk'}, effects=EFFECTS, colliders=TABLE,

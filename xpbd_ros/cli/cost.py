@@ -10,7 +10,7 @@ from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.cli.ros import commands_of
 
 EXAMPLE = 'xpbd_ros cost towel --duration 2'
 
@@ -40,9 +40,7 @@ def run(arguments) -> int:
     frames = count_frames(scene)
     commands = {}
     if arguments.commands:
-        need_ros('cost --commands')
-        from xpbd_ros.ros.playback import commands_by_frame
-        commands = commands_by_frame(arguments.commands)
+        commands = commands_of('cost', arguments.commands)
     from xpbd_ros.study.cost import cost
     from xpbd_ros.study.cost.limits import limits
     from xpbd_ros.study.machine import describe, machine

@@ -14,7 +14,7 @@ import time
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.cli.ros import commands_of, need_ros
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
@@ -44,7 +44,6 @@ def run(arguments) -> int:
     need_ros('run')
     from xpbd_ros.ros.diagnostics import percentile
     from xpbd_ros.ros.outputs import Outputs
-    from xpbd_ros.ros.playback import commands_by_frame
     from xpbd_ros.ros.recorder import Recorder
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
@@ -57,7 +56,7 @@ def run(arguments) -> int:
     refuse_existing(arguments.json)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
-    commands = commands_by_frame(arguments.commands) if arguments.commands else {}
+    commands = commands_of('run', arguments.commands) if arguments.commands else {}
     simulation = compile_scene(scene)
     quiet = arguments.json == '-'
     outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))

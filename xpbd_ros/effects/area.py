@@ -20,13 +20,14 @@ import numpy as np
 
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import Held, hold, room_for
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall
+from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
 from xpbd_ros.sim.vector import both, fma, lanes, load, root, select
 
 
@@ -36,17 +37,6 @@ class Parameters:
 
     stiffness: float = quantity(unit='N/m', above=0.0, live=True,
                                 doc='tension per relative change of area')
-
-
-class Held(NamedTuple):
-    """The triangles at pinned particles, whose forces somebody asks for."""
-
-    count: np.ndarray
-    """shape (1,)"""
-    particles: np.ndarray
-    """slots, shape (room, 3)"""
-    index: np.ndarray
-    """where each keeps its force, shape (room,)"""
 
 
 class Area(NamedTuple):
@@ -73,13 +63,7 @@ class Area(NamedTuple):
 @jit
 def prepare_area(area, state, substep):
     """Zero the multipliers."""
-    _zero(area.force)
-
-
-@jit
-def _zero(force):    # Numba prunes a branch on None where that is an argument
-    if force is not None:
-        force[:] = 0.0
+    release_forces(area)
 
 
 @stage(project, Area)
@@ -217,16 +201,11 @@ class BuiltArea(Built):
             padded(rest, order, 0.0, dtype),
             padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
             zeros(count, dtype) if world.forces else None,
-            Held(np.zeros(1, np.int64), np.zeros((count, 3), np.int64),
-                 np.zeros(count, np.int64)) if world.pins else None)
+            room_for(count, 3) if world.pins else None)
         self.constraints = Triangles.of(self.data)
 
     def hold(self, inv_mass):
-        these, held = self.constraints, self.data.held
-        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
-        held.count[0] = len(found)
-        held.particles[:len(found)] = these.particles[found]
-        held.index[:len(found)] = these.index[found]
+        hold(self.data.held, self.constraints, inv_mass)
 
 
 EFFECT = Effect('area', Parameters, BuiltArea)

@@ -34,9 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
-from xpbd_ros.sim.distance import by_place, release_forces, softest
-from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.distance import by_place, softest
+from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
+from xpbd_ros.sim.held import hold, room_for
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot, length
@@ -44,7 +44,7 @@ from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, row, target
+from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, release_forces, row, target
 from xpbd_ros.sim.vector import both, first, fma, lanes, load, select
 
 
@@ -61,10 +61,8 @@ class Parameters:
 
     def __post_init__(self):
         """Refuse both and neither."""
-        if (self.stiffness is None) == (self.warp is None and self.weft is None):
-            raise InputError('needs either stiffness (N m) or warp and weft (N m), not both')
-        if self.stiffness is None and (self.warp is None or self.weft is None):
-            raise InputError('needs warp and weft (N m), and only one of them is given')
+        need_one_or_two(self.stiffness, (self.warp, self.weft), both='warp and weft (N m)',
+                        either='stiffness (N m) or warp and weft (N m)')
 
     @property
     def rigidity(self) -> tuple[float, float]:
@@ -454,8 +452,7 @@ def _rigidity_across(mesh, warp: float, weft: float) -> np.ndarray:
 
 
 def _room(count: int, width: int) -> Held:
-    return Held(np.zeros(1, np.int64), np.zeros((count, width), np.int64),
-                np.zeros(count, np.int64), np.zeros((count, width)))
+    return Held(*room_for(count, width), np.zeros((count, width)))
 
 
 class BuiltBend(Built):
@@ -477,11 +474,7 @@ class BuiltBend(Built):
 
     def hold(self, inv_mass):
         for part, constraints in zip(self.parts, self.lists):
-            found = np.flatnonzero((inv_mass[constraints.particles] == 0.0).any(1))
-            part.held.count[0] = len(found)
-            for column, numbers in zip(part.held[1:], (
-                    constraints.particles, constraints.index, constraints.weight)):
-                column[:len(found)] = numbers[found]
+            hold(part.held, constraints, inv_mass)
 
 
 EFFECT = Effect('bend', Parameters, BuiltBend)

@@ -18,10 +18,12 @@ import numpy as np
 
 from xpbd_ros.sim import distance
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.hinges import all_hinges, dihedral, slenderness
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import dot, length
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.update import release_forces
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class CrossBend(NamedTuple):
 @jit
 def prepare_cross_bend(bend, state, substep):
     """Zero the multipliers."""
-    distance.release_forces(bend.edges)
+    release_forces(bend.edges)
 
 
 @stage(project, CrossBend)
@@ -113,7 +115,7 @@ class BuiltCrossBend(Built):
         self.constraints = distance.Edges.of(self.data.edges)
 
     def hold(self, inv_mass):
-        distance.hold(self.data.edges.held, self.constraints, inv_mass)
+        hold(self.data.edges.held, self.constraints, inv_mass)
 
 
 EFFECT = Effect('cross_bend', Parameters, BuiltCrossBend)

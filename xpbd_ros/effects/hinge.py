@@ -25,10 +25,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
 from xpbd_ros.sim.angle import angle_of
-from xpbd_ros.sim.distance import release_forces, softest
-from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.distance import softest
+from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
+from xpbd_ros.sim.held import Held, hold, room_for
 from xpbd_ros.sim.hinges import all_hinges, dihedral, rigidity, slenderness
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
@@ -36,7 +36,7 @@ from xpbd_ros.sim.mesh import cross, dot, length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall
+from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
 from xpbd_ros.sim.vector import both, fma, lanes, load, nearest, root, select, store
 
 
@@ -53,26 +53,13 @@ class Parameters:
 
     def __post_init__(self):
         """Refuse both and neither."""
-        threads = (self.warp, self.weft)
-        if self.stiffness is None and None in threads or (
-                self.stiffness is not None and threads != (None, None)):
-            raise InputError('needs either stiffness, or warp and weft (N m)')
+        need_one_or_two(self.stiffness, (self.warp, self.weft), both='warp and weft (N m)',
+                        either='stiffness, or warp and weft (N m)')
 
     @property
     def rigidities(self) -> tuple[float, float]:
         """Along warp and along weft [N m]."""
         return (self.warp, self.weft) if self.stiffness is None else (self.stiffness,) * 2
-
-
-class Held(NamedTuple):
-    """The hinges at pinned particles, whose forces somebody asks for."""
-
-    count: np.ndarray
-    """shape (1,)"""
-    particles: np.ndarray
-    """slots, shape (room, 4)"""
-    index: np.ndarray
-    """where each keeps its force, shape (room,)"""
 
 
 class Hinge(NamedTuple):
@@ -277,17 +264,12 @@ class BuiltHinge(Built):
             padded(particles, order, world.slots - 1, np.int32).T.copy(), rest,
             padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype), angle,
             zeros(len(order), dtype) if world.forces else None,
-            Held(np.zeros(1, np.int64), np.zeros((len(order), 4), np.int64),
-                 np.zeros(len(order), np.int64)) if world.pins else None)
+            room_for(len(order), 4) if world.pins else None)
         self._before = angle.copy()
         self.constraints = Angles.of(self.data)
 
     def hold(self, inv_mass):
-        held, these = self.data.held, self.constraints
-        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
-        held.count[0] = len(found)
-        for column, numbers in zip(held[1:], (these.particles, these.index)):
-            column[:len(found)] = numbers[found]
+        hold(self.data.held, self.constraints, inv_mass)
 
     def begin(self, clock, state):
         self._before[:] = self.data.angle

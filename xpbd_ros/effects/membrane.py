@@ -34,15 +34,16 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.distance import release_forces, softest
+from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import hold, room_for
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot, length, Mesh
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall, row
+from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces, row
 from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
 
 
@@ -356,17 +357,11 @@ class BuiltMembrane(Built):
             padded(inverse, order, 0.0, dtype).T.copy(),
             padded(compliance, order, none, dtype).T.copy(),
             zeros((3, len(order)), dtype) if world.forces else None,
-            Held(np.zeros(1, np.int64), np.zeros((len(order), 3), np.int64),
-                 np.zeros(len(order), np.int64), np.zeros((len(order), 4)))
-            if world.pins else None)
+            Held(*room_for(len(order), 3), np.zeros((len(order), 4))) if world.pins else None)
         self.constraints = Triangles.of(self.data)
 
     def hold(self, inv_mass):
-        held, these = self.data.held, self.constraints
-        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
-        held.count[0] = len(found)
-        for column, numbers in zip(held[1:], (these.particles, these.index, these.inverse)):
-            column[:len(found)] = numbers[found]
+        hold(self.data.held, self.constraints, inv_mass)
 
 
 EFFECT = Effect('membrane', Parameters, BuiltMembrane)

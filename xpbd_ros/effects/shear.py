@@ -18,9 +18,11 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import distance
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.runs import grid_runs, join, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.update import release_forces
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class Shear(NamedTuple):
 @jit
 def prepare_shear(shear, state, substep):
     """Zero the multipliers."""
-    distance.release_forces(shear.edges)
+    release_forces(shear.edges)
 
 
 @stage(project, Shear)
@@ -91,7 +93,7 @@ class BuiltShear(Built):
         self.constraints = distance.Edges.of(self.data.edges)
 
     def hold(self, inv_mass):
-        distance.hold(self.data.edges.held, self.constraints, inv_mass)
+        hold(self.data.edges.held, self.constraints, inv_mass)
 
 
 EFFECT = Effect('shear', Parameters, BuiltShear)

@@ -26,6 +26,7 @@ from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import load_records, store_records, to_positions, to_records
 from xpbd_ros.sim.stages import prepare, react, stage, touch
+from xpbd_ros.sim.update import release_forces
 from xpbd_ros.sim.vector import both, fma, lanes, load, root, select, store
 
 
@@ -56,13 +57,7 @@ class StrainLimit(NamedTuple):
 @jit
 def prepare_limit(limit, state, substep):
     """Zero the forces."""
-    _zero(limit.force)
-
-
-@jit
-def _zero(force):    # Numba prunes a branch on None where that is an argument
-    if force is not None:
-        force[:] = 0.0
+    release_forces(limit)
 
 
 @stage(touch, StrainLimit)

@@ -20,13 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
 from xpbd_ros.sim import distance, lines
-from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
+from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import edge_areas
 from xpbd_ros.sim.runs import grid_runs, join, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, solve_lines, stage
+from xpbd_ros.sim.update import release_forces
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,8 @@ class Parameters:
 
     def __post_init__(self):
         """Refuse both and neither."""
-        if (self.compliance is None) == (self.warp is None and self.weft is None):
-            raise InputError('needs either warp and weft (N/m) or compliance (m/N), not both')
-        if self.compliance is None and (self.warp is None or self.weft is None):
-            raise InputError('needs warp and weft (N/m), and only one of them is given')
+        need_one_or_two(self.compliance, (self.warp, self.weft), both='warp and weft (N/m)',
+                        either='warp and weft (N/m) or compliance (m/N)')
 
 
 class Stretch(NamedTuple):
@@ -66,7 +65,7 @@ class MeshStretch(NamedTuple):
 @jit
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers."""
-    distance.release_forces(stretch.edges)
+    release_forces(stretch.edges)
 
 
 @stage(project, Stretch)
@@ -191,7 +190,7 @@ class BuiltStretch(Built):
 
     def hold(self, inv_mass):
         for part, edges in zip(self.parts, self.lists):
-            distance.hold(part.edges.held, edges, inv_mass)
+            hold(part.edges.held, edges, inv_mass)
 
 
 EFFECT = Effect('stretch', Parameters, BuiltStretch)

@@ -32,13 +32,14 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import hold, room_for
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall, row
+from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces, row
 from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
 
 SMALL = 8.0
@@ -104,13 +105,7 @@ class Volume(NamedTuple):
 @jit
 def prepare_volume(volume, state, substep):
     """Zero the multipliers."""
-    _zero(volume.force)
-
-
-@jit
-def _zero(force):    # Numba prunes a branch on None where that is an argument
-    if force is not None:
-        force[:] = 0.0
+    release_forces(volume)
 
 
 @stage(project, Volume)
@@ -380,16 +375,12 @@ class BuiltVolume(Built):
             padded(inverse, order, 0.0, dtype).T.copy(),
             padded(compliance, order, 1.0, dtype).T.copy(),
             zeros((2, count), dtype) if world.forces else None,
-            Held(np.zeros(1, np.int64), np.zeros((count, 4), np.int64), np.zeros(count, np.int64),
-                 np.zeros((count, 3, 3))) if world.pins else None, np.zeros((3, 3, 3)))
+            Held(*room_for(count, 4), np.zeros((count, 3, 3))) if world.pins else None,
+            np.zeros((3, 3, 3)))
         self.constraints = Tetrahedra.of(self.data)
 
     def hold(self, inv_mass):
-        these, held = self.constraints, self.data.held
-        found = np.flatnonzero((inv_mass[these.particles] == 0.0).any(1))
-        held.count[0] = len(found)
-        for column, numbers in zip(held[1:], (these.particles, these.index, these.inverse)):
-            column[:len(found)] = numbers[found]
+        hold(self.data.held, self.constraints, inv_mass)
 
 
 EFFECT = Effect('volume', Parameters, BuiltVolume)

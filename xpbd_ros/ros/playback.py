@@ -1,5 +1,7 @@
 """The inputs of a log as commands again, by the frame that they acted on."""
 
+from collections.abc import Callable
+
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import READERS, unpacked
@@ -8,9 +10,15 @@ from xpbd_ros.scene.load import parse_yaml
 from xpbd_ros.sim.commands import Command
 
 
-def commands_by_frame(run: str) -> dict[int, list[Command]]:
+def commands_by_frame(run: str, tell: Callable[[str], None] = lambda text: None
+                      ) -> dict[int, list[Command]]:
     """
     Return what a log's inputs asked for, in order.
+
+    Parameters
+    ----------
+    run : the log
+    tell : is given each damage of the log, whose inputs may then lack some
 
     Raises
     ------
@@ -22,6 +30,8 @@ def commands_by_frame(run: str) -> dict[int, list[Command]]:
         raise InputError(f'{reader.path}: is not a log of xpbd_ros: it holds no scene')
     scene = parse_yaml(reader.scene, f'{reader.path}: scene')
     frame_id = scene.get('frame_id', 'world') if isinstance(scene, dict) else 'world'
+    for text in reader.damage:
+        tell(text)
     inputs = {}
     for topic, about in reader.topics.items():
         kind, read = READERS.get(topic.rsplit('/', 1)[-1], (None, None))

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.held import room_for
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
@@ -236,29 +237,7 @@ def relaxation(world, cloth) -> float | None:
 
 def room(count: int) -> Held:
     """Return a list for as many edges as there are."""
-    return Held(np.zeros(1, np.int64), np.zeros((count, 2), np.int64), np.zeros(count, np.int64),
-                np.zeros(count), np.zeros(count))
-
-
-def hold(held: Held, edges: Edges, inv_mass: np.ndarray) -> None:
-    """List the edges that touch a pinned particle."""
-    found = np.flatnonzero((inv_mass[edges.particles] == 0.0).any(1))
-    held.count[0] = len(found)
-    for column, numbers in zip(held[1:], (edges.particles, edges.index, edges.rest_length,
-                                          edges.compliance)):
-        column[:len(found)] = numbers[found]
-
-
-@jit
-def release_forces(edges):
-    """Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4)."""
-    _zero(edges.force)
-
-
-@jit
-def _zero(force):    # Numba prunes a branch on None where that is an argument
-    if force is not None:
-        force[:] = 0.0
+    return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
 
 
 @jit(inline=True)

@@ -53,6 +53,15 @@ def check_static(static: float | None, friction: float) -> None:
                          f'(got {static:g})')
 
 
+def need_one_or_two(alone: float | None, pair: tuple[float | None, float | None], *, either: str,
+                    both: str) -> None:
+    """Refuse a value for all together with those of warp and weft, neither, and half of a pair."""
+    if (alone is None) == (pair == (None, None)):
+        raise InputError(f'needs either {either}, not both')
+    if alone is None and None in pair:
+        raise InputError(f'needs {both}, and only one of them is given')
+
+
 @dataclass(frozen=True, eq=False)
 class Cloth:
     """One cloth of a scene and where its particles are among all of them."""

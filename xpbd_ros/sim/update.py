@@ -18,7 +18,7 @@ from numba import types
 from numba.extending import overload
 import numpy as np
 
-from xpbd_ros.sim.jit import INNER
+from xpbd_ros.sim.jit import INNER, jit
 from xpbd_ros.sim.vector import fma, load, store
 
 
@@ -130,3 +130,15 @@ def _put(x, target, i, xi, step, d):
     if isinstance(target, types.NoneType):
         return lambda x, target, i, xi, step, d: store(x, i, fma(step, d, xi))
     return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
+
+
+@jit
+def release_forces(batch):
+    """Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4)."""
+    _zero(batch.force)
+
+
+@jit
+def _zero(force):    # Numba prunes a branch on None where that is an argument
+    if force is not None:
+        force[:] = 0.0
