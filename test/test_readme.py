@@ -74,6 +74,15 @@ def indented(heading: str) -> str:
     return re.sub('^    ', '', found, flags=re.M)
 
 
+def test_pin_example_says_what_pins_hold():
+    scene, more = yaml.safe_load(block('yaml')), yaml.safe_load(indented('Pins'))
+    effects = {**scene['effects'], **more['effects']}
+    simulation = compile_scene(scene_from_text(yaml.safe_dump(
+        {**scene, **more, 'effects': effects}), where='README', name='readme'))
+    assert simulation.effects['pin'].held['left'].slip == 3.0
+    assert simulation.effects['pin'].held['left'].compliance == 0.002
+
+
 def test_mesh_example_runs(tmp_path):
     vertices, triangles = disc()
     (tmp_path / 'shirt.obj').write_text(obj_text(100.0 * vertices, triangles))

@@ -6,7 +6,16 @@ from scipy.spatial.transform import Rotation
 from sim.small import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll, Twist
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+    Twist,
+)
 from xpbd_ros.sim.measure import momentum
 
 STRETCH = {'stretch': {'compliance': 1e-4}}
@@ -348,3 +357,123 @@ def test_a_pin_without_sense_is_refused(pins, text):
     with pytest.raises(InputError) as error:
         sheet(pins=pins)
     assert str(error.value) == f'small.yaml: {text}'
+
+
+COMPLIANCE = 0.01
+SOME = ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')
+SPRUNG = pytest.mark.parametrize('method, integrator', [pytest.param(
+    *setting, marks=[pytest.mark.slow] * (setting not in SOME)) for setting in SETTINGS])
+
+
+def on_spring(*, at='corner_00', slip=None, **options):
+    """Return a strip of 6.9 N that hangs from a pin that gives way, and may slip."""
+    slip = {} if slip is None else {'slip': slip}
+    return simulate((6, 1), (1.0, 1.0), pose={'orientation': DOWN}, density=0.7, effects={
+        'stretch': {'warp': 500.0, 'weft': 500.0}}, pins={'top': {
+            'cloth': 'c', 'at': at, 'compliance': COMPLIANCE, **slip}},
+        scene_effects={'damping': {'rate': 20.0}}, **options)
+
+
+@SPRUNG
+def test_a_pin_gives_way_by_its_compliance_for_each_newton(method, integrator):
+    """Exactly so at any setting: m g α; and the wrench is the weight, the particle's own in it."""
+    simulation = on_spring(method=method, integrator=integrator,
+                           substeps=20 if method == 'explicit' else 2)
+    frame = run_until_still(simulation, speed=1e-10)
+    weight = 0.7 * GRAVITY
+    assert frame.x[0, 2] == pytest.approx(-weight * COMPLIANCE, rel=1e-7)
+    np.testing.assert_allclose(frame.pins['top'].force, [0.0, 0.0, -weight], atol=1e-7 * weight)
+    assert frame.inv_mass.min() > 0.0
+
+
+def test_what_a_pin_holds_together_gives_way_together():
+    """Six particles share the weight, unevenly; the pin as a whole gives way by m g α."""
+    simulation = on_spring(at=list(range(6)))
+    frame = run_until_still(simulation, speed=1e-10)
+    start = simulation.natural(simulation._start)
+    lowered = simulation.state.mass[simulation.slot] @ (frame.x - start)[:, 2] / 0.7
+    assert (frame.x - start)[:, 2].mean() == pytest.approx(-0.7 * GRAVITY * COMPLIANCE, rel=1e-7)
+    assert lowered < 0.0
+    assert frame.pins['top'].force[2] == pytest.approx(-0.7 * GRAVITY, rel=1e-7)
+    simulation.step([Release('top')])
+    assert run(simulation, 5).x[0, 2] < frame.x[0, 2] - 0.01
+
+
+def lifted(slip, rise=4.0, mass=0.35):
+    """Yield frames of a particle that a pin lifts faster and faster, from the frame 20 on."""
+    simulation = simulate((1, 1), density=mass, effects=STRETCH, scene_effects={
+        'pin': {'slip': slip}, 'damping': {'rate': 0.0}})
+    frame = simulation.step([Grasp('hand', Pose(), 0.01)])
+    for k in range(2, 40):
+        yield simulation, frame
+        t = simulation.frame_dt * max(0, k - 20)
+        frame = simulation.step([MovePin('hand', Pose((0.0, 0.0, 0.5 * rise * t * t)))]
+                                if 'hand' in simulation.effects['pin'].held else [])
+
+
+def test_a_pin_slips_where_the_cloth_pulls_harder_and_not_below():
+    """F = m (g + a); it is said once, with the force."""
+    force = 0.35 * (GRAVITY + 4.0)
+    assert not any(frame.news for _, frame in lifted(1.001 * force))
+    frames = [(simulation, frame) for simulation, frame in lifted(0.999 * force)]
+    simulation = frames[-1][0]
+    (k,) = [k for k, (_, frame) in enumerate(frames) if frame.news]
+    assert 19 <= k <= 22
+    assert frames[k][1].news == (f"pin 'hand' slipped: the cloth pulled with {force:.3g} N, and "
+                                 f'it holds {0.999 * force:g} N',)
+    assert frames[k][1].pins['hand'].force[2] == pytest.approx(-force, rel=1e-6)
+    assert frames[k][1].inv_mass[0] > 0.0
+    assert all(dict(frame.pins) == {} for _, frame in frames[k + 1:])
+    assert simulation.stats()['pins_slipped'] == 1
+
+
+@pytest.mark.parametrize('share, slips', [(1.001, 0), (0.999, 1)])
+def test_a_pin_on_a_spring_slips_at_the_same_force(share, slips):
+    """Damped, so that the force rises to the weight and no further."""
+    simulation = simulate((1, 1), density=0.35, effects=STRETCH, pins={'a': {
+        'cloth': 'c', 'at': 'corner_00', 'compliance': COMPLIANCE,
+        'slip': share * 0.35 * GRAVITY}}, scene_effects={'damping': {'rate': 100.0}})
+    run(simulation, 400)
+    assert simulation.stats()['pins_slipped'] == slips
+
+
+def test_pins_of_a_scene_say_for_themselves_what_they_hold():
+    """Weight 6.9 N: one slips, and then the other; alike in every run, and anew after a reset."""
+    runs = []
+    for _ in range(2):
+        simulation = simulate((2, 1), density=0.7, effects=STRETCH, pins={
+            'a': {'cloth': 'c', 'at': 'corner_00', 'slip': 3.0},
+            'b': {'cloth': 'c', 'at': 'corner_01', 'compliance': 1e-4}},
+            scene_effects={'pin': {'slip': 5.0}, 'damping': {'rate': 0.0}}, substeps=20)
+        runs.append([(frame.news, simulation.hash()) for frame in (
+            simulation.step() for _ in range(40))])
+        assert simulation.stats()['pins_slipped'] == 2
+    assert runs[0] == runs[1]
+    said = [text.split(':')[0] for news, _ in runs[0] for text in news]
+    assert said == ["pin 'a' slipped", "pin 'b' slipped"]
+    frame = simulation.step([Reset()])
+    assert set(frame.pins) == {'a', 'b'}
+    assert simulation.stats()['pins_slipped'] <= 1
+
+
+def test_a_scene_without_them_has_no_springs():
+    simulation = sheet()
+    assert [type(data).__name__ for data in simulation.effects['pin'].parts] == ['Pin']
+
+
+def test_what_a_spring_holds_is_not_grasped_twice():
+    simulation = on_spring()
+    frame = simulation.step([Grasp('hand', Pose(), 0.01)])
+    assert len(frame.refused) == 1
+    simulation.step([Release('top')])
+    assert simulation.step([Grasp('hand', Pose(tuple(simulation.frame().x[0])), 0.01)
+                            ]).refused == ()
+
+
+def test_a_compliance_scale_is_one_of_pins_too():
+    simulation = on_spring(scale=2.0)
+    assert run_until_still(simulation, speed=1e-10).x[0, 2] == pytest.approx(
+        -0.7 * GRAVITY * 2.0 * COMPLIANCE, rel=1e-7)
+    assert simulation.step([SetKey('solver.compliance_scale', 1.0)]).refused == ()
+    assert run_until_still(simulation, speed=1e-10).x[0, 2] == pytest.approx(
+        -0.7 * GRAVITY * COMPLIANCE, rel=1e-7)

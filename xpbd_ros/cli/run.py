@@ -63,7 +63,7 @@ def run(arguments) -> int:
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
-    step_ms, refused = [], 0
+    step_ms, refused, notes = [], 0, [*simulation.notes]
     try:
         simulation.compile()
         begin = time.perf_counter()
@@ -73,6 +73,7 @@ def run(arguments) -> int:
                 frame = simulation.step(commands.get(index, ()))
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 refused += len(frame.refused)
+                notes += [f'frame {index}: {text}' for text in frame.news]
                 recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
                 if signals:
                     raise KeyboardInterrupt
@@ -86,7 +87,7 @@ def run(arguments) -> int:
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
         'refused': refused,
-        'notes': simulation.notes,
+        'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
     }
@@ -100,7 +101,7 @@ def run(arguments) -> int:
               f'({simulation.solver.reason})\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
-        for text in simulation.notes:
+        for text in notes:
             print(f'note     {text}')
         if refused:
             print(f'refused  {refused} commands')

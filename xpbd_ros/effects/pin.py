@@ -6,14 +6,28 @@ x = p + R q, where p, R is the pin's pose, interpolated between the frame's star
 its offset in the pin's axes, kept from the grasp. So it has a velocity, and turning the pin turns
 what it holds. A release gives the mass back.
 
+A pin with a compliance α holds each of its n particles by a spring of compliance n α to that
+place, so that all together give way by α for each newton. The spring is taken into the particle's
+own implicit step: with mobility m = w H², before any constraint moves it,
+
+    x += m / (m + n α) (p + R q - x),   m <- m n α / (m + n α),
+
+which is the exact minimum of both energies, and a rigid pin's m = 0 as α goes to 0.
+
+A pin with a slip force lets go at the end of a frame in which the cloth pulled harder than that.
+
 The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, f being the
 constraint forces (mean over the frame) and a the acceleration that the pin forces on them; the
-torque is about the pin's pose, world axes.
+torque is about the pin's pose, world axes. On a spring it is Σ f, the particles' weight in it.
 
 Limits: nothing stops a pin, neither cloth nor collider; its velocity changes where frames meet.
+What a pin with a compliance holds counts as free: colliders push it and tethers do not start
+there. Cloth does not slide in a pin: it is held or let go.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -25,15 +39,17 @@ from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
-from xpbd_ros.sim.stages import prepare, stage
+from xpbd_ros.sim.stages import finish, prepare, stage
 from xpbd_ros.sim.state import forget, places
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """How many pins there may be at a time."""
+    """How many pins there may be at a time, and what those are like that do not say it."""
 
     max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='capacity')
+    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='how far they give way')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which they let go')
 
 
 @dataclass(frozen=True)
@@ -48,6 +64,9 @@ class Entry:
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
     max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+    compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
+                                        doc='how far it gives way; 0 is rigid')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it lets go')
 
     def __post_init__(self):
         """Refuse what has no meaning."""
@@ -76,32 +95,81 @@ class Pin(NamedTuple):
     """pose at the frame's end, shape (max_pins, 7)"""
 
 
+class Spring(NamedTuple):
+    """What pins hold by springs."""
+
+    pin: Pin
+    """the particles, apart from those that are pinned"""
+    compliance: np.ndarray
+    """n α of each particle's spring [m/N], shape (particles,)"""
+    place: np.ndarray
+    """where the pin wants it at the substep's end [m], shape (particles, 3)"""
+    force: np.ndarray
+    """of each particle on its pin, mean over the frame [N], shape (particles, 3)"""
+
+
+@jit(inline=True)
+def place_of(pin, k, s):
+    """Return p + R q of a held particle, at a fraction s of the frame."""
+    a, b = pin.start[pin.slot[k]], pin.goal[pin.slot[k]]
+    qx, qy, qz, qw = interpolate((a[3], a[4], a[5], a[6]), (b[3], b[4], b[5], b[6]), s)
+    q = pin.offset[k]
+    rx, ry, rz = rotate(qx, qy, qz, qw, q[0], q[1], q[2])
+    return (a[0] + s * (b[0] - a[0]) + rx, a[1] + s * (b[1] - a[1]) + ry,
+            a[2] + s * (b[2] - a[2]) + rz)
+
+
 @stage(prepare, Pin)
 @jit
 def move_pinned(pin, state, substep):
     """Put every pinned particle where its pin is at the substep's end."""
     for k in range(pin.count[0]):
-        a, b = pin.start[pin.slot[k]], pin.goal[pin.slot[k]]
-        s = substep.end
-        qx, qy, qz, qw = interpolate((a[3], a[4], a[5], a[6]), (b[3], b[4], b[5], b[6]), s)
-        q = pin.offset[k]
-        rx, ry, rz = rotate(qx, qy, qz, qw, q[0], q[1], q[2])
         i = pin.particle[k]
-        state.x[0, i] = a[0] + s * (b[0] - a[0]) + rx
-        state.x[1, i] = a[1] + s * (b[1] - a[1]) + ry
-        state.x[2, i] = a[2] + s * (b[2] - a[2]) + rz
+        state.x[0, i], state.x[1, i], state.x[2, i] = place_of(pin, k, substep.end)
+
+
+@stage(prepare, Spring)
+@jit
+def pull_to_pins(spring, state, substep):
+    """Let the springs act within each particle's own step."""
+    pin, x = spring.pin, state.x
+    for k in range(pin.count[0]):
+        i, alpha = pin.particle[k], spring.compliance[k]
+        m = state.mobility[i]
+        share = m / (m + alpha)
+        goal = place_of(pin, k, substep.end)
+        for a in range(3):
+            spring.place[k, a] = goal[a]
+            x[a, i] += share * (goal[a] - x[a, i])
+        state.mobility[i] = m / (1.0 + m / alpha)    # also where α is infinite
+
+
+@stage(finish, Spring)
+@jit
+def weigh_springs(spring, state, substep):
+    """Add up what the springs are pulled with: (x - p - R q) / (n α)."""
+    pin, part = spring.pin, substep.end - substep.begin
+    for k in range(pin.count[0]):
+        i, per = pin.particle[k], part / spring.compliance[k]
+        for a in range(3):
+            spring.force[k, a] += per * (state.x[a, i] - spring.place[k, a])
 
 
 @dataclass
 class Held:
     """One pin that holds."""
 
+    name: str
     slot: int
     motion: Motion
     particles: np.ndarray
     """slots, shape (k,)"""
     offsets: np.ndarray
     """[m], in the pin's axes, shape (k, 3)"""
+    compliance: float = 0.0
+    """of the whole pin [m/N]; 0: its particles are pinned"""
+    slip: float | None = None
+    """force at which it lets go [N]"""
     expires_ns: int | None = None
     """when it lets go by itself"""
 
@@ -138,16 +206,23 @@ class BuiltPin(Built):
         self.number = np.zeros(count, np.int64)
         for cloth in world.cloths:
             self.number[cloth.slots] = np.arange(cloth.particles.start, cloth.particles.stop)
-        self.data = Pin(np.zeros(1, np.int64), np.zeros(count, np.int64),
-                        np.zeros(count, np.int64), np.zeros((count, 3)),
-                        np.zeros((slots, 7)), np.zeros((slots, 7)))
-        self.data.start[:, 6] = self.data.goal[:, 6] = 1.0
+        poses = np.zeros((slots, 7)), np.zeros((slots, 7))
+        poses[0][:, 6] = poses[1][:, 6] = 1.0
+        self.data = _room(count, poses)
+        self.usual = parameters
+        self.scale = world.compliance_scale
+        if parameters.compliance or any(entry.compliance for entry in self.entries.values()):
+            self.also = (Spring(_room(count, poses), np.ones(count), np.zeros((count, 3)),
+                                np.zeros((count, 3))),)
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
         self.states: dict[str, PinState] = {}
         self.changed = True
         """whether the pinned set is new since somebody last looked"""
+        self.slipped = 0
+        """how many pins have let go by themselves since the start"""
         self._v_before = np.zeros((0, 3))
+        self._news: list[str] = []
         self.commands = self._commands()
 
     def _commands(self):
@@ -157,11 +232,11 @@ class BuiltPin(Built):
     def reset(self, state, now_ns):
         for name in list(self.held):
             self._let_go(name, state)
-        self.states = {}
+        self.states, self.slipped = {}, 0
         self.free_slots.sort()
         for name, entry in self.entries.items():
             particles = self._chosen(name, entry, state.x)
-            particles = particles[state.inv_mass[particles] > 0.0]
+            particles = particles[~self._taken(state)[particles]]
             if not len(particles):
                 raise InputError(f'pins.{name}: other pins hold all that it names')
             point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
@@ -169,7 +244,7 @@ class BuiltPin(Built):
             if entry.motion is not None:
                 keyframes = monotone_cubic(entry.motion, now_ns * 1e-9)
                 point = keyframes(now_ns * 1e-9)
-            held = self._hold(name, particles, Pose(point), entry.max_speed, state, keyframes)
+            held = self._hold(name, particles, Pose(point), state, keyframes)
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)
 
@@ -194,14 +269,29 @@ class BuiltPin(Built):
                              'of particle numbers')
         return cloth.at(entry.at, f'pins.{name}.at')
 
-    def _hold(self, name, particles, pose, max_speed, state, keyframes=None) -> Held:
+    def _taken(self, state) -> np.ndarray:
+        """Return which slots hold a particle that a pin holds, or none."""
+        taken = state.inv_mass == 0.0
+        for spring in self.also:
+            taken[spring.pin.particle[:spring.pin.count[0]]] = True
+        return taken
+
+    def _hold(self, name, particles, pose, state, keyframes=None) -> Held:
+        entry = self.entries.get(name)
+        max_speed = (entry or Entry).max_speed
+        compliance, slip = (
+            usual if entry is None or own is None else own for usual, own in (
+                (self.usual.compliance, getattr(entry, 'compliance', None)),
+                (self.usual.slip, getattr(entry, 'slip', None))))
         offset = places(state.x, particles) - pose.position
         inverse = conjugate(pose.orientation)
         offset = np.array([rotate.py_func(*inverse, *q) for q in offset.tolist()])
         lever = max(float(length(offset).max()), 1e-6)
-        held = Held(self.free_slots.pop(0),
-                    Motion(pose, max_speed, keyframes=keyframes, lever=lever), particles, offset)
-        state.inv_mass[particles] = 0.0
+        held = Held(name, self.free_slots.pop(0),
+                    Motion(pose, max_speed, keyframes=keyframes, lever=lever), particles, offset,
+                    compliance, slip)
+        if not compliance:
+            state.inv_mass[particles] = 0.0
         forget(state, particles)
         self.held[name] = held
         self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
@@ -210,16 +300,24 @@ class BuiltPin(Built):
         return held
 
     def _changed(self) -> None:
-        """Write the pinned particles where the kernel finds them."""
-        k = 0
-        for held in self.held.values():
-            end = k + len(held.particles)
-            self.data.particle[k:end] = held.particles
-            self.data.slot[k:end] = held.slot
-            self.data.offset[k:end] = held.offsets
-            k = end
-        self.data.count[0] = k
+        """Write the held particles where the kernels find them."""
+        _write(self.data, self._pinned)
+        for spring in self.also:
+            _write(spring.pin, self._sprung)
+            k = 0
+            for held in self._sprung:
+                n = len(held.particles)
+                spring.compliance[k:k + n] = n * held.compliance * self.scale
+                k += n
         self.changed = True
+
+    @property
+    def _pinned(self) -> list[Held]:
+        return [held for held in self.held.values() if not held.compliance]
+
+    @property
+    def _sprung(self) -> list[Held]:
+        return [held for held in self.held.values() if held.compliance]
 
     def grasp(self, command, clock, state) -> str | None:
         """Hold the free particles near a point, or, if the pin holds already, go there."""
@@ -231,17 +329,13 @@ class BuiltPin(Built):
         if not self.free_slots:
             return f'all {len(self.data.start)} pins are in use (effects.pin.max_pins)'
         distance = length(places(state.x) - command.pose.position)
-        distance[state.inv_mass == 0.0] = np.inf
+        distance[self._taken(state)] = np.inf
         near = np.flatnonzero(distance <= command.radius)
         if not len(near):
             return (f"pin '{command.pin}': no free particle within {command.radius:g} m of "
                     f'{[round(c, 4) for c in command.pose.position]}; the nearest is '
                     f'{distance.min():.3g} m away')
-        entry = self.entries.get(command.pin)
-        held = self._hold(command.pin, near, command.pose,
-                          entry.max_speed if entry else Entry.__dataclass_fields__[
-                              'max_speed'].default, state)
-        held.expires_ns = expires
+        self._hold(command.pin, near, command.pose, state).expires_ns = expires
         return None
 
     def release(self, command, clock, state) -> str | None:
@@ -285,30 +379,79 @@ class BuiltPin(Built):
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
         self._v_before = places(state.v, pinned)
+        self.again()
+
+    def again(self):
+        for spring in self.also:
+            spring.force[:] = 0.0
 
     def end(self, clock, state):
         self.states = {}
+        for held, force in chain(self._on_pinned(clock, state), self._on_springs()):
+            motion, i = held.motion, held.particles
+            arm = places(state.x, i) - motion.pose.position
+            linear = np.subtract(motion.pose.position, motion.start.position) / clock.dt
+            self.states[held.name] = PinState(motion.pose, linear, force.sum(0),
+                                              cross(arm, force).sum(0), self.number[i],
+                                              motion.limited)
+        self.states = {name: self.states[name] for name in self.held}
+        for name, pin in self.states.items():
+            slip, force = self.held[name].slip, float(length(pin.force))
+            if slip is not None and force > slip:
+                self._let_go(name, state)
+                self.slipped += 1
+                self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
+                                  f'and it holds {slip:g} N')
+
+    def _on_pinned(self, clock, state) -> Iterator[tuple[Held, np.ndarray]]:
+        """Yield what pulls at the pins' own particles [N], shape (particles, 3)."""
         k = 0
-        for name, held in self.held.items():
+        for held in self._pinned:
             i = held.particles
             acceleration = (places(state.v, i) - self._v_before[k:k + len(i)]) / clock.dt
             k += len(i)
-            force = (places(state.reaction, i)
-                     + state.mass[i, None] * (state.gravity - acceleration))
-            arm = places(state.x, i) - held.motion.pose.position
-            linear = (np.subtract(held.motion.pose.position, held.motion.start.position)
-                      / clock.dt)
-            self.states[name] = PinState(held.motion.pose, linear, force.sum(0),
-                                         cross(arm, force).sum(0), self.number[i],
-                                         held.motion.limited)
+            yield held, (places(state.reaction, i)
+                         + state.mass[i, None] * (state.gravity - acceleration))
+
+    def _on_springs(self) -> Iterator[tuple[Held, np.ndarray]]:
+        """Yield what pulls at the springs [N], shape (particles, 3)."""
+        for spring in self.also:
+            k = 0
+            for held in self._sprung:
+                n = len(held.particles)
+                yield held, spring.force[k:k + n].copy()
+                k += n
+
+    def news(self):
+        self._news, news = [], self._news
+        return news
 
     def adopt(self, old):
+        scale = self.scale
         self.__dict__.update(old.__dict__)
-        self.commands = self._commands()
+        self.commands, self.scale = self._commands(), scale
+        self._changed()
 
     def stats(self):
-        return {'pins': len(self.held),
+        return {'pins': len(self.held), 'pins_slipped': self.slipped,
                 'pins_at_max_speed': sum(h.motion.limited for h in self.held.values())}
+
+
+def _room(count: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:
+    """Return a list for so many particles, none of them held."""
+    return Pin(np.zeros(1, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64),
+               np.zeros((count, 3)), *poses)
+
+
+def _write(pin: Pin, held: list[Held]) -> None:
+    """List what some pins hold."""
+    k = 0
+    for one in held:
+        end = k + len(one.particles)
+        pin.particle[k:end], pin.slot[k:end] = one.particles, one.slot
+        pin.offset[k:end] = one.offsets
+        k = end
+    pin.count[0] = k
 
 
 EFFECT = Effect('pin', Parameters, BuiltPin, entry=Entry)

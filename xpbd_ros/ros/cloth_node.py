@@ -299,6 +299,8 @@ class ClothNode(LifecycleNode):
         for command, reason in frame.refused:
             topic = TOPIC_OF.get(type(command), type(command).__name__)
             self.inbox.refuse(self.resolve_topic_name(f'~/{topic}'), reason)
+        for text in frame.news:
+            self.get_logger().warning(text)
         due = frame.index % self._publish_every == 0
         encoded = self.outputs.frame(frame, self._stamp_ns(frame)) if due else {}
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}

@@ -205,6 +205,10 @@ class Built:
         """Return what a user may want to know about the last frame."""
         return {}
 
+    def news(self) -> Sequence[str]:
+        """Return what a user must be told of the last frame, once."""
+        return ()
+
 
 @dataclass(frozen=True)
 class Effect:

@@ -55,6 +55,8 @@ class Frame:
     """what was asked and done before this frame"""
     refused: tuple[tuple[Command, str], ...] = ()
     """what was asked and not done, and why"""
+    news: tuple[str, ...] = ()
+    """what happened by itself in this frame and must be told"""
 
 
 class Simulation:
@@ -144,7 +146,8 @@ class Simulation:
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
-        return replace(self.frame(), applied=tuple(applied), refused=tuple(refused))
+        return replace(self.frame(), applied=tuple(applied), refused=tuple(refused), news=tuple(
+            text for built in self.effects.values() for text in built.news()))
 
     def _advance(self, substeps: int) -> None:
         self._step(self._tuple, self.state, self._method(), self.frame_dt, substeps)
