@@ -83,6 +83,14 @@ def test_pin_example_says_what_pins_hold():
     assert simulation.effects['pin'].held['left'].compliance == 0.002
 
 
+def test_seam_example_sews():
+    cloth = yaml.safe_load(block('yaml'))['cloths']['towel']
+    simulation = compile_scene(scene_from_text(yaml.safe_dump(
+        {'cloths': {'front': cloth, 'back': cloth}, **yaml.safe_load(indented('Seams'))}),
+        where='README', name='readme'))
+    assert len(simulation.effects['seam'].data.first) == 43 + 3
+
+
 def test_mesh_example_runs(tmp_path):
     vertices, triangles = disc()
     (tmp_path / 'shirt.obj').write_text(obj_text(100.0 * vertices, triangles))

@@ -67,6 +67,14 @@ def simulated(scene, overrides=None) -> list:
     return [simulation.frame(), *(simulation.step() for _ in range(15))]
 
 
+def test_a_pin_that_slips_is_told(scene, tmp_path, capsys):
+    assert main(['run', str(scene), '-o', str(tmp_path / 'out'), '--set',
+                 'pins.left.slip=0.01']) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if 'slipped' in line]
+    assert line.startswith("note     frame 1: pin 'left' slipped: the cloth pulled with 0.")
+    assert line.endswith(' N, and it holds 0.01 N')
+
+
 def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, tmp_path, capsys):
     whole, = done[1].glob('*.mcap')
     damaged = tmp_path / 'damaged.mcap'

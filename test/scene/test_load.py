@@ -18,7 +18,7 @@ cloths:
       stretch: {warp: 800.0, weft: 800.0}
 """
 TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, pins, '
-       'colliders)')
+       'colliders, seams)')
 
 
 def read(text, **options):

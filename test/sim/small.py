@@ -35,6 +35,7 @@ EXAMPLES = {
     'stretch': {'warp': 60.0, 'weft': 40.0},
     'strain_limit': {'max': 0.2},
     'tether': {'slack': 0.1},
+    'seam': {},
     'self_collision': {'thickness': 0.003},
     'contact': {'thickness': 0.005},
     'friction': {},

@@ -27,13 +27,14 @@ EFFECTS = {
     'stretch': 'cloth',
     'strain_limit': 'cloth',
     'tether': 'cloth',
+    'seam': 'scene',
     'self_collision': 'scene',
     'contact': 'scene',
     'friction': 'scene',
 }
 """name: what it belongs to"""
 
-SECTIONS = {'pins': 'pin', 'colliders': 'contact'}
+SECTIONS = {'pins': 'pin', 'colliders': 'contact', 'seams': 'seam'}
 """sections of a scene, and the effect that each belongs to"""
 
 

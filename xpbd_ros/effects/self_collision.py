@@ -19,14 +19,17 @@ falls and is carried freely.
 
 Limits: particles alone are tight only from a thickness of about their spacing on, and pass through
 faster than half of it per substep. What crosses at the start stays as it is or comes apart by
-itself. A strip of one row has no surface. What pins force through one another gets through. A stop
-before a plane takes momentum. The cost is linear in particles while edges are of like length.
+itself. Across a seam only what shares a particle is let be. A strip of one row has no surface.
+What pins force through one another gets through. A stop before a plane takes momentum. The cost is
+linear in particles while edges are of like length.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import DEPENETRATION
@@ -309,7 +312,8 @@ class BuiltSelfCollision(Built):
         count = sum(len(cloth.slots) for cloth in world.cloths)
         room = parameters.room * count
         self.data = SelfCollision(
-            np.array([parameters.thickness]), new_nearby(world.cloths, LISTED * room, surface),
+            np.array([parameters.thickness]), new_nearby(world.cloths, LISTED * room, surface,
+                                                         kin(world)),
             new_touches(room, 4 if surface else 2), None if not surface else Planes(
                 np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros(count)))
 
@@ -329,6 +333,19 @@ class BuiltSelfCollision(Built):
                 'self_searches': int(near.count[0]),
                 'self_without_room': int(near.count[1] + touches.count[1]),
                 'self_stopped': int(near.count[2])}
+
+
+def kin(world) -> np.ndarray | None:
+    """Number particles in natural order, those that are sewn together alike."""
+    seam = world.built.get('seam')
+    if seam is None or seam.data is None:
+        return None
+    slot = np.concatenate([cloth.slots for cloth in world.cloths])
+    number = np.zeros(world.slots, np.int64)
+    number[slot] = np.arange(len(slot))
+    pairs = number[seam.data.first], number[seam.data.second]
+    joined = coo_array((np.ones(len(pairs[0])), pairs), (len(slot), len(slot)))
+    return connected_components(joined, directed=False)[1].astype(np.int64)
 
 
 EFFECT = Effect('self_collision', Parameters, BuiltSelfCollision)

@@ -94,7 +94,8 @@ def _tuple(kinds: tuple, value: Any, path: str, metadata) -> tuple:
     if kinds[-1] is Ellipsis:
         return tuple(_value(kinds[0], v, f'{path}[{k}]', metadata) for k, v in enumerate(value))
     if len(value) != len(kinds):
-        raise InputError(f'{path}: must be {len(kinds)} numbers (got {len(value)})')
+        what = 'entries' if is_dataclass(kinds[0]) else 'numbers'
+        raise InputError(f'{path}: must be {len(kinds)} {what} (got {len(value)})')
     result = tuple(_value(k, v, f'{path}[{n}]', metadata)
                    for n, (k, v) in enumerate(zip(kinds, value)))
     if len(kinds) == 4:

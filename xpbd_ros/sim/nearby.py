@@ -81,9 +81,11 @@ class Nearby(NamedTuple):
     """of the particles"""
     surface: Surface | None
     """None where only particles are looked at"""
+    kin: np.ndarray | None
+    """the same number for particles that are sewn together, shape (particles,); None: none are"""
 
 
-def new_nearby(cloths, room: int, surface: bool) -> Nearby:
+def new_nearby(cloths, room: int, surface: bool, kin: np.ndarray | None = None) -> Nearby:
     """Return room for that many pairs of particles, or of what they span."""
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
     count, span = len(rest), None
@@ -103,13 +105,23 @@ def new_nearby(cloths, room: int, surface: bool) -> Nearby:
         rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count, 3)), np.zeros((count, 3)),
         np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(count), np.zeros(1),
         np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(room, np.int64),
-        np.zeros(room, np.int64), np.zeros(room), np.zeros(room), new_cells(count), span)
+        np.zeros(room, np.int64), np.zeros(room), np.zeros(room), new_cells(count), span,
+        kin)
 
 
 @jit(inline=True)
 def at(x, i):
     """Return row i of an array."""
     return x[i, 0], x[i, 1], x[i, 2]
+
+
+@jit(inline=True)
+def same(kin, a, b):
+    """Tell whether two particles are one, or sewn together."""
+    if kin is None:
+        return a == b
+    else:    # Numba prunes the branch that is not taken
+        return kin[a] == kin[b]
 
 
 @jit(inline=True)
@@ -251,7 +263,7 @@ def list_particles(near, thickness, margin):
         for f in range(look_up(near.cells, x, size, low, high, i + 1)):
             j = near.cells.found[f]
             distance = length(minus(at(x, i), at(x, j)))
-            if distance < size:
+            if distance < size and not same(near.kin, i, j):
                 keep = kept(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
                 if distance < keep + margin:
                     end = put(near, end, i, j, distance, keep)
@@ -289,7 +301,8 @@ def list_surface(near, surface, thickness, margin):
                 max(p[2], q[2], r[2]) + size)
         for f in range(look_up(near.cells, x, cell, low, high, 0)):
             v = near.cells.found[f]
-            if v != i and v != j and v != k and surface.outer[v]:
+            if surface.outer[v] and not (same(near.kin, v, i) or same(near.kin, v, j)
+                                         or same(near.kin, v, k)):
                 distance = length(way(TRIANGLES, x, v, i, j, k)[0])
                 if distance < size:
                     end = put(near, end, v, t, distance, -1.0)
@@ -304,7 +317,9 @@ def list_surface(near, surface, thickness, margin):
         for f in range(look_up(surface.cells, middle, cell, low, high, e + 1)):
             other = surface.cells.found[f]
             k, l = edges[other, 0], edges[other, 1]
-            if i in (k, l) or j in (k, l) or apart(p, q, at(x, k), at(x, l), size):
+            if apart(p, q, at(x, k), at(x, l), size) or (
+                    same(near.kin, i, k) or same(near.kin, i, l)
+                    or same(near.kin, j, k) or same(near.kin, j, l)):
                 continue
             distance = length(way(EDGES, x, i, j, k, l)[0])
             if distance < size:

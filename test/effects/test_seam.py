@@ -1,0 +1,162 @@
+"""Seams: what they join, how far they open, and what is refused."""
+
+import numpy as np
+import pytest
+from sim.shapes import disc, file_of
+from sim.small import DOWN, GRAVITY, run, run_until_still, SETTINGS
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.measure import angular_momentum, momentum
+
+COMPLIANCE = 0.004
+SOME = ('gauss_seidel', 'backward_euler'),
+METHODS = pytest.mark.parametrize('method, integrator', [pytest.param(
+    *setting, marks=[pytest.mark.slow] * (setting not in SOME)) for setting in SETTINGS])
+
+
+def scene(cloths, seams, *, pins=None, gravity=GRAVITY, substeps=4, damping=20.0, scale=1.0,
+          method='gauss_seidel', integrator='backward_euler', effects=None):
+    """Return cloths: name: (resolution, size, position) or a mesh; they hang warp down."""
+    return compile_scene(scene_from_mapping({
+        'gravity': [0.0, 0.0, -gravity], 'solver': {
+            'method': method, 'integrator': integrator, 'substeps': substeps,
+            'compliance_scale': scale},
+        'cloths': {name: {**({'grid': {'size': list(shape[1]), 'resolution': list(shape[0])},
+                              'pose': {'orientation': DOWN, 'position': list(shape[2])}}
+                             if isinstance(shape, tuple) else shape), 'density': 0.5,
+                          'effects': {'stretch': {'warp': 200.0, 'weft': 200.0}}}
+                   for name, shape in cloths.items()},
+        'seams': seams, 'pins': pins or {},
+        'effects': {'damping': {'rate': damping}, 'pin': {}, **(effects or {})},
+    }, where='small.yaml', name='small'))
+
+
+def seam(one='edge_x1', other='edge_x0', **more):
+    """Return a seam from cloth a to cloth b."""
+    return {'hem': {'between': [{'cloth': 'a', 'at': one}, {'cloth': 'b', 'at': other}], **more}}
+
+
+A, B = ((3, 4), (0.2, 0.3), (0.0, 0.0, 0.0)), ((3, 4), (0.2, 0.3), (0.0, 0.0, -0.2))
+TOP = {'top': {'cloth': 'a', 'at': 'edge_x0'}}
+
+
+def sides(simulation):
+    """Return both sides of a seam of A and B, shape (4, 3) each."""
+    x = simulation.frame().x.reshape(2, 4, 3, 3)
+    return x[0, :, -1], x[1, :, 0]
+
+
+@METHODS
+def test_a_rigid_seam_holds_what_hangs_on_it(method, integrator):
+    """It is closed at any setting, and its weight is on the pins; without it that falls."""
+    simulation = scene({'a': A, 'b': B}, seam(), pins=TOP, method=method, integrator=integrator,
+                       substeps=20 if method == 'explicit' else 4)
+    frame = run(simulation, 600)
+    one, other = sides(simulation)
+    np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(frame.pins['top'].force, [0.0, 0.0, -0.06 * GRAVITY], atol=1e-5)
+    torn = scene({'a': A, 'b': B}, {}, pins=TOP, method=method, integrator=integrator)
+    assert run(torn, 60).x[12:, 2].max() < -0.5
+
+
+@pytest.mark.parametrize('at', ['edge_x1', 'corner_01'])
+def test_a_seam_opens_by_its_compliance_for_each_newton(at):
+    """As a whole, however many pairs it has: m g α."""
+    simulation = scene({'a': A, 'b': B}, seam(at, at.replace('x1', 'x0').replace('01', '00'),
+                                              compliance=COMPLIANCE),
+                       pins={'all': {'cloth': 'a', 'at': list(range(12))}})
+    frame = run_until_still(simulation, speed=1e-11)
+    one, other = sides(simulation)
+    gaps = (one - other)[:1 if at.startswith('c') else None]
+    weight = 0.5 * 0.06 * GRAVITY
+    np.testing.assert_allclose(gaps.mean(0), [0.0, 0.0, weight * COMPLIANCE], atol=1e-7 * weight)
+    assert frame.pins['all'].force[2] == pytest.approx(-2.0 * weight, rel=1e-7)
+
+
+def test_a_seam_takes_a_live_compliance_and_the_scale():
+    simulation = scene({'a': A, 'b': B}, seam(compliance=COMPLIANCE), scale=3.0,
+                       pins={'all': {'cloth': 'a', 'at': list(range(12))}})
+    for key, value, opens in (('seams.hem.compliance', COMPLIANCE, 3.0),
+                              ('solver.compliance_scale', 1.0, 1.0),
+                              ('seams.hem.compliance', 2.0 * COMPLIANCE, 2.0)):
+        assert simulation.step([SetKey(key, value)]).refused == ()
+        run_until_still(simulation, speed=1e-11)
+        one, other = sides(simulation)
+        assert (one - other)[:, 2].mean() == pytest.approx(
+            opens * 0.03 * GRAVITY * COMPLIANCE, rel=1e-6)
+
+
+@pytest.mark.parametrize('compliance', [0.0, COMPLIANCE])
+def test_a_seam_keeps_momentum(compliance):
+    simulation = scene({'a': A, 'b': B}, seam(compliance=compliance), gravity=0.0, damping=0.0)
+    state, slots = simulation.state, simulation.cloths[1].slots
+    state.v[:, slots] = np.array([[0.3], [0.2], [-0.5]])
+    before = momentum(state), angular_momentum(state)
+    run(simulation, 30)
+    np.testing.assert_allclose(momentum(state), before[0], atol=1e-14)
+    assert np.linalg.norm(state.v[:, simulation.cloths[0].slots].mean(1)) > 0.1
+    if compliance == 0.0:
+        one, other = sides(simulation)
+        np.testing.assert_allclose(one, other, atol=1e-15)
+
+
+def test_a_seam_that_starts_open_closes_slowly():
+    """A tube of one cloth: its edges are 0.3 m apart at first."""
+    simulation = scene({'a': ((4, 9), (0.2, 0.3), (0.0, 0.0, 0.0))},
+                       {'tube': {'between': [{'cloth': 'a', 'at': 'edge_0x'},
+                                             {'cloth': 'a', 'at': 'edge_1x'}]}},
+                       gravity=0.0, damping=5.0)
+    gaps = [0.3]
+    for _ in range(60):
+        x = simulation.step().x.reshape(9, 4, 3)
+        gaps.append(np.linalg.norm(x[0] - x[-1], axis=1).max())
+    assert gaps[1] == pytest.approx(0.3 - 1.0 / 60.0)    # then it is the cloth that pulls
+    assert max(a - b for a, b in zip(gaps, gaps[1:])) < 5.0 / 60.0
+    assert gaps[-1] < 1e-15
+
+
+@pytest.mark.slow
+def test_particles_are_matched_in_the_order_given_on_meshes_too():
+    """The rim of a disc, sewn on backwards."""
+    points, triangles = disc(1)
+    simulation = scene({'a': A, 'b': {'mesh': {'file': file_of(points, triangles)}}},
+                       seam([2, 0, 7], [5, 1, 3]), gravity=0.0)
+    run(simulation, 120)
+    x = simulation.frame().x
+    np.testing.assert_allclose(x[[2, 0, 7]], x[12 + np.array([5, 1, 3])], atol=1e-15)
+
+
+@pytest.mark.slow
+def test_cloth_that_keeps_off_itself_lets_its_seams_be():
+    """A seam and self-collision do not work against one another."""
+    simulation = scene({'a': A, 'b': B}, seam(), pins=TOP, effects={
+        'self_collision': {'thickness': 0.02}})
+    run_until_still(simulation, speed=1e-6)
+    one, other = sides(simulation)
+    np.testing.assert_allclose(one, other, atol=1e-15)
+    assert simulation.stats()['self_contacts'] == 0
+
+
+@pytest.mark.parametrize('seams, message', [
+    (seam('edge_x1', 'edge_0x'), 'seams.hem: its sides must have as many particles each '
+     '(got 4 and 3)'),
+    (seam('edge_11'), "seams.hem.between[0]: at: unknown place 'edge_11' (known: corner_00, "),
+    (seam([0, 12], [0, 1]), 'seams.hem.between[0].at: indices must be from 0 to 11 '),
+    (seam([1, 1], [0, 1]), 'seams.hem.between[0].at: names a particle twice'),
+    (seam(compliance=-1.0), 'seams.hem.compliance: must be at least 0 m/N (got -1.0)'),
+    ({'hem': {'between': [{'cloth': 'a', 'at': 'edge_x1'}]}},
+     'seams.hem.between: must be 2 entries (got 1)'),
+    ({'hem': {'between': [{'cloth': 'a', 'at': 'edge_x1'}, {'cloth': 'c', 'at': 'edge_x1'}]}},
+     "seams.hem.between[1].cloth: unknown cloth 'c' (known: a, b)"),
+    ({'hem': {'between': 2 * [{'cloth': 'a', 'at': 'edge_x1'}]}},
+     'seams.hem: sews a particle to itself'),
+    ({'hem': {'from': 'a'}}, 'seams.hem.from: unknown key; (known: between, compliance)'),
+    ({'hem': {}}, 'seams.hem.between: missing'),
+])
+def test_what_cannot_be_sewn_is_refused(seams, message):
+    with pytest.raises(InputError) as error:
+        scene({'a': A, 'b': B}, seams)
+    assert str(error.value).startswith(f'small.yaml: {message}')

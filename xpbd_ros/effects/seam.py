@@ -1,0 +1,161 @@
+"""
+Seam: pairs of particles, of two cloths or of one, sewn together, rigidly or with give.
+
+C = x1 - x2 in R³, gradients 1 and -1, so with mobilities m = w H² and a 3-vector f = λ / H²
+
+    Δf = -(C + α f) / (m1 + m2 + α),   x1 += m1 Δf,   x2 -= m2 Δf.
+
+The two sides are matched particle by particle, in their order. A seam of n pairs with a
+``compliance`` opens by that for each newton that pulls at all of it evenly: each pair has α = n
+times as much. Seams come last in each iteration, after all that is elastic and before contact, so
+they are closed, or stretched by their force, when a substep ends.
+
+A rigid seam whose sides start apart is drawn together by CLOSING: until then C is only what |C|
+exceeds a gap by that shrinks so fast.
+
+Limits: points are sewn, not surfaces, so sides of different lengths gather. Sides have as many
+particles each. A pass mends a pair after another, so a heavy cloth that hangs on one pair wants
+substeps.
+"""
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.distance import softest
+from xpbd_ros.sim.effect import Built, check_place, Cloth, Effect, quantity
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.stages import prepare, react, stage, touch
+
+CLOSING = 1.0
+"""how fast a rigid seam that is open closes [m/s]"""
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Nothing: what is sewn says the scene's ``seams``."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side of a seam."""
+
+    cloth: str = quantity(doc='the cloth that it is of')
+    at: str | tuple[int, ...] = quantity(doc='corner_00 …, edge_0x …, or indices in order')
+
+    def __post_init__(self):
+        """Refuse a place that no cloth has."""
+        check_place(self.at)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the scene's ``seams``."""
+
+    between: tuple[Side, Side] = quantity(doc='the two sides')
+    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, live=True,
+                                 doc='how far the whole of it opens; 0 is rigid')
+
+
+class Seam(NamedTuple):
+    """Data of the kernels: all pairs of all seams, in the scene's order."""
+
+    first: np.ndarray
+    """slot, shape (pairs,)"""
+    second: np.ndarray
+    """slot, shape (pairs,)"""
+    compliance: np.ndarray
+    """α [m/N], shape (pairs,)"""
+    force: np.ndarray
+    """f on the first of each pair [N], shape (pairs, 3)"""
+
+
+@stage(prepare, Seam)
+@jit
+def prepare_seams(seam, state, substep):
+    """Zero the multipliers."""
+    seam.force[:] = 0.0
+
+
+@stage(touch, Seam)
+@jit
+def sew(seam, state, substep):
+    """Draw each pair together, one after another."""
+    x, before, f = state.x, state.x_prev, seam.force
+    for p in range(len(seam.first)):
+        i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
+        m, n = state.mobility[i], state.mobility[j]
+        if m + n == 0.0:
+            continue
+        dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+        part = -1.0 / (m + n + alpha)
+        if alpha == 0.0:
+            gap = sqrt((before[0, i] - before[0, j])**2 + (before[1, i] - before[1, j])**2
+                       + (before[2, i] - before[2, j])**2) - CLOSING * substep.h
+            if gap > 0.0:
+                part *= max(0.0, 1.0 - gap / sqrt(dx * dx + dy * dy + dz * dz))
+        for a, d in enumerate((dx, dy, dz)):
+            df = part * (d + alpha * f[p, a])
+            f[p, a] += df
+            x[a, i] += m * df
+            x[a, j] -= n * df
+
+
+@stage(react, Seam)
+@jit
+def react_seams(seam, state, substep):
+    """Forces on pinned particles."""
+    part, w = substep.end - substep.begin, state.inv_mass
+    for p in range(len(seam.first)):
+        i, j = seam.first[p], seam.second[p]
+        if w[i] == 0.0 or w[j] == 0.0:
+            for a in range(3):
+                state.reaction[a, i] += part * seam.force[p, a]
+                state.reaction[a, j] -= part * seam.force[p, a]
+
+
+class BuiltSeam(Built):
+    """The seams of a scene."""
+
+    def __init__(self, parameters: Parameters, world):
+        super().__init__()
+        cloths = {cloth.name: cloth for cloth in world.cloths}
+        first, second, compliance = [], [], []
+        for name, entry in world.sections.get('seams', {}).items():
+            one, other = (side_of(cloths, side, f'seams.{name}.between[{k}]')
+                          for k, side in enumerate(entry.between))
+            if len(one) != len(other):
+                raise InputError(f'seams.{name}: its sides must have as many particles each '
+                                 f'(got {len(one)} and {len(other)})')
+            if (one == other).any():
+                raise InputError(f'seams.{name}: sews a particle to itself')
+            first.append(one)
+            second.append(other)
+            compliance.append(np.full(len(one), min(
+                len(one) * entry.compliance * world.compliance_scale,
+                softest(world.state.x.dtype))))
+        self.names = tuple(world.sections.get('seams', {}))
+        self.data = None
+        if first:
+            self.data = Seam(*map(np.concatenate, (first, second, compliance)),
+                             np.zeros((sum(map(len, first)), 3)))
+
+
+def side_of(cloths: dict[str, Cloth], side: Side, path: str) -> np.ndarray:
+    """Return the slots of one side, in its order."""
+    if side.cloth not in cloths:
+        raise InputError(f"{path}.cloth: unknown cloth '{side.cloth}' "
+                         f'(known: {", ".join(cloths)})')
+    cloth = cloths[side.cloth]
+    slots = cloth.at(side.at, f'{path}.at')
+    if isinstance(side.at, str):
+        return slots
+    if len(slots) != len(side.at):
+        raise InputError(f'{path}.at: names a particle twice')
+    return cloth.slots[list(side.at)]    # not sorted
+
+
+EFFECT = Effect('seam', Parameters, BuiltSeam, entry=Entry)
