@@ -59,8 +59,8 @@ def test_the_rows_add_up_to_the_whole(found):
 def test_a_shared_array_counts_once():
     a = np.zeros(10)
     seen = set()
-    assert measure._bytes((a, (a, np.zeros(3, np.float32), None)), seen) == 92
-    assert measure._bytes((a,), seen) == 0
+    assert measure.array_bytes((a, (a, np.zeros(3, np.float32), None)), seen) == 92
+    assert measure.array_bytes((a,), seen) == 0
 
 
 DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,

@@ -153,7 +153,7 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
         built = simulation.effects[name]
         mine, listed = np.array([one == name for one in owner]), built.constraints
         effects.append(row(name, times[:-1][mine].sum(), spreads[:-1][mine].sum(),
-                           bytes=_bytes(parts_of(built), seen),
+                           bytes=array_bytes(parts_of(built), seen),
                            constraints=0 if listed is None else len(listed.particles),
                            kernels=_in_code(name, text)))
     rest = inside - times.sum()
@@ -163,7 +163,7 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
                           row('rest', rest, inside_spread)],
                 1e-6 * frame, 1e-6 * total_spread * simulation.solver.substeps,
                 len(simulation.slot), whole.shape[1], simulation.solver.substeps,
-                _bytes(simulation.state, seen))
+                array_bytes(simulation.state, seen))
 
 
 def _mean(rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -183,10 +183,10 @@ def _mangled(name: str) -> str:
     return f'{len(name)}{name}B'
 
 
-def _bytes(data, seen: set[int]) -> int:
+def array_bytes(data, seen: set[int]) -> int:
     """Return the bytes of all arrays in nested tuples that were not seen before."""
     if isinstance(data, np.ndarray):
         new = data.ctypes.data not in seen
         seen.add(data.ctypes.data)
         return data.nbytes if new else 0
-    return sum(_bytes(item, seen) for item in data) if isinstance(data, tuple) else 0
+    return sum(array_bytes(item, seen) for item in data) if isinstance(data, tuple) else 0

@@ -1,0 +1,208 @@
+"""
+Error against time for a scene, and the setting to take.
+
+The scene runs under a ladder of methods, integrators, substeps, iterations and precisions; each
+run is compared with the independent solver's answer, or with our own limit for dt → 0, then timed
+alone. Recommended is the most accurate setting within --budget, or the cheapest within
+--max-error; the exit code is 1 where no setting gives what was asked. Into the output folder go a
+settings file for 'run --settings' and the node, a CSV, a picture and a report. A study that was
+interrupted goes on with the same -o; a finished one answers other questions at once.
+"""
+
+import math
+import os
+from pathlib import Path
+import signal
+import sys
+
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, STDOUT, write_json
+from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.ros import commands_of
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
+
+EXAMPLE = 'xpbd_ros accuracy swing --budget 4 -o swing_accuracy'
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
+    parser.add_argument('--budget', type=float, metavar='MS',
+                        help="CPU time of a frame (95th percentile); the scene's budget_ms, or "
+                             'half a frame, unless given')
+    parser.add_argument('--max-error', type=float, metavar='M',
+                        help='take the cheapest setting with no larger error')
+    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+    parser.add_argument('-o', '--output', metavar='DIR',
+                        help='folder of what is found; new, or of the same study to go on with')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help="simulated seconds, instead of the scene's")
+    parser.add_argument('--times', metavar='S,S,…',
+                        help='when positions are compared; as far as trajectories can be, unless '
+                             'given')
+    parser.add_argument('--methods', metavar='NAME,…', help='only these methods')
+    parser.add_argument('--by', choices=('position', 'shape'),
+                        help='judge settings by positions, or by means of the shape')
+    parser.add_argument('--baselines', action='store_true',
+                        help='draw PBD, textbook XPBD, decayed multipliers and mass-spring beside')
+    parser.add_argument('--jobs', type=int, metavar='N',
+                        help='processes that errors are found in (all cores); timings have one')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
+                        help='override one key of the scene')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Study the scene, choose, and write what was found."""
+    from xpbd_ros.cli.run import count_frames, parse_keys
+    from xpbd_ros.scene.load import load_scene
+    for name, value in (('--budget', arguments.budget), ('--max-error', arguments.max_error)):
+        if value is not None and not (value > 0.0 and math.isfinite(value)):
+            unit = 'ms' if name == '--budget' else 'm'
+            raise InputError(f'{name}: must be > 0 {unit} (got {value:g})')
+    overrides = parse_keys(arguments.keys)
+    if arguments.duration is not None:
+        overrides['duration'] = arguments.duration
+    refuse_existing(arguments.json)
+    scene = load_scene(arguments.scene, overrides)
+    frames = count_frames(scene)
+    times = frames_of(arguments.times, scene, frames)
+    methods = methods_of(arguments.methods)
+    jobs = (os.cpu_count() or 1) if arguments.jobs is None else arguments.jobs
+    if jobs < 1:
+        raise InputError(f'--jobs: must be >= 1 (got {jobs})')
+    commands = commands_of('accuracy', arguments.commands) if arguments.commands else {}
+    folder = Path(arguments.output) if arguments.output else fresh_folder('accuracy')
+    from xpbd_ros.study.accuracy import study
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        found = study(scene, frames, folder, times=times, commands=commands, methods=methods,
+                      baselines=arguments.baselines, by=arguments.by, processes=jobs,
+                      progress=progress)
+        return tell(arguments, found, folder, commands)
+    except KeyboardInterrupt:
+        print(f'xpbd_ros accuracy: interrupted; the same command with -o {folder} goes on',
+              file=sys.stderr)
+        return 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def frames_of(times: str | None, scene, frames: int) -> list[int]:
+    """Return the frames that times are at."""
+    found = []
+    for text in (times or '').split(',') if times is not None else ():
+        try:
+            time = float(text)
+        except ValueError:
+            time = math.nan
+        frame = round(time * scene.top.frame_rate) if math.isfinite(time) else 0
+        if not 1 <= frame <= frames:
+            raise InputError(f'--times: must be from a frame ({1.0 / scene.top.frame_rate:.3g} s) '
+                             f'to the duration, {scene.top.duration:g} s (got {text.strip()!r})')
+        found.append(frame)
+    return sorted(set(found))
+
+
+def methods_of(names: str | None) -> tuple[str, ...]:
+    """Return the methods that are named."""
+    from xpbd_ros.scene.read import unknown
+    from xpbd_ros.study.accuracy.setting import METHODS
+    if names is None:
+        return METHODS
+    found = tuple(dict.fromkeys(name.strip() for name in names.split(',')))
+    for name in found:
+        if name not in METHODS:
+            raise InputError(f'--methods {name}: {unknown(name, METHODS, "method")}')
+    return found
+
+
+def tell(arguments, found, folder: Path, commands: dict) -> int:
+    """Choose a setting, run it again, write all files and print what matters."""
+    from xpbd_ros.scene.load import settings_overrides
+    from xpbd_ros.study.accuracy.choose import recommend, Row
+    from xpbd_ros.study.accuracy.measure import again
+    from xpbd_ros.study.accuracy.picture import draw
+    from xpbd_ros.study.accuracy.report import (
+        facts,
+        numbers_of,
+        settings_text,
+        write_csv,
+        write_page,
+    )
+    asked, drawn = budgets(arguments, found)
+    chosen = recommend(found.rows, found.by, budget=asked, max_error=arguments.max_error,
+                       floor=found.floor)
+    settings, rerun, recommended = '', None, None
+    file = folder / 'settings.yaml'
+    file.unlink(missing_ok=True)
+    if chosen is not None:
+        settings = settings_text(found, chosen)
+        file.write_text(settings, encoding='utf-8')
+        keys = {key.removeprefix('solver.'): value
+                for key, value in settings_overrides(str(file)).items()}
+        rerun = again(found.scene, found.truth, found.frames, commands, keys)
+        row = Row(chosen.setting, *rerun)
+        recommended = {**numbers_of(chosen, found.by), 'file': file,
+                       'rerun': {'error_m': row.error(found.by), 'ms_p50': row.timing.ms_p50,
+                                 'ms_p95': row.timing.ms_p95}}
+    picture = draw(found, folder / 'accuracy.png', chosen=chosen, budget=drawn)
+    said = facts(found, chosen, asked, arguments.max_error, rerun)
+    table = write_csv(found, folder / 'accuracy.csv')
+    page = write_page(found, folder / 'accuracy.html', picture, said, chosen, settings)
+    truth = found.truth
+    numbers = {
+        'scene': found.scene.where, 'machine': found.machine, 'particles': found.particles,
+        'frames': found.frames, 'frame_ms': 1e3 * found.frame_dt,
+        'settings': [numbers_of(one, found.by) for one in found.rows],
+        'refused': [vars(one) for one in found.refused],
+        'reference': {'kind': truth.kind, 'text': truth.text,
+                      'times_s': [float(f) * found.frame_dt for f in truth.frames],
+                      'uncertainty_m': truth.uncertainty, 'own_limit_apart_m': truth.apart,
+                      'horizon_s': truth.horizon * found.frame_dt, 'floor_m': found.floor},
+        'by': found.by, 'error': found.what, 'notes': found.notes,
+        'budget_ms': asked, 'max_error_m': arguments.max_error, 'recommended': recommended,
+        'pictures': [picture], 'report': page, 'csv': table,
+    }
+    (folder / 'accuracy.json').unlink(missing_ok=True)
+    for destination in (str(folder / 'accuracy.json'), arguments.json):
+        write_json(destination, numbers)
+    if arguments.json != STDOUT:
+        print('\n'.join([*(f'{name:<10} {text}' for name, text in said), '',
+                         *lines(found, chosen, drawn), '', f'report     {page.absolute()}',
+                         *([f'settings   {file.absolute()}'] if chosen is not None else [])]))
+    return 0 if chosen is not None else 1
+
+
+def budgets(arguments, found) -> tuple[float | None, float]:
+    """Return the time that was asked for, None where an error was; and the one to draw."""
+    usual = (found.scene.raw.get('solver') or {}).get('budget_ms', 500.0 * found.frame_dt)
+    if arguments.budget is None and arguments.max_error is not None:
+        return None, usual
+    return arguments.budget or usual, arguments.budget or usual
+
+
+def lines(found, chosen, budget: float) -> list[str]:
+    """Return the front, the scene's own setting, the best of each curve, and what failed."""
+    from xpbd_ros.study.accuracy.picture import within
+    from xpbd_ros.study.accuracy.report import cells, heads, name_of
+    best = list(within(found.rows, found.by, budget).values())
+    shown = [row for row in found.rows if row.timing is not None and (
+        row.pareto or row.scene or row is chosen or row in best)]
+    shown.sort(key=lambda row: row.timing.ms_p50)
+    widths = (44, 7, 7, 12, 7, 9, 8, 8, 10, 12, 12, 0)
+
+    def line(mark: str, row) -> str:
+        first, *others = (cell.rjust(width) if k else cell.ljust(width)
+                          for k, (cell, width) in enumerate(zip(row, widths)))
+        return f'{mark} {first}{" ".join(["", *others])}'.rstrip()
+
+    text = [line('  ', heads(found.by))]
+    for row in shown:
+        mark = '->' if row is chosen else ' *' if row.pareto else '  '
+        text.append(line(mark, cells(row, found.by)))
+    text.append(f'  * on the Pareto front; all {len(found.rows)} settings are in the report')
+    for row in found.rows:
+        if not row.errors.finite:
+            text.append(f'  left out: {name_of(row.setting)}: {row.errors.note}')
+    return text + [f'  left out: {one.method}: {one.reason}' for one in found.refused]

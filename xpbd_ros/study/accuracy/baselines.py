@@ -1,0 +1,195 @@
+"""
+Schemes that others use, or that are known to be wrong, to be drawn beside ours; for studies only.
+
+Written apart from the simulation, as a textbook has them: one constraint after another, scalar
+code, on the plain arrays of the reference solver's problem (edges, hinges, pins, damping).
+
+``pbd``  position-based dynamics (Müller et al. 2006), one step per frame: each iteration takes a
+share of every residual back, as much as one projection of XPBD (of stiff edges nearly all: α = 0),
+and forgets it. Its stiffness depends on time step and iterations.
+``textbook_xpbd``  XPBD (Macklin et al. 2016) as printed there: Gauss-Seidel, one step per frame.
+``decayed_multiplier``  XPBD that starts each substep with 0.95 of the last multipliers.
+``mass_spring``  springs and point masses by symplectic Euler.
+"""
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from numba import njit
+import numpy as np
+
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.reference import problem_of
+
+SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}
+KEPT = 0.95
+"""of the last multipliers, where they decay"""
+
+
+@dataclass(eq=False)
+class BaselineFrame:
+    """Positions of one frame."""
+
+    x: np.ndarray
+    """[m], shape (particles, 3)"""
+
+
+class Baseline:
+    """A scene solved by one of these; it steps like a simulation, and takes no inputs."""
+
+    def __init__(self, simulation: Simulation, setting: Setting):
+        problem = problem_of(simulation)
+        self._simulation, self._problem, self._setting = simulation, problem, setting
+        self.frame_dt, self.cloths, self.slot = (
+            simulation.frame_dt, simulation.cloths, simulation.slot)
+        self.index = 0
+        self._x, self._v = problem.x.copy(), problem.v.copy()
+        self._w = np.where(problem.pinned, 0.0, 1.0 / problem.mass)
+        self._pinned = np.flatnonzero(problem.pinned)
+        self._multiplier = np.zeros(len(problem.edges))
+        self._moment = np.zeros((len(problem.bends), 3))
+        self.effects = MappingProxyType(simulation.effects)
+
+    @property
+    def bytes(self) -> int:
+        """Of all arrays that it computes with."""
+        p = self._problem
+        return sum(array.nbytes for array in (
+            self._x, self._v, self._w, self._multiplier, self._moment, p.edges, p.rest_length,
+            p.stiffness, p.bends, p.weight, p.bend_stiffness))
+
+    def frame(self) -> BaselineFrame:
+        """Return the present positions."""
+        return BaselineFrame(self._x)
+
+    @property
+    def state(self):
+        """The state of the simulation, with our positions in it."""
+        state, slot = self._simulation.state, self._simulation.slot
+        state.x[:, slot], state.v[:, slot] = self._x.T, self._v.T
+        return state
+
+    def stats(self) -> dict:
+        """Return nothing: a baseline has nothing to say."""
+        return {}
+
+    def compile(self) -> None:
+        """Compile; nothing moves."""
+        self._advance(0)
+
+    def step(self, commands=()) -> BaselineFrame:
+        """Advance by one frame."""
+        self._advance(self._setting.substeps)
+        self.index += 1
+        return self.frame()
+
+    def _advance(self, substeps: int) -> None:
+        p, s = self._problem, self._setting
+        h = self.frame_dt / max(s.substeps, 1)
+        path = np.empty((substeps, len(self._pinned), 3))
+        if len(self._pinned):
+            for n in range(substeps):
+                path[n] = p.at(self.index * self.frame_dt + (n + 1) * h)
+        _advance(SCHEMES[s.method], self._x, self._v, self._w, p.gravity, p.damping, p.edges,
+                 p.rest_length, p.stiffness, p.bends, p.weight, p.bend_stiffness,
+                 self._multiplier, self._moment, self._pinned, path, h, substeps, s.iterations)
+
+
+@njit(nogil=True, error_model='numpy')
+def _advance(scheme, x, v, w, gravity, damping, edges, rest, stiffness, bends, weight,
+             bend_stiffness, multiplier, moment, pinned, path, h, substeps, iterations):
+    """Advance x and v in place by some substeps of length h."""
+    kept = np.exp(-damping * h)
+    before = np.empty_like(x)
+    for n in range(substeps):
+        before[:] = x
+        if scheme == 3:
+            _kick(x, v, w, edges, rest, stiffness, bends, weight, bend_stiffness, h)
+        for i in range(len(x)):
+            if w[i] > 0.0:
+                for k in range(3):
+                    v[i, k] = kept * v[i, k] + h * gravity[k]
+                    x[i, k] += h * v[i, k]
+        for p in range(len(pinned)):
+            x[pinned[p]] = path[n, p]
+        if scheme == 3:
+            continue
+        keep = KEPT if scheme == 2 else 0.0
+        multiplier *= keep
+        moment *= keep
+        for _ in range(iterations):
+            _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness,
+                     multiplier, moment, h)
+        for i in range(len(x)):
+            for k in range(3):
+                v[i, k] = (x[i, k] - before[i, k]) / h
+
+
+@njit(nogil=True, error_model='numpy')
+def _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness, multiplier,
+             moment, h):
+    """One Gauss-Seidel pass: hinges, then edges."""
+    for b in range(len(bends)):
+        total = 0.0
+        for p in range(4):
+            total += w[bends[b, p]] * weight[b, p] * weight[b, p]
+        if total == 0.0:
+            continue
+        alpha = 1.0 / (bend_stiffness[b] * h * h)
+        for k in range(3):
+            c = 0.0
+            for p in range(4):
+                c += weight[b, p] * x[bends[b, p], k]
+            if scheme == 1:
+                change = -c / (total + alpha)
+            else:
+                change = -(c + alpha * moment[b, k]) / (total + alpha)
+                moment[b, k] += change
+            for p in range(4):
+                x[bends[b, p], k] += w[bends[b, p]] * weight[b, p] * change
+    for e in range(len(edges)):
+        i, j = edges[e, 0], edges[e, 1]
+        total = w[i] + w[j]
+        dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
+        l = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if total == 0.0 or l == 0.0:
+            continue
+        c, alpha = l - rest[e], 1.0 / (stiffness[e] * h * h)
+        if scheme == 1:
+            change = -c / (total + alpha)
+        else:
+            change = -(c + alpha * multiplier[e]) / (total + alpha)
+            multiplier[e] += change
+        change /= l
+        x[i, 0] += w[i] * change * dx
+        x[i, 1] += w[i] * change * dy
+        x[i, 2] += w[i] * change * dz
+        x[j, 0] -= w[j] * change * dx
+        x[j, 1] -= w[j] * change * dy
+        x[j, 2] -= w[j] * change * dz
+
+
+@njit(nogil=True, error_model='numpy')
+def _kick(x, v, w, edges, rest, stiffness, bends, weight, bend_stiffness, h):
+    """Add what springs and hinges do in a substep to the velocities."""
+    for b in range(len(bends)):
+        for k in range(3):
+            c = 0.0
+            for p in range(4):
+                c += weight[b, p] * x[bends[b, p], k]
+            for p in range(4):
+                v[bends[b, p], k] -= (h * w[bends[b, p]] * bend_stiffness[b] * weight[b, p] * c)
+    for e in range(len(edges)):
+        i, j = edges[e, 0], edges[e, 1]
+        dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
+        l = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if l == 0.0:
+            continue
+        pull = h * stiffness[e] * (l - rest[e]) / l
+        v[i, 0] -= w[i] * pull * dx
+        v[i, 1] -= w[i] * pull * dy
+        v[i, 2] -= w[i] * pull * dz
+        v[j, 0] += w[j] * pull * dx
+        v[j, 1] += w[j] * pull * dy
+        v[j, 2] += w[j] * pull * dz

@@ -1,0 +1,78 @@
+"""Which settings are worth their time, and which to take."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+import math
+
+from xpbd_ros.study.accuracy.errors import Errors
+from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.accuracy.timing import Timing
+
+POSITION, SHAPE = 'position', 'shape'
+
+
+@dataclass
+class Row:
+    """A setting, what it costs and how wrong it is."""
+
+    setting: Setting
+    errors: Errors
+    timing: Timing | None = None
+    pareto: bool = False
+    scene: bool = False
+    """whether the scene itself says so"""
+
+    def error(self, by: str) -> float:
+        """Return the error that it is judged by [m]; not a number where there is none."""
+        if by == SHAPE:
+            return self.errors.height_m
+        return self.errors.rms_m[-1] if self.errors.rms_m and self.errors.finite else math.nan
+
+
+def judged(rows: Sequence[Row], by: str) -> list[Row]:
+    """Return the rows that have both a time and an error, baselines left out."""
+    return [row for row in rows if row.timing is not None and math.isfinite(row.error(by))
+            and not row.setting.is_baseline]
+
+
+def on_front(points: Sequence[tuple[float, float]]) -> list[bool]:
+    """Tell which points (ms, error) no other beats in one of the two and equals in the other."""
+    order = sorted(range(len(points)), key=lambda k: points[k])
+    found, best, last = [False] * len(points), math.inf, None
+    for k in order:
+        if points[k][1] < best or points[k] == last:
+            found[k], best, last = True, points[k][1], points[k]
+    return found
+
+
+def mark_front(rows: Sequence[Row], by: str) -> None:
+    """Mark the rows on the Pareto front of time and error."""
+    known = judged(rows, by)
+    for row, on in zip(known, on_front([(row.timing.ms_p50, row.error(by)) for row in known])):
+        row.pareto = on
+
+
+def recommend(rows: Sequence[Row], by: str, *, budget: float | None = None,
+              max_error: float | None = None, floor: float = 0.0) -> Row | None:
+    """
+    Return the setting to take, or None where nothing meets what was asked.
+
+    With ``max_error`` the cheapest within it; else the most accurate of which 19 frames of 20 are
+    within the budget. Errors below ``floor`` count as equal.
+
+    Parameters
+    ----------
+    budget : [ms]
+    max_error : [m]
+    floor : how well the truth is known [m]
+
+    """
+    known = [row for row in judged(rows, by)
+             if (budget is None or row.timing.ms_p95 <= budget)
+             and (max_error is None or row.error(by) <= max_error)]
+    if not known:
+        return None
+    if max_error is None:
+        best = min(row.error(by) for row in known)
+        known = [row for row in known if row.error(by) <= max(best, floor)]
+    return min(known, key=lambda row: row.timing.ms_p50)

@@ -1,0 +1,126 @@
+"""Error against time, as a picture: each method's curve, the front, real time, what is chosen."""
+
+from collections.abc import Sequence
+import math
+from pathlib import Path
+
+from matplotlib.lines import Line2D
+
+from xpbd_ros.study.accuracy.choose import Row
+from xpbd_ros.study.accuracy.measure import Study
+from xpbd_ros.study.accuracy.setting import BASELINES, METHODS, Setting
+from xpbd_ros.study.chart import COLOURS, INK, MUTED, page, save
+
+COLOUR = dict(zip(METHODS, (COLOURS[0], COLOURS[2], COLOURS[3], COLOURS[1], COLOURS[4])))
+COLOUR.update(dict(zip(BASELINES, ('#4d5560', '#8b95a1', '#b8a24a', '#a0522d'))))
+DASHES = {'bdf2': '-', 'backward_euler': '--', 'leapfrog': '-', 'symplectic_euler': ':'}
+
+
+def curve_of(setting: Setting) -> str:
+    """Return the curve that a setting is on, in words."""
+    if setting.is_baseline:
+        return setting.method + (' 1×K' if setting.substeps == 1 else '')
+    name = f'{setting.method} {setting.integrator}'
+    if setting.precision != 'float64':
+        name += f' {setting.precision}'
+    if setting.iterations > 1:
+        name += ' 1×K' if setting.substeps == 1 else f' N×{setting.iterations}'
+    return name
+
+
+def curves(rows: Sequence[Row], by: str) -> dict[str, list[Row]]:
+    """Return rows with a time and an error by curve, fastest first."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        if row.timing is not None and math.isfinite(row.error(by)):
+            found.setdefault(curve_of(row.setting), []).append(row)
+    return {name: sorted(these, key=lambda row: row.timing.ms_p50)
+            for name, these in found.items()}
+
+
+def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
+    """Return the most accurate row of each curve whose median frame is within some time."""
+    found = {}
+    for name, these in curves(rows, by).items():
+        fast = [row for row in these if row.timing.ms_p50 <= ms]
+        if fast:
+            found[name] = min(fast, key=lambda row: row.error(by))
+    return dict(sorted(found.items(), key=lambda item: item[1].error(by)))
+
+
+def draw(study: Study, file: Path, *, chosen: Row | None, budget: float) -> Path:
+    """Write the picture and return where."""
+    figure, axes = page(12.0, 5.4, columns=2)
+    _precision(axes[0, 0], study, chosen, budget)
+    _bars(axes[0, 1], study, chosen, budget)
+    return save(figure, file)
+
+
+def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
+    by = study.by
+    known = curves(study.rows, by)
+    everything = [row for these in known.values() for row in these]
+    for name, these in known.items():
+        setting = these[0].setting
+        several = setting.iterations > 1
+        axis.loglog([row.timing.ms_p50 for row in these], [row.error(by) for row in these],
+                    color=COLOUR[setting.method], linestyle=DASHES[setting.integrator],
+                    linewidth=1.0, markersize=4, markerfacecolor='white' if several else None,
+                    marker='x' if setting.precision != 'float64' else 's' if several else 'o',
+                    label=name)
+    front = sorted((row.timing.ms_p50, row.error(by)) for row in study.rows if row.pareto)
+    if front:
+        axis.plot(*zip(*front), color='#f2c14e', linewidth=6, alpha=0.45, zorder=0,
+                  solid_capstyle='round', label='Pareto front')
+    frame_ms = 1e3 * study.frame_dt
+    axis.axvline(frame_ms, color=INK, linewidth=1.0)
+    axis.annotate('real time', (frame_ms, 0.02), (-3, 0), rotation=90, fontsize=7, ha='right',
+                  xycoords=axis.get_xaxis_transform(), textcoords='offset points')
+    if budget != frame_ms:
+        axis.axvline(budget, color=INK, linewidth=0.8, linestyle=':')
+        axis.annotate(f'budget {budget:.3g} ms', (budget, 0.02), (-3, 0), rotation=90, fontsize=7,
+                      ha='right', xycoords=axis.get_xaxis_transform(),
+                      textcoords='offset points')
+    if study.floor > 0.0:
+        axis.axhspan(1e-300, study.floor, color=MUTED, alpha=0.15, linewidth=0)
+    errors = [max(row.error(by), 1e-300) for row in everything]
+    if errors:
+        low = min(errors)
+        axis.set_ylim(min(low, max(study.floor, low / 30.0)) / 2.0,
+                      min(max(errors), study.truth.size) * 1.5)
+    if chosen is not None:
+        axis.plot([chosen.timing.ms_p50], [chosen.error(by)], marker='o', markersize=13,
+                  markerfacecolor='none', markeredgecolor=INK, markeredgewidth=1.6)
+        axis.annotate('recommended', (chosen.timing.ms_p50, chosen.error(by)), (-10, -14),
+                      fontsize=8, ha='right', textcoords='offset points')
+    axis.set_xlabel('CPU time of a frame, median [ms]', fontsize=8)
+    axis.set_ylabel(f'{study.what} [m]', fontsize=8)
+    axis.set_title(f'{study.scene.name}: what accuracy costs in time '
+                   f'({study.particles} particles)', fontsize=10, loc='left')
+    axis.grid(alpha=0.2, which='major')
+    if study.floor > 0.0:
+        handle = Line2D([], [], color=MUTED, alpha=0.3, linewidth=6,
+                        label=f'truth is known to {study.floor:.1g} m')
+        handles = [*axis.get_legend_handles_labels()[0], handle]
+    else:
+        handles = axis.get_legend_handles_labels()[0]
+    axis.legend(handles=handles, fontsize=6, frameon=False, loc='lower left')
+
+
+def _bars(axis, study: Study, chosen: Row | None, budget: float) -> None:
+    found = within(study.rows, study.by, budget)
+    names = list(found)[::-1]
+    for place, name in enumerate(names):
+        row = found[name]
+        axis.barh(place, row.error(study.by), color=COLOUR[row.setting.method],
+                  alpha=1.0 if row is chosen else 0.65,
+                  edgecolor=INK if row is chosen else 'none')
+        axis.annotate(f'{row.setting.substeps}×{row.setting.iterations}: '
+                      f'{1e3 * row.error(study.by):.3g} mm',
+                      (row.error(study.by), place), (4, 0), fontsize=7, va='center',
+                      textcoords='offset points')
+    axis.set_yticks(range(len(names)), names, fontsize=7)
+    axis.set_xscale('log')
+    axis.margins(x=0.35)
+    axis.set_xlabel(f'{study.what} [m]', fontsize=8)
+    axis.set_title(f'least error within {budget:.3g} ms a frame', fontsize=10, loc='left')

@@ -1,0 +1,127 @@
+"""A run of a scene, and what a study keeps of it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
+from xpbd_ros.sim.mesh import length
+from xpbd_ros.sim.simulation import Simulation
+
+
+@dataclass(eq=False)
+class Track:
+    """What a run was like, frame by frame; the start is frame 0."""
+
+    x: dict[int, np.ndarray]
+    """positions at the frames that were to be kept [m], each (particles, 3)"""
+    kinetic: np.ndarray
+    """[J], shape (frames + 1,)"""
+    energy: np.ndarray
+    """kinetic, elastic and that of gravity [J], shape (frames + 1,)"""
+    strain: np.ndarray
+    """root mean square over the edges, shape (frames + 1,)"""
+    heights: np.ndarray
+    """heights of all particles, lowest first [m]; shape (frames + 1, particles)"""
+    residual: dict[int, float | None]
+    """root mean square of C + α f over the edges, at the frames that were kept [m]"""
+    ended: int | None = None
+    """the first frame that was not finite"""
+    redone: int = 0
+    """frames that ``explicit`` left to ``line``"""
+
+
+class Edges:
+    """The edges whose strain is looked at: of a grid those along warp and weft."""
+
+    def __init__(self, simulation: Simulation):
+        pairs, rest = [np.zeros((0, 2), np.int64)], [np.zeros(0)]
+        for cloth in simulation.cloths:
+            mesh = cloth.mesh
+            if mesh.grid is None:
+                ends = mesh.edges
+            else:
+                ends = np.concatenate([
+                    np.stack([lines[:, :-1].ravel(), lines[:, 1:].ravel()], 1)
+                    for lines in (mesh.grid, mesh.grid.T)])
+            pairs.append(cloth.first + ends)
+            rest.append(length(mesh.positions[ends[:, 0]] - mesh.positions[ends[:, 1]]))
+        self.particles, self.rest = np.concatenate(pairs), np.concatenate(rest)
+
+    def strain(self, x: np.ndarray) -> np.ndarray:
+        """Return l / L - 1 of each edge, x in natural order; shape (edges,)."""
+        i, j = self.particles.T
+        return length(x[i] - x[j]) / self.rest - 1.0
+
+
+class Recorder:
+    """Fills in a track."""
+
+    def __init__(self, edges: Edges, frames: int, particles: int, kept: Sequence[int] | None):
+        count = frames + 1
+        self._edges, self._kept = edges, None if kept is None else set(kept)
+        self.track = Track({}, *np.full((3, count), np.nan), np.full((count, particles), np.nan),
+                           {})
+
+    def note(self, frame: int, x: np.ndarray, kinetic: float, energy: float,
+             residual: Callable[[], float | None] = lambda: None) -> bool:
+        """Note a frame; return whether it was finite."""
+        track = self.track
+        if not (np.isfinite(x).all() and np.isfinite(energy)):
+            track.ended = frame
+            return False
+        track.kinetic[frame], track.energy[frame] = kinetic, energy
+        strain = self._edges.strain(x)
+        track.strain[frame] = np.sqrt(np.mean(strain**2)) if len(strain) else 0.0
+        track.heights[frame] = np.sort(x[:, 2])
+        if self._kept is None or frame in self._kept:
+            track.x[frame] = x.copy()
+            track.residual[frame] = residual()
+        return True
+
+
+def play(simulation: Simulation, frames: int, *, commands: dict[int, list] | None = None,
+         kept: Sequence[int] | None = None) -> Track:
+    """
+    Run a simulation from where it is.
+
+    Parameters
+    ----------
+    frames : how many
+    commands : inputs by frame
+    kept : frames whose positions are kept; None: all
+
+    """
+    commands = commands or {}
+    recorder = Recorder(Edges(simulation), frames, len(simulation.slot), kept)
+    frame = simulation.frame()
+    with np.errstate(all='ignore'):
+        for index in range(frames + 1):
+            if index:
+                frame = simulation.step(commands.get(index, ()))
+            if not recorder.note(index, frame.x, kinetic_energy(simulation.state),
+                                 energy(simulation), lambda: residual(simulation)):
+                break
+    recorder.track.redone = int(simulation.stats().get('explicit_redone', 0))
+    return recorder.track
+
+
+def energy(simulation: Simulation) -> float:
+    """Return kinetic, elastic and gravity's energy [J]."""
+    state = simulation.state
+    return kinetic_energy(state) + potential_energy(state) + elastic_energy(simulation)
+
+
+def residual(simulation: Simulation) -> float | None:
+    """Return the root mean square of C + α f over all edges [m]; None where f is not kept."""
+    left = []
+    for built in simulation.effects.values():
+        for part, edges in zip(built.parts, built.by_part):
+            force = getattr(getattr(part, 'edges', None), 'force', None)
+            if force is not None and force.size and hasattr(edges, 'rest_length'):
+                left.append(edges.residual(simulation.state.x)
+                            + edges.compliance * force.ravel()[edges.index])
+    if not left:
+        return None
+    return float(np.sqrt(np.mean(np.concatenate(left)**2)))
