@@ -10,7 +10,6 @@ interrupted goes on with the same -o; a finished one answers other questions at 
 """
 
 import math
-import os
 from pathlib import Path
 import signal
 import sys
@@ -56,6 +55,7 @@ def run(arguments) -> int:
     """Study the scene, choose, and write what was found."""
     from xpbd_ros.cli.run import count_frames, parse_keys
     from xpbd_ros.scene.load import load_scene
+    from xpbd_ros.study.machine import machine
     for name, value in (('--budget', arguments.budget), ('--max-error', arguments.max_error)):
         if value is not None and not (value > 0.0 and math.isfinite(value)):
             unit = 'ms' if name == '--budget' else 'm'
@@ -68,7 +68,7 @@ def run(arguments) -> int:
     frames = count_frames(scene)
     times = frames_of(arguments.times, scene, frames)
     methods = methods_of(arguments.methods)
-    jobs = (os.cpu_count() or 1) if arguments.jobs is None else arguments.jobs
+    jobs = machine()['cores'] or 1 if arguments.jobs is None else arguments.jobs
     if jobs < 1:
         raise InputError(f'--jobs: must be >= 1 (got {jobs})')
     commands = commands_of('accuracy', arguments.commands) if arguments.commands else {}

@@ -15,7 +15,7 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
-from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.commands import ReleaseAll, SetKey
 from xpbd_ros.study.accuracy import study
 from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.accuracy.book import FILE
@@ -113,6 +113,19 @@ def test_decayed_multipliers_and_pbd_do_not_converge_where_xpbd_does(found):
                      for method in ('pbd', 'textbook_xpbd'))
     assert abs(textbook[-1] / textbook[-2] - 1.0) < 0.01, 'converged within the step'
     assert pbd[-1] != pytest.approx(textbook[-1], rel=0.01)
+
+
+def test_with_inputs_the_truth_is_our_own_limit(found, tmp_path):
+    """A pin lets go: the independent solver takes no inputs, and baselines neither."""
+    let_go = study(sheet(), FRAMES, tmp_path / 's', methods=('line',), baselines=True,
+                   commands={8: [ReleaseAll()]})
+    assert let_go.truth.kind == 'own limit'
+    assert {one.method: one.reason for one in let_go.refused} == dict.fromkeys(
+        BASELINES, 'take no inputs')
+    assert let_go.truth.x[-1][:, 2].max() < found.truth.x[-1][:, 2].max() - 0.1, 'it fell'
+    errors = errors_of(let_go, 'line', 'bdf2')
+    steps = sorted(errors)
+    assert errors[steps[-1]] < 0.05 * errors[steps[0]]
 
 
 def test_a_study_goes_on_where_it_was_interrupted(found, folder, tmp_path, monkeypatch):
