@@ -3,13 +3,15 @@
 import json
 import os
 from pathlib import Path
+import shutil
 import subprocess
 import sys
 
 import pytest
-from sim.small import EXAMPLES, SHAPES, simulate, with_effects
+from sim.small import EXAMPLES, run, SHAPES, simulate, with_effects
 
 from xpbd_ros.effects import EFFECTS, load
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim import stages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -128,3 +130,65 @@ def test_what_is_turned_off_makes_no_difference():
             simulation.step()
         hashes.append(simulation.hash())
     assert hashes[0] == hashes[1]
+
+
+WITHOUT = """
+import json, sys
+from pathlib import Path
+from sim.small import run, simulate
+scene, kernels, absent = json.loads(sys.argv[1])
+import xpbd_ros
+assert not (Path(xpbd_ros.__file__).parent / 'effects' / f'{absent}.py').exists()
+simulation = simulate(**scene)
+simulation.compile()
+run(simulation, 10)
+text = ''.join(simulation._step.inspect_asm().values())
+print(json.dumps({
+    'cached': bool(simulation._step.stats.cache_hits),
+    'kernels': [name for name in kernels if f'{len(name)}{name}B' in text],
+    'hash': simulation.hash()}))
+"""
+CLOTH = {'shear': {'stiffness': 15.0}, 'stretch': {'warp': 60.0, 'weft': 40.0}}
+AROUND = {'damping': {'rate': 1.0}, 'force': {'per_mass': [0.1, 0.0, 0.0]}}
+BESIDE = {name: {'contact': {'thickness': 0.01}} for name in ('friction', 'self_collision')}
+"""what the scene has as well, since the absent effect works with it"""
+QUICK = ('tether',)
+
+
+def scene_without(absent):
+    """Return a scene of four effects, less the one that is absent."""
+    named = {'effects': CLOTH, 'scene_effects': {**AROUND, **BESIDE.get(absent, {})}}
+    return {'grid': [5, 4], 'substeps': 3, **{key: {
+        name: value for name, value in effects.items() if name != absent}
+        for key, effects in named.items()}}
+
+
+@pytest.mark.parametrize('absent', [pytest.param(name, marks=[pytest.mark.slow] * (
+    name not in QUICK)) for name in EFFECTS])
+def test_a_package_without_the_file_of_an_effect_computes_the_same_bits(absent, tmp_path):
+    """The file deleted, the cache empty: the same state, and its kernels in no machine code."""
+    for source, left_out in (('xpbd_ros', (f'{absent}.py', '__pycache__')),
+                             ('config', ()), ('test', ('__pycache__',))):
+        shutil.copytree(ROOT / source, tmp_path / source,
+                        ignore=shutil.ignore_patterns(*left_out) if left_out else None)
+    assert not (tmp_path / 'xpbd_ros' / 'effects' / f'{absent}.py').exists()
+    own, scene = kernels([absent]), scene_without(absent)
+    child = subprocess.run(
+        [sys.executable, '-c', WITHOUT, json.dumps([scene, kernels(), absent])],
+        check=True, capture_output=True, text=True, cwd=tmp_path, timeout=300,
+        env={**os.environ, 'NUMBA_CACHE_DIR': str(tmp_path / 'cache'),
+             'PYTHONPATH': os.pathsep.join([str(tmp_path), str(tmp_path / 'test')])})
+    seen = json.loads(child.stdout)
+    simulation = simulate(**{**scene, 'grid': tuple(scene['grid'])})
+    run(simulation, 10)
+    assert not seen['cached']
+    assert seen['hash'] == simulation.hash()
+    assert seen['kernels']
+    assert not set(seen['kernels']) & set(own)
+
+
+def test_an_effect_whose_file_is_gone_is_missed_by_name(monkeypatch):
+    """Only a scene that names it meets the gap."""
+    monkeypatch.setitem(sys.modules, 'xpbd_ros.effects.wind', None)
+    with pytest.raises(InputError, match='effects.wind: this installation has no such effect'):
+        simulate((2, 1), scene_effects={'wind': {}})

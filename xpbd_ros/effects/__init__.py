@@ -7,6 +7,7 @@ is imported only when a scene names it.
 
 import importlib
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.effect import Effect
 
 EFFECTS = {
@@ -40,4 +41,8 @@ SECTIONS = {'pins': 'pin', 'colliders': 'contact', 'seams': 'seam'}
 
 def load(name: str) -> Effect:
     """Import one effect's module and return what it registers."""
-    return importlib.import_module(f'xpbd_ros.effects.{name}').EFFECT
+    try:
+        return importlib.import_module(f'xpbd_ros.effects.{name}').EFFECT
+    except ModuleNotFoundError as error:
+        raise InputError(f'effects.{name}: this installation has no such effect '
+                         f'({error})') from error

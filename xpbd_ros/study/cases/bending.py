@@ -69,6 +69,11 @@ def hangs(n: int, gamma: float, length: float = 0.3) -> np.ndarray:
     strip, h = clamped(n, length, DENSITY * G * length**3 / gamma, substeps=160,
                        iterations=n // 2,
                        effects_={'damping': {'rate': 15.0}})
+    return settled(strip, n, h, length)
+
+
+def settled(strip, n: int, h: float, length: float) -> np.ndarray:
+    """Return x / L and drop / L of a strip's tip when nothing moves any more."""
     for _ in range(40):
         frame = run(strip, 15)
         if np.abs(frame.v).max() < 1e-9:
@@ -85,6 +90,38 @@ def cantilever():
         sizes = (12, 24, 48)
         got = np.array([hangs(n, gamma) for n in sizes])
         steps = [1.0 / (n + 0.5) for n in sizes]
+        yield order(f'drop / L, Γ = {gamma:g}', down, steps, got[:, 1], '', 2.0, 5e-3,
+                    step='edge / L')
+        yield value(f'x / L, Γ = {gamma:g}', across, got[-1, 0], '', 1e-2)
+
+
+@cache
+def bowed(gamma: float) -> tuple[float, float]:
+    """Return x / L and drop / L of an elastica with a load at its tip: θ'' = -Γ cos θ."""
+    s = np.linspace(0.0, 1.0, 101)
+    found = solve_bvp(lambda s, y: np.stack([y[1], -gamma * np.cos(y[0])]),
+                      lambda a, b: np.array([a[0], b[1]]), s,
+                      np.stack([0.5 * s, 0.5 + 0.0 * s]), tol=1e-9, max_nodes=20000)
+    fine = np.linspace(0.0, 1.0, 20001)
+    theta = found.sol(fine)[0]
+    return float(trapezoid(np.cos(theta), fine)), float(trapezoid(np.sin(theta), fine))
+
+
+@case('V10', 'elastica with a load at its tip', slow=True)
+def tip_load():
+    """Γ = P L² / B, without weight; the answer is again a boundary value problem."""
+    B, length = 0.005, 0.3
+    for gamma in (1.0, 5.0):
+        across, down = bowed(gamma)
+        sizes, got = (8, 16, 32), []
+        for n in sizes:
+            load = gamma * B / (length * (n + 0.5))    # of a strip as wide as an edge
+            strip, h = clamped(n, length, B, gravity=(0, 0, 0), substeps=160, iterations=n // 2,
+                               effects_={'damping': {'rate': 15.0}, 'force': {
+                                   'cloth': 'c', 'at': [n + 1, 2 * n + 3],
+                                   'total': [0.0, 0.0, -load]}})
+            got.append(settled(strip, n, h, length))
+        steps, got = [1.0 / (n + 0.5) for n in sizes], np.array(got)
         yield order(f'drop / L, Γ = {gamma:g}', down, steps, got[:, 1], '', 2.0, 5e-3,
                     step='edge / L')
         yield value(f'x / L, Γ = {gamma:g}', across, got[-1, 0], '', 1e-2)
@@ -107,7 +144,7 @@ def textile():
 @case('V22', 'first mode of a cantilever strip')
 def mode():
     """ω = 3.516 √(B / ρ L⁴), without gravity."""
-    B, length = 1e-3, 0.3
+    B, length = 0.005, 0.3
     k = 1.875104068711961
     expected = k * k * np.sqrt(B / DENSITY) / length**2
 

@@ -14,18 +14,20 @@ BE, BDF2 = 'backward_euler', 'bdf2'
 
 def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0.0, 0.0, -G),
           pose=None, rate=60.0, substeps=1, iterations=1, method='gauss_seidel', integrator=BE,
-          friction=0.5, effects_=None, **sections) -> Simulation:
+          friction=0.5, effects_=None, mesh=None, **sections) -> Simulation:
     """
     Return the simulation of one cloth.
 
-    ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second.
+    ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second;
+    ``mesh``, a file, takes the place of the grid.
     There may always be pins, so that cases with the same effects share their machine code.
     """
     scene = {'gravity': list(gravity), 'frame_rate': rate,
              'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
                         'iterations': iterations},
-             'cloths': {'c': {'grid': {'size': list(size), 'resolution': list(grid)},
-                              'density': density, 'friction': friction, 'pose': pose or {},
+             'cloths': {'c': {**({'mesh': {'file': str(mesh)}} if mesh else {
+                 'grid': {'size': list(size), 'resolution': list(grid)}}), 'density': density,
+                              'friction': friction, 'pose': pose or {},
                               'effects': effects or {}}}, **sections}
     scene['effects'] = {'pin': {}, **(effects_ or {})}
     return compile_scene(scene_from_mapping(scene, where='a case', name='case'))
