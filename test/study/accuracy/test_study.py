@@ -128,6 +128,17 @@ def test_with_inputs_the_truth_is_our_own_limit(found, tmp_path):
     assert errors[steps[-1]] < 0.05 * errors[steps[0]]
 
 
+def test_before_a_cloth_is_loaded_positions_say_little_and_its_shape_is_judged(found, tmp_path):
+    assert found.by == 'position'
+    assert found.truth.loaded == 1.0
+    later = sheet(gravity=[0.0, 0.0, 0.0], pins={'left': {
+        **SHEET['pins']['left'], 'motion': [[0.0, 0, 0, 0], [0.2, 0, 0, 0], [0.4, 0, 0, 0.2]]}})
+    lifted = study(later, FRAMES, tmp_path / 's', methods=('line',), times=[6])
+    assert lifted.truth.loaded == 0.0
+    assert lifted.by == 'shape'
+    assert lifted.what == 'heights of the particles, mean from 0.3 s on'
+
+
 def test_a_study_goes_on_where_it_was_interrupted(found, folder, tmp_path, monkeypatch):
     def interrupted(items, what):
         for k, item in enumerate(items):
@@ -222,7 +233,7 @@ def test_inputs_that_set_the_solver_are_left_out():
 def test_it_says_why_trajectories_part(growth, text):
     nothing = np.zeros(0)
     truth = Truth('own limit', '', 1.0, 10, nothing, nothing, nothing, nothing, nothing, 1.0,
-                  nothing, 0.0, 0.0, nothing, np.full(31, growth))
+                  nothing, 0.0, 0.0, 0.0, nothing, np.full(31, growth))
     (said,) = remarks(sheet(), truth, 30, 0.1)
     assert said.startswith('trajectories part after 1 s: ')
     assert text in said

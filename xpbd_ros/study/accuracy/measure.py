@@ -43,8 +43,11 @@ from xpbd_ros.study.accuracy.truth import (
 from xpbd_ros.study.accuracy.work import Job, share_out, TRUTH
 from xpbd_ros.study.machine import machine
 
-SHORT = 0.1
-"""a horizon below this part of the run says little of it: then its shape is judged"""
+LOADED = 0.1
+"""part of the run's largest strain that must have been there while trajectories can be compared:
+positions of a cloth that has only fallen say little, and its shape is judged"""
+FORMAT = 2
+"""of what is kept in the folder"""
 
 
 @dataclass
@@ -110,7 +113,7 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
     book = Book(folder, {
         'scene': _hash(scene.raw), 'duration': str(frames), 'times': str(list(times)),
         'inputs': hashlib.blake2b(pickle.dumps(commands), digest_size=8).hexdigest(),
-        'version': f'{__version__} {CACHE_FOLDER.name}', 'machine': here['name']})
+        'version': f'{__version__} {FORMAT} {CACHE_FOLDER.name}', 'machine': here['name']})
     job = Job(scene, frames, commands, folder)
     if (folder / TRUTH).exists():
         truth = job.truth
@@ -131,8 +134,7 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
     rows = [Row(setting, book.errors[setting.key], book.timings.get(setting.key),
                 scene=setting.key == itself) for setting in settings]
     if by is None:
-        short = not len(truth.frames) or truth.frames[-1] < SHORT * frames
-        by = SHAPE if short else POSITION
+        by = POSITION if truth.loaded >= LOADED else SHAPE
     if by == POSITION and not len(truth.frames):
         raise InputError('--by position: trajectories cannot be compared at any of these times; '
                          'take earlier --times, or --by shape')

@@ -72,6 +72,8 @@ class Truth:
     """heights of the particles, lowest first, mean over the last part of the run [m]"""
     strain: float
     """root mean square, mean over the last part of the run"""
+    loaded: float
+    """largest strain up to the last of the times, of the largest in the whole run"""
     mean_energy: float
     """mean over the last part of the run [J]"""
     scatter: np.ndarray
@@ -205,6 +207,8 @@ def make(simulation: Simulation, rungs: Sequence[Track], pushed: Track, frames: 
                 for f in frames]
     means = [settled(track) for track in (*rungs[-2:], pushed)]
     scatter = np.max([differences(means[1], other) for other in (means[0], means[2])], axis=0)
+    loaded = (finest.strain[:frames[-1] + 1].max() / (finest.strain.max() or 1.0)
+              if len(frames) else 0.0)
     kind = INDEPENDENT if references else OWN
     dt = simulation.frame_dt
     at = ', '.join(f'{u:.1g} m at {f * dt:.3g} s' for f, u in zip(frames, uncertainty))
@@ -216,7 +220,7 @@ def make(simulation: Simulation, rungs: Sequence[Track], pushed: Track, frames: 
     elif why_not:
         text += f' (not the independent solver: {why_not})'
     return Truth(kind, text, size, horizon, frames, x, uncertainty, apart, np.array(energies),
-                 float(np.nanmax(finest.kinetic)), *means[1], scatter,
+                 float(np.nanmax(finest.kinetic)), *means[1][:2], loaded, means[1][2], scatter,
                  growth_of(pushed, rungs[0]))
 
 
