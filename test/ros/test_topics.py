@@ -288,6 +288,13 @@ def test_diagnostics_say_how_it_is_doing(use):
     assert float(status['energy_j']) == pytest.approx(0.25 * 0.16 * 9.80665 * 0.004, rel=0.1)
     assert 0.0 <= float(status['strain_max']) < 0.01
     assert (status['dropped_frames'], status['bytes_recorded']) == ('0', '0')
+    frame = cloth.step(40)
+    status = cloth.status(lambda status: status['estimates'] == '1')
+    assert 0.0 < float(status['error_m']) < float(status['error_m_largest']) < 0.001
+    assert 0 < int(status['error_frame']) <= frame - 30
+    assert 0.0 < float(status['estimates_share']) < 1.0
+    assert float(status['effective_stiffness_share']) > 0.0
+    assert 0.0 <= float(status['residual_m']) < 0.001
     assert cloth.set(mode='realtime') == (True, '')
     status = cloth.status(lambda status: float(status['real_time_factor']) > 0.0)
     assert status['message'] == 'stepping' or 'dropped' in status['message']

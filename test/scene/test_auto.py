@@ -4,6 +4,7 @@ from math import ceil, sqrt
 
 import pytest
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import LEAST, NS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -68,6 +69,15 @@ def test_a_finer_cloth_costs_more_and_wants_more():
     stiff = {'warp': 1e6, 'weft': 1e6}
     coarse, fine = (resolved(stiff, n, {'budget_ms': 1e6}) for n in (10, 40))
     assert fine.substeps == pytest.approx(39 / 9 * coarse.substeps, rel=0.01)
+
+
+def test_substeps_that_hold_an_error_have_room_for_those_at_the_start():
+    held = {'error_target': 1e-3, 'max_substeps': 40}
+    assert resolved({'compliance': 1e-3}, solver={**held, 'substeps': 40}).substeps == 40
+    with pytest.raises(InputError, match='solver.max_substeps: 40 are fewer than the 41 that it '
+                                         'starts with; give at least these'):
+        resolved({'compliance': 1e-3}, solver={**held, 'substeps': 41})
+    assert resolved({'compliance': 1e-3}, solver={'max_substeps': 40, 'substeps': 41})
 
 
 @pytest.mark.parametrize('compliance, why', [

@@ -45,6 +45,7 @@ def run(arguments) -> int:
     from xpbd_ros.ros.diagnostics import percentile
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
+    from xpbd_ros.ros.watch import Watch
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
@@ -64,20 +65,25 @@ def run(arguments) -> int:
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
     step_ms, refused, notes = [], 0, [*simulation.notes]
+    watch = Watch(simulation, target=scene.top.solver.error_target,
+                  most=scene.top.solver.max_substeps)
     try:
         simulation.compile()
         begin = time.perf_counter()
         with signals_wait() as signals:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
-                frame = simulation.step(commands.get(index, ()))
+                frame = simulation.step([*commands.get(index, ()), *watch.commands()],
+                                        keep=watch.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
+                watch.look(1e-3 * step_ms[-1])
                 refused += len(frame.refused)
                 notes += [f'frame {index}: {text}' for text in frame.news]
                 recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
                 if signals:
                     raise KeyboardInterrupt
     finally:
+        watch.close()
         recorder.close()
     wall = time.perf_counter() - begin
     numbers = {
@@ -87,6 +93,7 @@ def run(arguments) -> int:
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
         'refused': refused,
+        'error': watch.summary(),
         'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
@@ -99,6 +106,7 @@ def run(arguments) -> int:
               f'solver   {simulation.solver.method}, {simulation.solver.integrator}, '
               f'{simulation.solver.substeps} × {simulation.solver.iterations} '
               f'({simulation.solver.reason})\n'
+              f'error    {watch}\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
         for text in notes:

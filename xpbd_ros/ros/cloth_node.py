@@ -35,6 +35,7 @@ from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.signals import interrupt_on_signals, nothing_to_finish
 from xpbd_ros.ros.stepper import Stepper
+from xpbd_ros.ros.watch import Watch
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
@@ -70,10 +71,11 @@ class ClothNode(LifecycleNode):
         self.simulation = None
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
+        self.watch: Watch | None = None
         self.failed = False
         """whether the stepper's thread ended on an error"""
         self._last_ns = 0
-        self._dropped_before = 0
+        self._dropped_before, self._trouble_before = 0, ''
         self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -140,6 +142,8 @@ class ClothNode(LifecycleNode):
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver))
         self.timing = diagnostics.Timing()
+        self.watch = Watch(simulation, target=scene.top.solver.error_target,
+                           most=scene.top.solver.max_substeps)
         self._open_topics()
 
     def _declare_live(self, live) -> dict:
@@ -266,6 +270,9 @@ class ClothNode(LifecycleNode):
         for service in self._offers:
             self.destroy_service(service)
         self.simulation = None
+        if self.watch is not None:
+            self.watch.close()
+            self.watch = None
         for name in self._live:
             self.undeclare_parameter(name)
         self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
@@ -293,8 +300,10 @@ class ClothNode(LifecycleNode):
             self._begin()
         substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
-        frame = self.simulation.step(self.inbox.drain())
+        frame = self.simulation.step([*self.inbox.drain(), *self.watch.commands()],
+                                     keep=self.watch.due())
         now = time.perf_counter()
+        self.watch.look(now - begin)
         self.timing.add(1e3 * (now - begin), now)
         for command, reason in frame.refused:
             topic = TOPIC_OF.get(type(command), type(command).__name__)
@@ -369,6 +378,7 @@ class ClothNode(LifecycleNode):
             'dropped_frames': dropped,
             'substeps': simulation.solver.substeps,
             'strain_max': strain,
+            **self.watch.found(),
             'energy_j': measure.kinetic_energy(simulation.state)
             + measure.potential_energy(simulation.state),
             'rejected_inputs': sum(inbox.refused.values()),
@@ -382,7 +392,11 @@ class ClothNode(LifecycleNode):
             level, summary = 'WARN', (f'{dropped - self._dropped_before} frames dropped in the '
                                       'last second: too slow for real time')
             self.get_logger().warning(summary)
-        self._dropped_before = dropped
+        elif self.watch.trouble:
+            level, summary = 'WARN', self.watch.trouble
+            if summary != self._trouble_before:
+                self.get_logger().warning(summary)
+        self._dropped_before, self._trouble_before = dropped, self.watch.trouble
         return diagnostics.message(self.get_fully_qualified_name().lstrip('/'), level, summary,
                                    values, self._epoch_ns + simulation.time_ns(simulation.index))
 

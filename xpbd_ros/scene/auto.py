@@ -26,6 +26,15 @@ LEAST = 4
 
 
 def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
+    """Choose what the scene leaves open (``_choose``), and see that it leaves room to change."""
+    solver = _choose(keys, effects, state, frame_dt)
+    if keys.error_target is not None and solver.substeps > keys.max_substeps:
+        raise InputError(f'solver.max_substeps: {keys.max_substeps} are fewer than the '
+                         f'{solver.substeps} that it starts with; give at least these')
+    return solver
+
+
+def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     """
     Choose what the scene leaves open: method, integrator, substeps.
 

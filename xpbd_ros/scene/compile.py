@@ -129,9 +129,11 @@ class Retune:
         cloths = tuple(replace(c, friction=scene.cloths[c.name].friction,
                                static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
-        effects = _build(scene, cloths, self.state, self.effects)
-        for name, built in effects.items():
-            built.adopt(self.effects[name])
+        effects = self.effects
+        if key != 'solver.substeps':    # which no effect knows
+            effects = _build(scene, cloths, self.state, self.effects)
+            for name, built in effects.items():
+                built.adopt(self.effects[name])
         solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)))
         self.scene, self.cloths, self.effects = scene, cloths, effects
         return Change(effects, solver, scene.top.gravity)

@@ -22,6 +22,11 @@ class SolverKeys:
     precision: str = quantity('float64', choices=('float64', 'float32'))
     threads: int = quantity(1, minimum=1, maximum=1)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
+    error_target: float | None = quantity(
+        None, unit='m', above=0.0, doc='estimated error of a frame, RMS over the particles, that '
+        'substeps are changed to hold')
+    max_substeps: int = quantity(64, minimum=1, maximum=10_000,
+                                 doc='the most that error_target may take')
     compliance_scale: float = quantity(1.0, above=0.0, live=True, doc='multiplies all compliances')
 
 

@@ -50,3 +50,28 @@ def largest_strain(simulation) -> float:
                 edges = length(ends[0] - ends[1])
                 worst = max(worst, float(np.abs(edges / rest - 1.0).max()))
     return worst
+
+
+def stiffness_given(simulation) -> tuple[float, float] | None:
+    """
+    Return how stiff the stretch is, as a share of what was asked, and the residual.
+
+    The share is Σ α |f| / Σ -C sign f over the edges: what they give under their forces, which
+    unconverged sweeps make more than α f (NUMERICS 0.2). The residual is the RMS of C + α f [m].
+    None where nobody keeps forces, or nothing is elastic, or nothing pulls.
+    """
+    built = simulation.effects.get('stretch')
+    asked = given = squares = 0.0
+    count = 0
+    for part, edges in zip(built.parts, built.by_part) if built is not None else ():
+        if part.edges.force is None:
+            continue
+        f, alpha = part.edges.force[edges.index].astype(float), edges.compliance
+        residual = edges.residual(simulation.state.x)
+        asked += (alpha * np.abs(f)).sum()
+        given -= (residual * np.sign(f)).sum()
+        squares += ((residual + alpha * f)**2).sum()
+        count += len(f)
+    if not (asked > 0.0 and given > 0.0):
+        return None
+    return float(asked / given), float(np.sqrt(squares / count))

@@ -12,6 +12,7 @@ import numpy as np
 from xpbd_ros.sim import step
 from xpbd_ros.sim.calm import Calm, look, was_calm
 from xpbd_ros.sim.commands import Command, Reset, SetKey
+from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.state import forget, places, State
 from xpbd_ros.sim.sweeps import METHODS
@@ -82,6 +83,8 @@ class Simulation:
         """frames per second of simulation time, exact"""
         self.solver = solver
         self.index = 0
+        self.start: Start | None = None
+        """of the last frame, if it was to be kept"""
         self._retune = retune
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
@@ -122,8 +125,12 @@ class Simulation:
         if self._guard is not None:
             self._guard.redo(0)
 
-    def step(self, commands: Sequence[Command] = ()) -> Frame:
-        """Apply commands, in order, and advance by one frame."""
+    def step(self, commands: Sequence[Command] = (), *, keep: bool = False) -> Frame:
+        """
+        Apply commands, in order, and advance by one frame.
+
+        With ``keep``, ``start`` will hold what it started from, to compute it again.
+        """
         clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
                       self.frame_dt, self.solver.substeps)
         applied, refused = [], []
@@ -139,6 +146,7 @@ class Simulation:
         pin = self.effects.get('pin')
         if pin is not None and pin.changed:
             self._hold()
+        self.start = self._kept() if keep else None
         if self._guard is None:
             self._advance(self.solver.substeps)
         else:
@@ -151,6 +159,10 @@ class Simulation:
 
     def _advance(self, substeps: int) -> None:
         self._step(self._tuple, self.state, self._method(), self.frame_dt, substeps)
+
+    def _kept(self) -> Start:
+        return Start(self._tuple, self.state, self._step, self._method(), self.frame_dt,
+                     self.solver.substeps).copy()
 
     def _method(self):
         return METHODS[self.solver.method](self.solver.iterations)
@@ -267,13 +279,19 @@ class ExplicitGuard:
             built.again()
         self.redo(simulation.solver.rough_substeps)
         self.redone += 1
+        if simulation.start is not None:
+            simulation.start = replace(
+                simulation.start, state=simulation.start.state._replace(apart=None),
+                method=self._rough(), substeps=simulation.solver.rough_substeps)
+
+    def _rough(self):
+        return METHODS['line'](self._simulation.solver.iterations)
 
     def redo(self, substeps: int) -> None:
         """Compute the frame with ``line``; it has no history, so with backward Euler."""
         simulation = self._simulation
         simulation._step(simulation._tuple, simulation.state._replace(apart=None),
-                         METHODS['line'](simulation.solver.iterations), simulation.frame_dt,
-                         substeps)
+                         self._rough(), simulation.frame_dt, substeps)
 
 
 @dataclass(frozen=True)

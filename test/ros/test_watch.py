@@ -1,0 +1,112 @@
+"""The watch: estimates beside a run, and substeps that hold an error."""
+
+from dataclasses import replace
+
+import pytest
+from sim.small import simulate
+
+from xpbd_ros.ros.watch import LATER, SHARE, substeps_for, Watch
+from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.doubling import Estimate
+from xpbd_ros.sim.simulation import Solver
+
+FINE = Estimate(frame=10, substeps=20, rms=1e-4, largest=3e-4, resolved=True, frames=2)
+
+
+def swing(substeps=16, **options):
+    """Return a sheet that swings from two corners."""
+    return simulate((9, 9), effects={'stretch': {'warp': 300.0, 'weft': 300.0}}, density=0.2,
+                    pins={'a': {'cloth': 'c', 'at': 'corner_10'},
+                          'b': {'cloth': 'c', 'at': 'corner_11'}}, method='line',
+                    integrator='bdf2', substeps=substeps, **options)
+
+
+def watched(simulation, frames: int, **options):
+    """Step so many frames and return the watch and what it had done, by frame."""
+    watch, done = Watch(simulation, **{'target': None, 'most': 64, **options}), {}
+    for _ in range(frames):
+        frame = simulation.step(watch.commands(), keep=watch.due())
+        watch.look(0.001)
+        if frame.applied:
+            done[frame.index] = [(c.key, c.value) for c in frame.applied]
+    watch.close()
+    return watch, done
+
+
+def test_looking_changes_nothing():
+    alone, seen = swing(), swing()
+    watch, done = watched(seen, 60)
+    for _ in range(60):
+        alone.step()
+    assert alone.hash() == seen.hash()
+    assert not done
+    assert [found.frame for found in watch.all] == [10]
+    assert 0.0 < watch.all[0].rms < watch.all[0].largest
+    found = watch.found()
+    assert found['error_m'] == watch.latest.rms
+    assert 0.5 < found['effective_stiffness_share'] <= 1.1
+    assert found['residual_m'] >= 0.0
+    assert found['estimates_share'] > 0.0
+    assert not watch.trouble
+    assert 'm in a frame at most, of 1 looked at' in str(watch)
+
+
+def test_how_often_it_looks_follows_from_what_it_takes():
+    watch, _ = watched(swing(), 360)
+    frames = [found.frame for found in watch.all]
+    assert len(frames) >= 3
+    assert [b - a for a, b in zip(frames, frames[1:])] == [
+        max(LATER + 1, round(found.frames / SHARE)) for found in watch.all[:-1]]
+
+
+@pytest.mark.parametrize('target', [1e-3, 1e-4])
+def test_a_target_is_held_and_the_same_again(target):
+    runs = [watched(swing(), 1000, target=target) for _ in range(2)]
+    (watch, done), (_, again) = runs
+    assert done == again
+    assert done, 'it starts with other substeps than it needs'
+    assert all(key == 'solver.substeps' for changes in done.values() for key, _ in changes)
+    assert all(found.rms <= 2.0 * target for found in watch.all[-3:])
+
+
+def test_what_cannot_be_held_is_said():
+    watch, done = watched(swing(4), 400, target=1e-9, most=6)
+    assert list(done.values()) == [[('solver.substeps', 6)]]
+    assert 'error_target 1e-09 m is not held' in watch.trouble
+    assert 'max_substeps 6' in watch.trouble
+
+
+def test_what_is_not_resolved_is_said():
+    simulation = swing()
+    watch = Watch(simulation, target=None, most=64)
+    watch.latest = replace(FINE, resolved=False)
+    watch.all.append(watch.latest)
+    assert watch.trouble.startswith('under-resolved: with 16 substeps')
+    assert watch.found()['error_m'] == 'under-resolved'
+    assert str(watch) == 'under-resolved in 1 of 1 frames looked at; see xpbd_ros check'
+
+
+def test_substeps_go_with_the_order():
+    line = Solver('line', 'bdf2', 20, 1)
+    euler = Solver('gauss_seidel', 'backward_euler', 20, 1)
+    room = {'least': 1, 'most': 1000}
+    three = [FINE] * 3
+    assert substeps_for([FINE], line, 1e-4, **room) == 20, 'just met'
+    assert substeps_for(three, line, 3e-4, **room) == 20, 'not worth a change'
+    assert substeps_for([FINE], line, 5e-5, **room) == 32, 'sqrt(1 / 0.4) as many'
+    assert substeps_for([FINE], euler, 1e-4 / 1.5, **room) == 38, '1.5 / 0.8 as many'
+    assert substeps_for([FINE], euler, 1e-6, **room) == 40, 'twice at most'
+    assert substeps_for([FINE] * 2, line, 1.0, **room) == 20, 'two do not make it sure'
+    assert substeps_for(three, line, 1.0, **room) == 10, 'half at least'
+    assert substeps_for([replace(FINE, rms=2.0), *three], line, 1.0, **room) == 10, 'long ago'
+    assert substeps_for([replace(FINE, rms=2.0), FINE, FINE], line, 1.0, **room) == 32, 'worst'
+    assert substeps_for([replace(FINE, substeps=40), FINE, FINE], line, 1.5e-4,
+                        **room) == 37, 'with half the substeps it was four times as wrong'
+    assert substeps_for(three, line, 1.0, least=15, most=1000) == 15
+    assert substeps_for(three, line, 1e-9, least=1, most=30) == 30
+    assert substeps_for([replace(FINE, resolved=False)], line, 1.0, **room) == 40
+
+
+def test_a_command_of_the_watch_is_one_that_is_recorded():
+    watch, done = watched(swing(4), 60, target=1e-9, most=6)
+    assert SetKey('solver.substeps', 6) == SetKey(*done[41][0])

@@ -1,0 +1,127 @@
+"""Step doubling: what a frame started from gives it again, and tells how wrong it is."""
+
+import numba
+import numpy as np
+import pytest
+from sim.small import EXAMPLES, SETTINGS, simulate, with_effects
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim.doubling import estimate, refine, rms
+from xpbd_ros.sim.measure import largest_strain
+from xpbd_ros.sim.state import new_state, solved_by
+
+
+def kept(simulation, frames: int):
+    """Return the start of the last of some frames."""
+    for _ in range(frames - 1):
+        simulation.step()
+        assert simulation.start is None
+    simulation.step(keep=True)
+    return simulation.start
+
+
+def position_error(simulation, state) -> float:
+    """Return how far the simulation is from a state, RMS [m]."""
+    apart = (simulation.state.x - state.x)[:, simulation.slot]
+    return rms(np.sqrt((apart**2).sum(0)))
+
+
+@pytest.mark.parametrize(('method', 'integrator'), [
+    setting if setting in (('line', 'bdf2'), ('explicit', 'leapfrog'))
+    else pytest.param(*setting, marks=pytest.mark.slow) for setting in SETTINGS])
+def test_the_start_of_a_frame_gives_the_same_frame(method, integrator):
+    simulation = with_effects(method=method, integrator=integrator, substeps=20)
+    start = kept(simulation, 4)
+    assert [numba.typeof(a) for a in start.effects] == [
+        numba.typeof(a) for a in simulation._tuple]
+    for _ in range(2):    # it stays as it is
+        again = start.end(1)
+        np.testing.assert_array_equal(again.x, simulation.state.x)
+        np.testing.assert_array_equal(again.v, simulation.state.v)
+
+
+@pytest.mark.slow
+def test_all_effects_start_again(all_effects):
+    start = kept(all_effects, 3)
+    np.testing.assert_array_equal(start.end(1).x, all_effects.state.x)
+
+
+@pytest.fixture
+def all_effects():
+    """Return a scene with every effect that a sheet can have."""
+    return with_effects(names=tuple(EXAMPLES), substeps=4)
+
+
+def test_a_history_moves_along_a_cubic_exactly():
+    state = solved_by(new_state(np.zeros((1, 3)), np.ones(1), (0, 0, 0), np.array([0]), 8),
+                      history=True, apart=None, constraints=[])
+    h = 0.3
+
+    def at(t):
+        return 1.0 - 2.0 * t + 3.0 * t**2 + 0.5 * t**3, -2.0 + 6.0 * t + 1.5 * t**2
+    for factor in (2, 4):
+        for array, value in zip((state.x, state.v, state.history.x, state.history.v),
+                                (*at(0.0), *at(-h))):
+            array[:] = value
+        refine(state, h, factor)
+        assert state.history.x[0, 0] == pytest.approx(at(-h / factor)[0], rel=1e-14)
+        assert state.history.v[0, 0] == pytest.approx(at(-h / factor)[1], rel=1e-14)
+
+
+@pytest.mark.parametrize(('method', 'integrator', 'substeps'), [
+    ('line', 'bdf2', 12), ('line', 'bdf2', 24), ('gauss_seidel', 'backward_euler', 12),
+    ('gauss_seidel', 'backward_euler', 48), ('line', 'backward_euler', 24)])
+def test_the_estimate_is_within_a_factor_of_three(method, integrator, substeps):
+    simulation = swing(method, integrator, substeps)
+    seen = 0
+    for _ in range(5):
+        start = kept(simulation, 8)
+        found = estimate(start, simulation.state.x, frame=simulation.index,
+                         slot=simulation.slot, strain=largest_strain(simulation))
+        true = position_error(simulation, start.end(64))
+        assert found.resolved
+        assert found.rms / 3.0 < true < 3.0 * found.rms
+        assert found.largest > found.rms
+        seen += found.frames
+    assert seen >= 10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', ['swing', 'drape', 'flag'])
+@pytest.mark.parametrize(('method', 'integrator', 'factor'), [
+    ('line', 'bdf2', 0.4), ('line', 'bdf2', 1), ('gauss_seidel', 'backward_euler', 1),
+    ('gauss_seidel', 'backward_euler', 4)])
+def test_the_estimate_holds_on_shipped_scenes(name, method, integrator, factor):
+    keys = {'solver.method': method, 'solver.integrator': integrator}
+    simulation = compile_scene(load_scene(name, keys))
+    simulation = compile_scene(load_scene(name, {
+        **keys, 'solver.substeps': round(factor * simulation.solver.substeps)}))
+    held = 0
+    for _ in range(8):
+        start = kept(simulation, 11)
+        found = estimate(start, simulation.state.x, frame=simulation.index,
+                         slot=simulation.slot, strain=largest_strain(simulation))
+        true = position_error(simulation, start.end(32))
+        assert not found.resolved or found.rms / 3.0 < true < 3.0 * found.rms
+        held += found.resolved
+    assert held >= 4
+
+
+def test_what_is_not_resolved_is_said_to_be():
+    simulation = swing('gauss_seidel', 'backward_euler', 2, stiffness=5e4)
+    start = kept(simulation, 20)
+    found = estimate(start, simulation.state.x, frame=20, slot=simulation.slot,
+                     strain=largest_strain(simulation))
+    assert not found.resolved
+    assert found.frames == 6
+    assert position_error(simulation, start.end(64)) > 3.0 * found.rms
+
+
+def swing(method, integrator, substeps, stiffness=1000.0):
+    """Return a sheet that swings from two corners."""
+    return simulate((13, 13), effects={'stretch': {'warp': stiffness, 'weft': stiffness},
+                                       'shear': {'stiffness': 5.0}},
+                    pins={'a': {'cloth': 'c', 'at': 'corner_10'},
+                          'b': {'cloth': 'c', 'at': 'corner_11'}}, density=0.2,
+                    method=method, integrator=integrator, substeps=substeps)
