@@ -183,7 +183,7 @@ def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
     page = write_page(found, tmp_path / 'a.html', picture, said, chosen, settings).read_text()
     assert page.count('<img') == 1
     assert re.findall('src="(.{22})', page) == ['data:image/png;base64,']
-    assert 'href' not in page
+    assert 'href=' not in page
     for row in found.rows:
         assert f'{row.setting.method} {row.setting.integrator} {row.setting.substeps}×' in page
     assert found.machine['name'] in page
@@ -200,6 +200,15 @@ def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
     assert again.solver.substeps == chosen.setting.substeps
     assert (again.solver.method, again.solver.integrator) == (chosen.setting.method,
                                                               chosen.setting.integrator)
+
+
+@pytest.mark.parametrize('share', [0.99, 0.4])
+def test_a_busy_machine_is_said(found, share):
+    rows = [replace(row, timing=replace(row.timing, cpu_share=share)) for row in found.rows
+            if row.timing]
+    said = facts(replace(found, rows=rows), rows[0], 50.0, None, None)
+    assert (('note', 'the machine was busy: timed runs had 40 % of a core, and their times may be '
+             'too long') in said) == (share == 0.4)
 
 
 def test_what_a_scene_cannot_have_is_listed_with_the_reason():

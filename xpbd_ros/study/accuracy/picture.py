@@ -39,10 +39,10 @@ def curves(rows: Sequence[Row], by: str) -> dict[str, list[Row]]:
 
 
 def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
-    """Return the most accurate row of each curve whose median frame is within some time."""
+    """Return the most accurate row of each curve of which 19 frames of 20 are within some time."""
     found = {}
     for name, these in curves(rows, by).items():
-        fast = [row for row in these if row.timing.ms_p50 <= ms]
+        fast = [row for row in these if row.timing.ms_p95 <= ms]
         if fast:
             found[name] = min(fast, key=lambda row: row.error(by))
     return dict(sorted(found.items(), key=lambda item: item[1].error(by)))

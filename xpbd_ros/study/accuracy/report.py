@@ -7,6 +7,7 @@ from datetime import datetime, timezone
 from html import escape
 import math
 from pathlib import Path
+from statistics import median
 
 import yaml
 
@@ -18,6 +19,8 @@ from xpbd_ros.study.accuracy.setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
 from xpbd_ros.study.machine import describe
 
+ALONE = 0.9
+"""share of a core below which a timed run was not alone"""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1f2328; max-width: 76rem; margin: 2rem auto;
        padding: 0 1rem }
@@ -119,6 +122,10 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
             ('machine', describe(study.machine)),
             ('truth', study.truth.text)]
     said += [('note', text) for text in study.notes]
+    share = median([row.timing.cpu_share for row in study.rows if row.timing] or [1.0])
+    if share < ALONE:
+        said.append(('note', f'the machine was busy: timed runs had {100.0 * share:.0f} % of a '
+                     'core, and their times may be too long'))
     if study.by == SHAPE:
         said.append(('note', f'settings are judged by their shape: {study.what}; runs as good as '
                      f'the truth differ by {study.floor:.2g} m in it'))

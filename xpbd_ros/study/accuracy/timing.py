@@ -25,13 +25,15 @@ class Timing:
     """that were timed"""
     bytes: int
     """of all arrays of the simulation"""
+    cpu_share: float = 1.0
+    """CPU time over wall time: 1 where nothing else was running"""
 
 
 def time_frames(simulation, frames: int, commands: dict[int, list]) -> Timing:
     """Run a simulation from its start, with nothing beside it."""
     simulation.compile()
     taken = []
-    start = perf_counter()
+    start, cpu = perf_counter(), thread_time()
     with np.errstate(all='ignore'):
         for frame in range(1, frames + 1):
             inputs, before = commands.get(frame, ()), thread_time()
@@ -39,9 +41,10 @@ def time_frames(simulation, frames: int, commands: dict[int, list]) -> Timing:
             taken.append(1e3 * (thread_time() - before))
             if perf_counter() - start > ENOUGH_S and frame >= LEAST_FRAMES:
                 break
-    wall = perf_counter() - start
+    wall, cpu = perf_counter() - start, thread_time() - cpu
     return Timing(float(np.percentile(taken, 50)), float(np.percentile(taken, 95)),
-                  len(taken) * simulation.frame_dt / wall, len(taken), memory(simulation))
+                  len(taken) * simulation.frame_dt / wall, len(taken), memory(simulation),
+                  cpu / wall)
 
 
 def memory(simulation) -> int:
