@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 from sim.small import DOWN
+import yaml
 
 from xpbd_ros.cli.accuracy import lines
 from xpbd_ros.cli.main import main
@@ -221,6 +222,19 @@ def test_what_a_scene_cannot_have_is_listed_with_the_reason():
     assert len({one.key for one in settings}) == len(settings)
 
 
+def test_a_target_for_the_error_is_no_part_of_a_setting(found):
+    """It would change the substeps that a study varies; settings leave it its room."""
+    chosen = recommend(found.rows, found.by, budget=50.0)
+    scene = sheet(solver={'substeps': 4, 'error_target': 1e-3, 'max_substeps': 8})
+    settings, refused = ladder(scene, ('line',))
+    assert max(one.substeps for one in settings) > 8
+    assert not refused
+    text = settings_text(replace(found, scene=scene), chosen)
+    again = scene_from_mapping(scene.raw, where='x', name='x', overrides={
+        f'solver.{key}': value for key, value in yaml.safe_load(text)['solver'].items()})
+    assert compile_scene(again).solver.substeps == chosen.setting.substeps > 8
+
+
 def test_a_limit_is_extrapolated_at_the_order_that_its_runs_show():
     truth, error = np.array([[1.0, 2.0, 3.0]]), np.array([[0.3, -0.1, 0.2]])
     for order in (1.0, 2.0):
@@ -242,7 +256,7 @@ def test_inputs_that_set_the_solver_are_left_out():
 def test_it_says_why_trajectories_part(growth, text):
     nothing = np.zeros(0)
     truth = Truth('own limit', '', 1.0, 10, nothing, nothing, nothing, nothing, nothing, 1.0,
-                  nothing, 0.0, 0.0, 0.0, nothing, np.full(31, growth))
+                  nothing, 0.0, 0.0, nothing, np.full(31, growth), 1.0)
     (said,) = remarks(sheet(), truth, 30, 0.1)
     assert said.startswith('trajectories part after 1 s: ')
     assert text in said

@@ -58,7 +58,10 @@ def settings_text(study: Study, row: Row) -> str:
     note = (f'# {study.scene.name}: {study.what} {row.error(study.by):.3g} m, '
             f'{row.timing.ms_p50:.3g} ms a frame ({row.timing.ms_p95:.3g} ms p95)\n'
             f'# on {describe(study.machine)}; found by xpbd_ros accuracy {__version__}\n')
-    return note + yaml.safe_dump({'solver': row.setting.block()}, sort_keys=False)
+    keys, scene = row.setting.block(), study.scene.top.solver
+    if scene.error_target is not None:
+        keys['max_substeps'] = max(scene.max_substeps, row.setting.substeps)
+    return note + yaml.safe_dump({'solver': keys}, sort_keys=False)
 
 
 def write_csv(study: Study, file: Path) -> Path:

@@ -71,8 +71,12 @@ def setting_of(simulation: Simulation) -> Setting:
 
 
 def with_solver(scene: Scene, keys: dict) -> Scene:
-    """Return a scene with other keys in its ``solver`` section; None takes one out."""
-    solver = {**(scene.raw.get('solver') or {}), **keys}
+    """
+    Return a scene with other keys in its ``solver`` section; None takes one out.
+
+    Its ``error_target`` is left out: what a setting gives is what a study asks.
+    """
+    solver = {**(scene.raw.get('solver') or {}), 'error_target': None, **keys}
     solver = {key: value for key, value in solver.items() if value is not None}
     return scene_from_mapping({**scene.raw, 'solver': solver}, where=scene.where, name=scene.name)
 

@@ -72,14 +72,14 @@ class Truth:
     """heights of the particles, lowest first, mean over the last part of the run [m]"""
     strain: float
     """root mean square, mean over the last part of the run"""
-    loaded: float
-    """largest strain up to the last of the times, of the largest in the whole run"""
     mean_energy: float
     """mean over the last part of the run [J]"""
     scatter: np.ndarray
     """how far runs that are as good differ in those three: [m], 1, [J]; shape (3,)"""
     growth: np.ndarray
     """how far a push of 1e-9 of the size has taken a run from itself [m], shape (frames + 1,)"""
+    loaded: float
+    """largest strain up to the last of the times, of the largest in the whole run"""
 
     def save(self, file: Path) -> None:
         """Write it to an .npz file."""
@@ -220,8 +220,8 @@ def make(simulation: Simulation, rungs: Sequence[Track], pushed: Track, frames: 
     elif why_not:
         text += f' (not the independent solver: {why_not})'
     return Truth(kind, text, size, horizon, frames, x, uncertainty, apart, np.array(energies),
-                 float(np.nanmax(finest.kinetic)), *means[1][:2], loaded, means[1][2], scatter,
-                 growth_of(pushed, rungs[0]))
+                 float(np.nanmax(finest.kinetic)), *means[1], scatter,
+                 growth_of(pushed, rungs[0]), float(loaded))
 
 
 def _energy(simulation: Simulation, reference: Reference) -> float:
