@@ -129,3 +129,21 @@ def test_points_and_pairs_do_not_bend():
 def test_one_rigidity_or_two(bend):
     with pytest.raises(InputError, match='warp and weft'):
         simulate((3, 3), effects={'bend': bend})
+
+
+@pytest.mark.slow
+def test_a_clamped_strip_swings_with_the_period_of_a_beam():
+    """V22, coarse: ω = 3.516 √(B / ρ L⁴); it is let go from a small deflection."""
+    rigidity, density, n, length = 1e-3, 0.2, 8, 0.3
+    strip = simulate((n + 2, 2), ((n + 1) * length / n, 0.05), gravity=(0, 0, 0), substeps=40,
+                     density=density, method='line', integrator='bdf2', iterations=4, effects={
+                         'bend': {'stiffness': rigidity},
+                         'stretch': {'warp': 500.0, 'weft': 500.0}},
+                     pins={'root': {'cloth': 'c', 'at': [0, 1, n + 2, n + 3]}})
+    x = strip.frame().x
+    along = np.maximum(x[:, 0] - 1.5 * length / n, 0.0)
+    strip.state.x[2, strip.slot] = 0.05 * along**2 * (3.0 * length - along)
+    tip = [strip.step().x[n + 1, 2] for _ in range(90)]
+    period = 2.0 * np.pi / (3.516 * np.sqrt(rigidity / (density * length**4)))
+    (first, *_) = np.flatnonzero(np.diff(np.sign(tip)))
+    assert (first + 1.5) / 60.0 == pytest.approx(0.25 * period, rel=0.12)

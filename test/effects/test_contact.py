@@ -481,3 +481,28 @@ def test_nothing_gets_out_of_a_room_with_thin_walls_that_turns(substeps, rough):
             tuple(turn.apply(place).tolist()), tuple(turn.as_quat().tolist())))
             for name, place in walls.items()])
         assert np.abs(turn.inv().apply(frame.x)).max() < 0.5, k
+
+
+def propped(when, iterations):
+    """Return a stiff strip of three whose middle a sphere holds up, and how far it is strained."""
+    simulation = simulate((3, 1), (0.2, 1.0), density=1.0, iterations=iterations, effects={
+        'stretch': {'compliance': 0.0}}, pose={'position': [-0.1, 0.0, R + 0.3]},
+        colliders={'s': {'sphere': {'radius': 0.3}}},
+        scene_effects={'contact': {'thickness': R, 'when': when}, 'damping': {'rate': 3.0}})
+    frame = run(simulation, 10)
+    edges = np.linalg.norm(np.diff(frame.x, axis=0), axis=1)
+    depth = 0.3 + R - np.linalg.norm(frame.x, axis=1).min()
+    return simulation, np.abs(edges / 0.1 - 1.0).max(), depth
+
+
+def test_contact_in_each_iteration_agrees_with_what_is_elastic_and_after_them_it_has_its_way():
+    """Neither ends within the sphere; what is rigid keeps its length only in the first case."""
+    strains = {}
+    for when in ('sweep', 'after'):
+        _, strains[when], depth = propped(when, 50)
+        assert depth < 1e-12
+    assert strains['sweep'] < 0.1 * strains['after']
+
+
+def test_with_one_iteration_it_is_all_the_same_when_contact_comes():
+    assert len({propped(when, 1)[0].hash() for when in ('sweep', 'after')}) == 1

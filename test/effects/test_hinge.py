@@ -10,6 +10,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim import stages
+from xpbd_ros.sim.measure import kinetic_energy
 from xpbd_ros.sim.state import places, Substep
 
 B = 3e-4
@@ -172,3 +173,22 @@ def test_hinges_without_stiffness_are_as_absent_and_points_and_strips_have_none(
 def test_both_and_neither_are_refused(keys):
     with pytest.raises(InputError, match=r'hinge: needs either stiffness, or warp and weft'):
         simulate(effects={'hinge': keys})
+
+
+@pytest.mark.slow
+def test_a_fold_opens_with_the_energy_that_it_stores():
+    """Two stiff cells at 90° to one another, let go: flat, all of it is motion."""
+    simulation = simulate((3, 2), (0.4, 0.2), gravity=(0, 0, 0), substeps=100, density=0.2,
+                          method='gauss_seidel_symmetric', integrator='bdf2', effects={
+                              'hinge': {'stiffness': 0.01},
+                              'stretch': {'warp': 4000.0, 'weft': 4000.0},
+                              'shear': {'stiffness': 2000.0}})
+    x = simulation.frame().x
+    x[:, 2] = np.maximum(x[:, 0] - 0.2, 0.0)
+    x[:, 0] = np.minimum(x[:, 0], 0.2)
+    state, hinges = simulation.state, simulation.effects['hinge'].constraints
+    state.x[:, simulation.slot] = x.T
+    stored = hinges.energy(state.x)
+    assert stored > 1e-3
+    moving = [kinetic_energy(state) for _ in range(40) if simulation.step()]
+    assert max(moving) == pytest.approx(stored, rel=0.05)

@@ -18,12 +18,12 @@ LAWS = {
     'force': 'test_force.py::test_a_force_per_mass_is_gravity',
     'damping': 'test_damping.py::test_velocity_falls_by_the_implicit_step_in_every_substep[7]',
     'rayleigh': 'test_rayleigh.py::test_the_kelvin_voigt_oscillator_decays_as_backward_euler_says',
-    'bend': 'test_bend.py::test_a_cantilever_sags_as_a_beam_does_whatever_its_rows[11-0.01-2]',
+    'bend': 'test_bend.py::test_a_clamped_strip_swings_with_the_period_of_a_beam',
     'cross_bend': 'test_cross_bend.py::test_a_fold_opens_with_the_energy_that_it_stores',
-    'hinge': 'test_hinge.py::test_a_shell_keeps_its_curved_shape_and_a_flat_one_would_not',
+    'hinge': 'test_hinge.py::test_a_fold_opens_with_the_energy_that_it_stores',
     'volume': 'test_volume.py::test_a_bar_that_is_pulled_has_youngs_modulus_and_poissons_ratio'
               '[0.3]',
-    'area': 'test_area.py::test_a_squeezed_disc_comes_back_to_its_area[5.0]',
+    'area': 'test_area.py::test_a_squeezed_disc_comes_back_to_its_area[50.0]',
     'pressure': 'test_pressure.py::test_the_gas_law_holds_within_the_pressure_over_the_outside',
     'shear': 'test_shear.py::test_a_sheared_sheet_pulls_with_its_modulus',
     'membrane': 'test_membrane.py::test_a_sheet_pulled_along_warp_gets_narrower_by_poissons_ratio'

@@ -9,6 +9,9 @@ normal n (Müller et al. 2006, 3.4):
 
     Δd = max(-C, -d),   d += Δd,   x += n Δd        (d ≥ 0: the push so far, never a pull)
 
+``when: after`` leaves it, and friction with it, to the last iteration: cheaper, and what is
+elastic does not learn of it within the substep.
+
 r is the thickness. A particle that begins the substep already too deep (a collider teleported into
 the cloth) comes out at no more than DEPENETRATION, and what velocity that part of the push gave
 away from the surface is taken back at the substep's end (the aim of pre-stabilisation, Macklin et
@@ -84,6 +87,8 @@ class Parameters:
 
     thickness: float = quantity(unit='m', above=0.0, live=True,
                                 doc='distance kept between particles and surfaces')
+    when: str = quantity('sweep', choices=('sweep', 'after'),
+                         doc='in every iteration, or once, after the last')
     max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
     mesh_nodes: int = quantity(0, minimum=0, maximum=100_000_000, doc=(
         'room for the grids of meshes that come while it runs (4 bytes each)'))
@@ -104,12 +109,15 @@ class Contact(NamedTuple):
     contacts: Contacts
     bounce: Bounce | None
     """None in a scene where no collider bounces"""
+    wait: np.ndarray | None
+    """iterations done in this substep, and how many there are; None where it comes in each"""
 
 
 @stage(prepare, Contact)
 @jit
 def forget_contacts(contact, state, substep):
     """Move the colliders, and leave the pairs of the substep before."""
+    begin_waiting(contact.wait)
     if substep.begin == 0.0:
         contact.contacts.count[1] = 0
     contact.contacts.count[0] = NOT_SOUGHT
@@ -178,10 +186,29 @@ def consider(contacts, bounce, state, i, c, thickness, substep):
     contacts.count[0] = k + 1
 
 
+@jit
+def begin_waiting(wait):
+    """Forget the iterations of the substep before."""
+    if wait is not None:
+        wait[0] = 0
+
+
+@jit(inline=True)
+def waits(wait):
+    """Tell whether there is an iteration to come."""
+    if wait is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        wait[0] += 1
+        return wait[0] < wait[1]
+
+
 @stage(touch, Contact)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal; in corners, more than once."""
+    if waits(contact.wait):
+        return
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact, state, substep)
     for _ in range(CORNER):
@@ -308,7 +335,8 @@ class BuiltContact(Built):
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
-        self.data = Contact(self.contacts, bounce)
+        self.data = Contact(self.contacts, bounce, None if parameters.when == 'sweep'
+                            else np.array([0, world.iterations]))
         self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
                          RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
         self.placed: dict[str, Placed] = {}

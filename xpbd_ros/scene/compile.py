@@ -103,7 +103,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   solver.compliance_scale, before or {},
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
-                  or solver.method not in ONE_PASS)
+                  or solver.method not in ONE_PASS, iterations=solver.iterations)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]

@@ -3,8 +3,8 @@ Points sorted into the cells of a cubic grid: those in a box are found without t
 
 The grid has no end: a cell's three whole numbers are hashed into a table, and a counting sort
 lists the points by place in the table (M. Teschner et al., "Optimized spatial hashing for
-collision detection of deformable objects", 2003). Points found come in rising order, whatever the
-cells.
+collision detection of deformable objects", 2003). Points are found cell after cell; of the few
+that matter ``in_order`` makes an order that cells have no part in.
 """
 
 from math import floor
@@ -62,7 +62,7 @@ def fill(cells, points, size):
 
 @jit
 def look_up(cells, points, size, low, high, least):
-    """List the points from ``least`` on in a box, in rising order; return how many there are."""
+    """List the points from ``least`` on in a box, in no order; return how many there are."""
     places, cell, found, count = len(cells.start) - 1, cells.cell, cells.found, 0
     for a in range(floor(low[0] / size), floor(high[0] / size) + 1):
         for b in range(floor(low[1] / size), floor(high[1] / size) + 1):
@@ -75,10 +75,17 @@ def look_up(cells, points, size, low, high, least):
                             or points[i, 1] < low[1] or points[i, 1] > high[1]
                             or points[i, 2] < low[2] or points[i, 2] > high[2]):
                         continue
-                    at = count
-                    while at > 0 and found[at - 1] > i:
-                        found[at] = found[at - 1]
-                        at -= 1
-                    found[at] = i
+                    found[count] = i
                     count += 1
     return count
+
+
+@jit
+def in_order(numbers, count):
+    """Sort the first few numbers."""
+    for k in range(1, count):
+        n, at = numbers[k], k
+        while at > 0 and numbers[at - 1] > n:
+            numbers[at] = numbers[at - 1]
+            at -= 1
+        numbers[at] = n

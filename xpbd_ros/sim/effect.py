@@ -138,6 +138,9 @@ class World:
     forces: bool = True
     """whether multipliers are kept: somebody asks for forces, or a pass follows another"""
 
+    iterations: int = 1
+    """of the solver"""
+
     @cached_property
     def records(self) -> np.ndarray:
         """Particles as records, for all effects that want them; shape (slots, 4)."""

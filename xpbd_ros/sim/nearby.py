@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.cells import Cells, fill, look_up, new_cells
+from xpbd_ros.sim.cells import Cells, fill, in_order, look_up, new_cells
 from xpbd_ros.sim.closest import dot, minus, on_edges, on_triangle
 from xpbd_ros.sim.jit import jit
 
@@ -21,6 +21,8 @@ REST_SHARE = 0.5
 """of the distance at rest: nearer than that, cloth touches what it is joined to"""
 POINTS, TRIANGLES, EDGES = range(3)
 """a pair of particles, of a particle and a triangle, of two edges"""
+CELL = 0.5
+"""size of a cell, over that of the longest edge with what is sought round it"""
 HALVINGS = 8
 """of a margin that finds more pairs than there is room for"""
 
@@ -260,13 +262,19 @@ def list_particles(near, thickness, margin):
     for i in range(len(x)):
         low = x[i, 0] - size, x[i, 1] - size, x[i, 2] - size
         high = x[i, 0] + size, x[i, 1] + size, x[i, 2] + size
+        found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, size, low, high, i + 1)):
-            j = near.cells.found[f]
+            j = found[f]
+            if length(minus(at(x, i), at(x, j))) < size and not same(near.kin, i, j):
+                found[close] = j
+                close += 1
+        in_order(found, close)
+        for f in range(close):
+            j = found[f]
+            keep = kept(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
             distance = length(minus(at(x, i), at(x, j)))
-            if distance < size and not same(near.kin, i, j):
-                keep = kept(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
-                if distance < keep + margin:
-                    end = put(near, end, i, j, distance, keep)
+            if distance < keep + margin:
+                end = put(near, end, i, j, distance, keep)
     return closed(near, end, POINTS)
 
 
@@ -288,7 +296,7 @@ def list_surface(near, surface, thickness, margin):
         longest = max(longest, length(minus(p, q)))
         for a in range(3):
             middle[e, a] = 0.5 * (p[a] + q[a])
-    cell = size + longest
+    cell = CELL * (size + longest)
     fill(near.cells, x, cell)
     fill(surface.cells, middle, cell)
     end = 0
@@ -299,31 +307,42 @@ def list_surface(near, surface, thickness, margin):
                min(p[2], q[2], r[2]) - size)
         high = (max(p[0], q[0], r[0]) + size, max(p[1], q[1], r[1]) + size,
                 max(p[2], q[2], r[2]) + size)
+        found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, cell, low, high, 0)):
-            v = near.cells.found[f]
-            if surface.outer[v] and not (same(near.kin, v, i) or same(near.kin, v, j)
-                                         or same(near.kin, v, k)):
-                distance = length(way(TRIANGLES, x, v, i, j, k)[0])
-                if distance < size:
-                    end = put(near, end, v, t, distance, -1.0)
+            v = found[f]
+            if (surface.outer[v] and not (same(near.kin, v, i) or same(near.kin, v, j)
+                                          or same(near.kin, v, k))
+                    and length(way(TRIANGLES, x, v, i, j, k)[0]) < size):
+                found[close] = v
+                close += 1
+        in_order(found, close)
+        for f in range(close):
+            distance = length(way(TRIANGLES, x, found[f], i, j, k)[0])
+            end = put(near, end, found[f], t, distance, -1.0)
     closed(near, end, TRIANGLES)
     near.kind_end[POINTS] = 0
     for e in range(len(edges)):
         i, j = edges[e, 0], edges[e, 1]
-        p, q, m = at(x, i), at(x, j), at(middle, e)
-        half = size + 0.5 * (length(minus(p, q)) + longest)
-        low = m[0] - half, m[1] - half, m[2] - half
-        high = m[0] + half, m[1] + half, m[2] + half
+        p, q, half = at(x, i), at(x, j), size + 0.5 * longest
+        low = (min(p[0], q[0]) - half, min(p[1], q[1]) - half, min(p[2], q[2]) - half)
+        high = (max(p[0], q[0]) + half, max(p[1], q[1]) + half, max(p[2], q[2]) + half)
+        found, close = surface.cells.found, 0
         for f in range(look_up(surface.cells, middle, cell, low, high, e + 1)):
-            other = surface.cells.found[f]
+            other = found[f]
             k, l = edges[other, 0], edges[other, 1]
             if apart(p, q, at(x, k), at(x, l), size) or (
                     same(near.kin, i, k) or same(near.kin, i, l)
                     or same(near.kin, j, k) or same(near.kin, j, l)):
                 continue
+            if length(way(EDGES, x, i, j, k, l)[0]) < size:
+                found[close] = other
+                close += 1
+        in_order(found, close)
+        for f in range(close):
+            other = found[f]
+            k, l = edges[other, 0], edges[other, 1]
             distance = length(way(EDGES, x, i, j, k, l)[0])
-            if distance < size:
-                end = put(near, end, e, other, distance, -1.0)
+            end = put(near, end, e, other, distance, -1.0)
     return closed(near, end, EDGES)
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from xpbd_ros.study.cases.build import build, G, hold, run
 from xpbd_ros.study.cases.case import case, order, value
 
+_FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_')
 RADIUS, YOUNG, POISSON = 0.1, 200.0, 0.3
 
 
@@ -52,8 +53,7 @@ def sphere(splits: int) -> tuple[Path, np.ndarray]:
     a, b, c = (x[triangles[:, k]] for k in range(3))
     inward = (np.cross(b, c) * a).sum(1) < 0.0
     triangles[inward] = triangles[inward][:, ::-1]
-    folder = Path(tempfile.mkdtemp(prefix='xpbd_ros_'))
-    file = folder / f'sphere_{splits}.obj'
+    file = Path(_FOLDER.name) / f'sphere_{splits}.obj'
     file.write_text(''.join([*('v {!r} {!r} {!r}\n'.format(*p) for p in (RADIUS * x).tolist()),
                              *('f {} {} {}\n'.format(*t) for t in (triangles + 1).tolist())]))
     return file, triangles
