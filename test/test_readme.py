@@ -55,9 +55,12 @@ def test_table_of_effects_is_what_their_files_say():
     assert effects_table() in text(), f'the README should hold\n{effects_table()}'
 
 
-def test_shipped_scenes_are_named():
+def test_shipped_scenes_are_named_and_have_a_picture():
     for file in (share_folder() / 'scenes').glob('*.yaml'):
         assert f'`{file.stem}`' in text()
+        if file.stem != 'demo':    # which has a larger one of its own
+            size = (README.parent / f'resource/images/{file.stem}.png').stat().st_size
+            assert 3_000 < size < 60_000
 
 
 def test_example_scene_runs():

@@ -295,3 +295,13 @@ def test_an_interrupt_leaves_a_log_that_is_whole(number, scene, tmp_path):
     reader = LogReader(tmp_path / 'out')
     assert reader.whole, reader.damage
     assert reader.topics['/cloth/particles'].count > 100
+
+
+def test_a_picture_of_a_run_is_drawn_and_never_over_another(scene, tmp_path, capsys):
+    picture = tmp_path / 'run.png'
+    words = ['run', str(scene), '--picture', str(picture), '-o']
+    assert main([*words, str(tmp_path / 'one')]) == 0
+    assert f'picture  {picture}' in capsys.readouterr().out
+    assert 5_000 < picture.stat().st_size < 60_000
+    assert main([*words, str(tmp_path / 'two')]) == 2
+    assert str(picture) in capsys.readouterr().err

@@ -36,6 +36,8 @@ def add_arguments(parser):
                         help="a file with a 'solver:' block that takes the place of the scene's")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
+    parser.add_argument('--picture', metavar='FILE',
+                        help='draw three instants of the run as a PNG; must not exist')
     add_json_argument(parser)
 
 
@@ -54,7 +56,8 @@ def run(arguments) -> int:
     overrides.update(parse_keys(arguments.keys))
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
-    refuse_existing(arguments.json)
+    for output in (arguments.json, arguments.picture):
+        refuse_existing(output)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     commands = commands_of('run', arguments.commands) if arguments.commands else {}
@@ -65,6 +68,10 @@ def run(arguments) -> int:
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
     step_ms, refused, notes = [], 0, [*simulation.notes]
+    shots = None
+    if arguments.picture:
+        from xpbd_ros.study.shots import Shots
+        shots = Shots(simulation, frames)
     watch = Watch(simulation, target=scene.top.solver.error_target,
                   most=scene.top.solver.max_substeps)
     try:
@@ -78,6 +85,8 @@ def run(arguments) -> int:
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 watch.look(1e-3 * step_ms[-1])
                 refused += len(frame.refused)
+                if shots:
+                    shots.look(frame)
                 notes += [f'frame {index}: {text}' for text in frame.news]
                 recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
                 if signals:
@@ -98,6 +107,8 @@ def run(arguments) -> int:
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
     }
+    if shots:
+        numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
     if not quiet:
         print(f"{scene.name}: {frames} frames, {numbers['real_time_factor']:.2f} × real time\n"
@@ -109,6 +120,8 @@ def run(arguments) -> int:
               f'error    {watch}\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
+        for file in numbers.get('pictures', ()):
+            print(f'picture  {file}')
         for text in notes:
             print(f'note     {text}')
         if refused:

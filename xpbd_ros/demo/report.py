@@ -124,6 +124,7 @@ def table(numbers: dict) -> str:
 def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
     """Draw the towel, the colliders and the grippers' paths at six instants."""
     from xpbd_ros.study.picture import Body, draw as draw_picture, Instant, Path as Track, Surface
+    from xpbd_ros.study.shots import size_of
     cloth = simulation.cloths[0]
     path_t = np.array([row[0] for row in diary['path']])
     tracks = np.array([row[1:] for row in diary['path']])
@@ -152,14 +153,6 @@ def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
     draw_picture(instants, file, title='A towel on /cloth/particles, moved by a robot over DDS',
                  columns=3)
     return file.absolute()
-
-
-def size_of(entry):
-    """Return a collider's size as the picture wants it."""
-    shape = getattr(entry, entry.shape)
-    return {'plane': (), 'sphere': (getattr(shape, 'radius', 0),)}.get(
-        entry.shape, getattr(shape, 'size', None)
-        or (getattr(shape, 'radius', 0), getattr(shape, 'length', 0)))
 
 
 def colliders_at(simulation, diary, begins, stamp: float):

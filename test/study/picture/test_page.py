@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 import pytest
 
-from xpbd_ros.study.picture import Arrow, Body, draw, grid_spacing, Instant, page, Path, Surface
+from xpbd_ros.study.picture import Arrow, Body, draw, grid_spacing, Instant, Path, Surface
 
 
 def test_grid_lines_are_a_round_distance_apart():
@@ -49,18 +49,15 @@ def test_the_same_run_gives_the_same_file(tmp_path):
     assert (tmp_path / 'a.png').read_bytes() == (tmp_path / 'b.png').read_bytes()
 
 
-def test_a_picture_too_large_loses_colours_then_pixels_and_at_last_is_refused(
-        tmp_path, monkeypatch):
+def test_a_picture_too_large_loses_colours_then_pixels_and_at_last_is_refused(tmp_path):
     file = tmp_path / 'run.png'
     draw(little_run(1), file, width_px=300)
     full = file.stat().st_size
     for share in (0.7, 0.2):
-        monkeypatch.setattr(page, 'FILE_LIMIT', int(share * full))
-        draw(little_run(1), file, width_px=300)
+        draw(little_run(1), file, width_px=300, limit=int(share * full))
         assert file.stat().st_size < share * full
-    monkeypatch.setattr(page, 'FILE_LIMIT', 100)
     with pytest.raises(ValueError, match='cannot be made smaller than 100 bytes'):
-        draw(little_run(1), tmp_path / 'none.png', width_px=500)
+        draw(little_run(1), tmp_path / 'none.png', width_px=500, limit=100)
     assert not (tmp_path / 'none.png').exists()
 
 

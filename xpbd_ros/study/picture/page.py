@@ -24,7 +24,7 @@ def _columns(count: int) -> int:
     return count if count <= 3 else 2 if count == 4 else 3 if count <= 9 else 4
 
 
-def _save(canvas: FigureCanvasAgg, file: FilePath) -> None:
+def _save(canvas: FigureCanvasAgg, file: FilePath, limit: int) -> None:
     """Write a PNG, with fewer colours or pixels if it would be too large."""
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     for scale in (1.0, 0.8, 0.6, 0.4):
@@ -33,20 +33,21 @@ def _save(canvas: FigureCanvasAgg, file: FilePath) -> None:
         for attempt in (small, small.point(lambda value: value | 1), small.quantize(256)):
             data = io.BytesIO()
             attempt.save(data, 'PNG', optimize=True)
-            if data.tell() < FILE_LIMIT:
+            if data.tell() < limit:
                 file.write_bytes(data.getvalue())
                 return
     raise ValueError(f'{file}: a picture of {picture.width} x {picture.height} px '
-                     f'cannot be made smaller than {FILE_LIMIT} bytes')
+                     f'cannot be made smaller than {limit} bytes')
 
 
 def draw(instants: Sequence[Instant], file: FilePath | str, *, title: str = '',
-         columns: int | None = None, camera: Camera | None = None, width_px: int = 1600) -> None:
+         columns: int | None = None, camera: Camera | None = None, width_px: int = 1600,
+         limit: int = FILE_LIMIT) -> None:
     """
     Write a PNG with one panel per instant.
 
     The camera is fitted to all instants together, planes left out; the sun stands to its left.
-    Labels of paths make a legend.
+    Labels of paths make a legend. ``limit`` is what the file is smaller than [bytes].
     """
     if not instants:
         raise ValueError('draw: needs at least one instant')
@@ -110,4 +111,4 @@ def draw(instants: Sequence[Instant], file: FilePath | str, *, title: str = '',
         figure.text(1 - outer / width_px, level, f'grid {grid_spacing(size):g} m', fontsize=7.5,
                     color=muted, ha='right', va='center')
     canvas.draw()
-    _save(canvas, FilePath(file))
+    _save(canvas, FilePath(file), limit)
