@@ -217,3 +217,17 @@ def test_float32_follows_float64(method):
         frames[precision] = frame.x
         assert sheet.state.x.dtype == precision
     assert np.abs(frames['float32'] - frames['float64']).max() < 1e-3
+
+
+@pytest.mark.parametrize('method, integrator', [
+    ('gauss_seidel', 'backward_euler'),
+    pytest.param('line', 'bdf2', marks=pytest.mark.slow)])
+def test_float32_keeps_its_digits_in_short_steps(method, integrator):
+    """g h² is no more than a few last bits of x here; v must not be made of them."""
+    x = {}
+    for precision in ('float64', 'float32'):
+        sheet = simulation(method, integrator, 64, **{'solver.precision': precision})
+        for _ in range(12):
+            frame = sheet.step()
+        x[precision] = frame.x
+    assert np.sqrt(((x['float32'] - x['float64'])**2).sum(1).mean()) < 1e-3

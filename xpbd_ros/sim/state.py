@@ -18,7 +18,7 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.update import Explicit, Jacobi
+from xpbd_ros.sim.update import Explicit, inline, Jacobi
 from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
 
 
@@ -220,40 +220,66 @@ def step_of(history, w, q, h):
     return select(load(history.fresh, q) > 0.5, splat(w, h), splat(w, 2.0 / 3.0 * h))
 
 
+def velocity(v, now, start, step, plain):
+    """
+    Return v after a step of H that was predicted to end at start + H v and ends at ``now``.
+
+    ``plain`` is what the formula of the integrator says, by differences of positions. It is the
+    same but for rounding: the last bit of x, divided by H, is a large part of what gravity adds to
+    v in a short step. So float32 goes on from the predicted v, which has all its bits.
+    """
+
+
+@inline(velocity)
+def _velocity(v, now, start, step, plain):
+    if v.lane.bitwidth < 64:
+        return lambda v, now, start, step, plain: v + (now - (start + step * v)) / step
+    return lambda v, now, start, step, plain: plain
+
+
 @jit
 def update_velocity(state, substep):
     """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
-    _velocity(state, state.history, 1.0 / substep.h)
+    _update_velocity(state, state.history, substep.h)
 
 
 @jit
-def _velocity(state, history, per_h):
+def _update_velocity(state, history, h):
     if history is None:
-        _velocity_euler(state, per_h)
+        _update_euler(state, h)
     else:
-        _velocity_bdf2(state, history, per_h)
+        _update_bdf2(state, history, h)
 
 
 @jit
-def _velocity_euler(state, per_h):
-    x, x_prev, v = state.x, state.x_prev, state.v
-    for i in range(0, x.size, lanes(x)):
-        store(v, i, (load(x, i) - load(x_prev, i)) * per_h)
-
-
-@jit
-def _velocity_bdf2(state, history, per_h):
-    w, slots = state.inv_mass, len(state.inv_mass)
+def _update_euler(state, h):
+    x, v, w, slots, per_h = state.x, state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
     for q in range(0, slots, lanes(w)):
-        fresh = load(history.fresh, q)
-        smooth = both(load(w, q) > 0.0, fresh < 0.5)
+        free = load(w, q) > 0.0
+        for k in range(3):
+            i = k * slots + q
+            xi, xp = load(x, i), load(state.x_prev, i)
+            plain = (xi - xp) * per_h
+            store(v, i, select(free, velocity(load(v, i), xi, xp, splat(w, h), plain), plain))
+
+
+@jit
+def _update_bdf2(state, history, h):
+    v, w, slots, per_h = state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
+    for q in range(0, slots, lanes(w)):
+        fresh, free = load(history.fresh, q), load(w, q) > 0.0
+        as_predicted, smooth = both(free, fresh < 1.5), both(free, fresh < 0.5)
         part = select(smooth, splat(w, 0.5), splat(w, 0.0))
+        past = select(smooth, splat(w, 1.0 / 3.0), splat(w, 0.0))
+        step = select(smooth, splat(w, 2.0 / 3.0 * h), splat(w, h))
         store(history.fresh, q, select(fresh > 1.5, splat(w, 1.0), splat(w, 0.0)))
         for k in range(3):
             i = k * slots + q
-            xp = load(state.x_prev, i)
-            now, before = load(state.x, i) - xp, xp - load(history.x, i)
-            store(state.v, i, (now + part * (now - before)) * per_h)
+            xi, xp = load(state.x, i), load(state.x_prev, i)
+            now, before = xi - xp, xp - load(history.x, i)
+            plain = (now + part * (now - before)) * per_h
+            store(v, i, select(as_predicted, velocity(
+                load(v, i), xi, xp + past * before, step, plain), plain))
             store(history.x, i, xp)
 
 
