@@ -91,13 +91,15 @@ def test_a_seam_takes_a_live_compliance_and_the_scale():
 
 @pytest.mark.parametrize('compliance', [0.0, COMPLIANCE])
 def test_a_seam_keeps_momentum(compliance):
-    simulation = scene({'a': A, 'b': B}, seam(compliance=compliance), gravity=0.0, damping=0.0)
+    light = ((3, 4), (0.05, 0.3), (0.0, 0.0, -0.2))
+    simulation = scene({'a': A, 'b': light}, seam(compliance=compliance), gravity=0.0,
+                       damping=0.0)
     state, slots = simulation.state, simulation.cloths[1].slots
     state.v[:, slots] = np.array([[0.3], [0.2], [-0.5]])
     before = momentum(state), angular_momentum(state)
     run(simulation, 30)
     np.testing.assert_allclose(momentum(state), before[0], atol=1e-14)
-    assert np.linalg.norm(state.v[:, simulation.cloths[0].slots].mean(1)) > 0.1
+    assert np.linalg.norm(state.v[:, simulation.cloths[0].slots].mean(1)) > 0.03
     if compliance == 0.0:
         one, other = sides(simulation)
         np.testing.assert_allclose(one, other, atol=1e-15)

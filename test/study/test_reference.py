@@ -212,6 +212,14 @@ def test_what_the_reference_does_not_know_is_named():
     assert 'knows: stretch, shear, bend, pin, damping' in str(error.value)
 
 
+def test_a_pin_that_gives_way_or_slips_is_refused():
+    for key in ('compliance', 'slip'):
+        simulation = sheet(3)
+        setattr(simulation.effects['pin'].held['left'], key, 1.0)
+        with pytest.raises(InputError, match='pins.left: the reference solver holds rigidly'):
+            problem_of(simulation)
+
+
 def test_a_pin_that_turns_is_refused():
     simulation = sheet(3)
     turned = Pose((0.0, 1.0, 0.0), (0.0, 0.0, 1.0, 0.0))

@@ -98,6 +98,11 @@ def problem_of(simulation: Any) -> Problem:
     if (compliance == 0.0).any():
         raise InputError('effects.stretch.compliance: the reference solver cannot take rigid '
                          'edges; must be > 0 m/N (got 0)')
+    pin = simulation.effects.get('pin')
+    for name, held in (pin.held if pin else {}).items():
+        if held.compliance or held.slip is not None:
+            raise InputError(f'pins.{name}: the reference solver holds rigidly and does not let '
+                             'go; leave out compliance and slip')
     frame = simulation.frame()
     pinned = frame.inv_mass == 0.0
     motion = _path(simulation, frame.x, pinned) if pinned.any() else None
