@@ -53,6 +53,15 @@ def test_a_squeezed_disc_comes_back_to_its_area(stiffness):
     assert area(simulation, frame.x) == pytest.approx(area(simulation, x), rel=0.01)
 
 
+def test_a_squeezed_disc_of_nothing_else_gets_its_area_back():
+    """Each triangle its own; what it is like is left to chance."""
+    simulation = flat({'area': {'stiffness': K}}, scene_effects={'damping': {'rate': 10.0}})
+    x = simulation.frame().x
+    simulation.state.x[:, simulation.slot] = (x * [0.8, 1.0, 1.0]).T
+    frame = run(simulation, 120)
+    assert area(simulation, frame.x) == pytest.approx(area(simulation, x), rel=1e-3)
+
+
 def test_triangles_in_line_or_at_a_point_are_left_finite():
     simulation = flat({'area': {'stiffness': K}, 'bend': {'stiffness': 1e-4}})
     simulation.state.x[1:, simulation.slot] = 0.0
