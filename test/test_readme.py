@@ -63,6 +63,14 @@ def test_shipped_scenes_are_named_and_have_a_picture():
             assert 3_000 < size < 60_000
 
 
+def test_every_hard_case_is_listed():
+    from xpbd_ros.study.stress import all_hard
+    from xpbd_ros.study.stress.run import NODE_CASES
+    plain = ' '.join(text().split())
+    for id_, title in [*((one.id, one.title) for one in all_hard()), *NODE_CASES.items()]:
+        assert f'{id_} {title}' in plain
+
+
 def test_example_scene_runs():
     simulation = compile_scene(scene_from_text(block('yaml'), where='README', name='readme'))
     for _ in range(5):

@@ -7,7 +7,7 @@ from sim.small import run, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.load import load_scene, scene_from_text
+from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.share import share_folder
 from xpbd_ros.sim.measure import largest_strain
@@ -67,3 +67,14 @@ def test_what_is_wrong_with_a_pin_is_told_with_the_file():
     with pytest.raises(InputError) as error:
         simulate(pins={'a': {'cloth': 'towel', 'at': 'corner_00'}})
     assert str(error.value) == "small.yaml: pins.a.cloth: unknown cloth 'towel' (known: c)"
+
+
+@pytest.mark.parametrize(('precision', 'far', 'told'), [
+    ('float32', 1e4, True), ('float32', 1.0, False), ('float64', 1e4, False)])
+def test_float32_far_from_the_origin_is_said(precision, far, told):
+    notes = compile_scene(scene_from_mapping({
+        'solver': {'precision': precision},
+        'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [11, 11]}, 'density': 0.2,
+                         'pose': {'position': [far, 0.0, 0.0]}}},
+    }, where='far.yaml', name='far')).notes
+    assert any('float32 rounds places' in note for note in notes) == told

@@ -280,3 +280,14 @@ def test_a_settings_file_gives_overrides(tmp_path):
         assert str(error.value).startswith(f'{name}: {text}')
     with pytest.raises(InputError, match='no such file'):
         settings_overrides(str(tmp_path / 'none.yaml'))
+
+
+def test_what_is_quoted_is_kept_short_and_on_one_line():
+    name = 'x\n' * 5000
+    with pytest.raises(InputError) as refused:
+        scene_from_mapping({'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [2, 2]},
+                                             'density': name}}}, where='a.yaml', name='a')
+    assert '\n' not in str(refused.value)
+    with pytest.raises(InputError, match='at least 1e-300 kg/m² in size'):
+        scene_from_mapping({'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [2, 2]},
+                                             'density': 5e-324}}}, where='a.yaml', name='a')

@@ -21,6 +21,7 @@ VERBS = {
     'info': 'what a log holds, and whether it is whole',
     'verify': 'compare the simulation with answers that are known',
     'accuracy': 'error against time for a scene, and the setting to take',
+    'stress': 'the hard cases that break solvers, at every setting',
     'check': 'check a scene, and predict what its setting will give',
     'cost': 'what each effect of a scene costs: time, memory, code',
 }

@@ -21,6 +21,9 @@ from xpbd_ros.log.folder import fresh_folder
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
 
+GUARDS = {'frames_taken_back': 'were not finite and were taken back',
+          'explicit_redone': 'were too rough for explicit and were done again with line'}
+"""what guards count, where there is something to count"""
 LONGEST = 1e6
 """[s]; stamps and disks end not far behind"""
 
@@ -103,6 +106,7 @@ def run(arguments) -> int:
         'solver': vars(simulation.solver),
         'refused': refused,
         'error': watch.summary(),
+        **{name: count for name, count in simulation.stats().items() if name in GUARDS},
         'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
@@ -126,6 +130,9 @@ def run(arguments) -> int:
             print(f'note     {text}')
         if refused:
             print(f'refused  {refused} commands')
+        for name, text in GUARDS.items():
+            if numbers.get(name):
+                print(f'note     {numbers[name]} frames {text}')
     return 0
 
 

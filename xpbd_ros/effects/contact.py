@@ -128,7 +128,7 @@ def forget_contacts(contact, state, substep):
 def find_candidates(contact, state, substep):
     """List the pairs that may touch in this substep, and the gap that each has to keep."""
     contacts, thickness, w = contact.contacts, contact.contacts.thickness[0], state.inv_mass
-    contacts.count[0] = 0
+    contacts.count[0] = contacts.count[3] = 0
     slots = len(w)
     for q in range(0, slots, lanes(w)):
         free = load(w, q) > 0.0
@@ -172,6 +172,10 @@ def consider(contacts, bounce, state, i, c, thickness, substep):
         return
     lx, ly, lz = to_local(contacts.before, c, x0, y0, z0)
     gap = signed_distance(contacts.colliders, c, lx, ly, lz)[0]
+    earlier = contacts.latest[i]
+    if earlier < k and contacts.particle[earlier] == i:
+        contacts.count[3] = 1
+    contacts.latest[i] = k
     contacts.particle[k] = i
     contacts.collider[k] = c
     contacts.gap[k] = min(thickness, gap + DEPENETRATION * substep.h)
@@ -206,7 +210,7 @@ def waits(wait):
 @stage(touch, Contact)
 @jit
 def push_out(contact, state, substep):
-    """Push every candidate that is too deep out along the normal; in corners, more than once."""
+    """Push every candidate that is too deep out along the normal; between two, more than once."""
     if waits(contact.wait):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
@@ -215,6 +219,8 @@ def push_out(contact, state, substep):
         push_once(contact.contacts, state)
         if not contact.contacts.count[2]:
             break
+    if contact.contacts.count[3]:
+        push_once(contact.contacts, state, True)
 
 
 @stage(finish, Contact)
@@ -331,7 +337,8 @@ class BuiltContact(Built):
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
         self.colliders: Colliders = new_colliders(capacity, nodes, places)
-        self.contacts = new_contacts(self.colliders, room, parameters.thickness)
+        self.contacts = new_contacts(self.colliders, room, parameters.thickness,
+                                     world.slots)
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))

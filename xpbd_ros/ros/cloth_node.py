@@ -76,6 +76,7 @@ class ClothNode(LifecycleNode):
         """whether the stepper's thread ended on an error"""
         self._last_ns = 0
         self._dropped_before, self._trouble_before = 0, ''
+        self._taken_back_before = 0
         self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._apply_parameters)
@@ -215,7 +216,7 @@ class ClothNode(LifecycleNode):
         follows = self.value('use_sim_time') and not self.value('publish_clock')
         self._begun = False
         self._next_markers = self._next_diagnostics = 0.0
-        self._dropped_before = 0
+        self._dropped_before = self._taken_back_before = 0
         self._set_epoch()
         if follows and not clock.now().nanoseconds:
             self.get_logger().info('use_sim_time: waiting for /clock')
@@ -397,6 +398,12 @@ class ClothNode(LifecycleNode):
             if summary != self._trouble_before:
                 self.get_logger().warning(summary)
         self._dropped_before, self._trouble_before = dropped, self.watch.trouble
+        taken_back = values['frames_taken_back']
+        if taken_back > self._taken_back_before:
+            level, summary = 'ERROR', (f'{taken_back - self._taken_back_before} frames were not '
+                                       'finite and were taken back: the cloth stands still')
+            self.get_logger().error(summary)
+        self._taken_back_before = taken_back
         return diagnostics.message(self.get_fully_qualified_name().lstrip('/'), level, summary,
                                    values, self._epoch_ns + simulation.time_ns(simulation.index))
 
@@ -576,6 +583,18 @@ def as_plain(value):
     return value if isinstance(value, bool | int | float | str) else list(value)
 
 
+def spin(node: ClothNode) -> None:
+    """Serve until it is told to stop; a /clock before time 0, which breaks rclpy, is left out."""
+    while True:
+        try:
+            rclpy.spin(node)
+            return
+        except ValueError as error:
+            if 'must not be negative' not in str(error):
+                raise
+            node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node until it is told to stop: 0; 1 where it broke, 2 where it cannot start."""
     interrupt_on_signals()
@@ -587,7 +606,7 @@ def main(args: list[str] | None = None) -> int:
             good = TransitionCallbackReturn.SUCCESS
             if node.trigger_configure() != good or node.trigger_activate() != good:
                 return 2 if rclpy.ok() else 0
-        rclpy.spin(node)
+        spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except ParameterException as error:

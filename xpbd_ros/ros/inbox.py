@@ -10,7 +10,7 @@ from collections.abc import Callable
 import threading
 import time
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.ros.inputs import count_in, unpacked
 from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider, SetWind
 
@@ -91,7 +91,7 @@ class Inbox:
                 return
             self._warned[topic] = (now, 0)
         more = f' ({silent} more refused since)' if silent else ''
-        self._warn(f'{topic}: refused: {reason}{more}')
+        self._warn(f'{topic}: refused: {brief(reason)}{more}')
 
 
 def _name(command: Command):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.auto import resolve
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
@@ -25,6 +25,8 @@ ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that move all particles at once"""
+COARSE = 1e-3
+"""rounding over the distance of neighbours above which float32 is warned of"""
 
 
 def compile_scene(scene: Scene) -> Simulation:
@@ -35,7 +37,7 @@ def compile_scene(scene: Scene) -> Simulation:
     try:
         meshes = [_mesh(name, keys) for name, keys in scene.cloths.items()]
     except InputError as error:
-        raise InputError(f'{scene.where}: {error}') from None
+        raise InputError(f'{scene.where}: {brief(str(error))}') from None
     places, slots = blocks([mesh.rank if mesh.grid is None else mesh.grid.shape
                             for mesh in meshes], dtype)
     first = 0
@@ -64,10 +66,14 @@ def compile_scene(scene: Scene) -> Simulation:
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),
-            notes=[f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
-                   for text in cloth.mesh.notes])
+            notes=[*(f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
+                     for text in cloth.mesh.notes),
+                   *_too_coarse(cloths, state)])
+    except ArithmeticError as error:
+        raise InputError(f'{scene.where}: sizes, stiffnesses and densities do not fit together '
+                         f'({error})') from error
     except InputError as error:
-        raise InputError(f'{scene.where}: {error}') from None
+        raise InputError(f'{scene.where}: {brief(str(error))}') from None
 
 
 def _mesh(name: str, keys: ClothKeys) -> Mesh:
@@ -88,6 +94,19 @@ def _mesh(name: str, keys: ClothKeys) -> Mesh:
                     else surface_mesh(vertices, triangles, keys.mesh.warp))
     except InputError as error:
         raise InputError(f'cloths.{name}.mesh: {keys.mesh.file}: {error}') from None
+
+
+def _too_coarse(cloths, state: State) -> list[str]:
+    """Say where float32 is not good enough: so far from the origin that it rounds the edges."""
+    if state.x.dtype != np.float32:
+        return []
+    far = float(np.abs(state.x).max(initial=0.0))
+    rounding, gap = far * float(np.finfo(np.float32).eps), min(c.mesh.gap for c in cloths)
+    if rounding <= COARSE * gap:
+        return []
+    return [f'solver.precision: float32 rounds places at {far:.3g} m from the origin to '
+            f'{rounding:.2g} m, and neighbours are {gap:.2g} m apart; take float64, or an origin '
+            'near the scene']
 
 
 def frame_rate(scene: Scene) -> Fraction:

@@ -6,7 +6,7 @@ from typing import Any
 import yaml
 
 from xpbd_ros.effects import EFFECTS, load as load_effect, SECTIONS
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.materials import with_material
 from xpbd_ros.scene.model import ClothKeys, Scene, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
@@ -110,7 +110,7 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
             raw = with_key(raw, key, value)
         return _scene(_resolved(raw, folder or Path()), where, name)
     except InputError as error:
-        raise InputError(f'{where}: {error}') from None
+        raise InputError(f'{where}: {brief(str(error))}') from None
 
 
 def settings_overrides(file: str) -> dict[str, Any]:

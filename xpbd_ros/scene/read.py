@@ -11,6 +11,8 @@ from typing import Any, get_args, get_origin, get_type_hints, Union
 from xpbd_ros.errors import InputError
 
 NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
+LEAST = 1e-300
+"""in size; what is smaller than that, times a length, is nothing"""
 NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
@@ -128,6 +130,8 @@ def _number(kind: type, value: Any, path: str, metadata) -> float | int:
                          'bits)')
     if not isfinite(value):
         raise InputError(f'{path}: must be finite{unit} (got {value})')
+    if 0.0 < abs(value) < LEAST:
+        raise InputError(f'{path}: must be 0 or at least {LEAST:g}{unit} in size (got {value})')
     if kind is int and value != int(value):
         raise InputError(f'{path}: must be a whole number (got {value})')
     above, least, most = (metadata.get(k) for k in ('above', 'minimum', 'maximum'))

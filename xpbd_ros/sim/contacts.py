@@ -33,9 +33,11 @@ class Contacts(NamedTuple):
     """its z axis, the normal of a plane; shape (capacity, 3)"""
     count: np.ndarray
     """candidates; how many found no room in this frame; 1 where the last push held a particle back
-    from what it would have got through; shape (3,)"""
+    from what it would have got through; 1 where a particle is a candidate of two; shape (4,)"""
     thickness: np.ndarray
     """[m], shape (1,)"""
+    latest: np.ndarray
+    """of each slot the last candidate it was, maybe in another substep; shape (slots,)"""
     particle: np.ndarray
     """shape (room,)"""
     collider: np.ndarray
@@ -56,13 +58,14 @@ class Contacts(NamedTuple):
     """if so, the plane that it stays in front of: unit normal, offset [m]; shape (room, 4)"""
 
 
-def new_contacts(colliders: Colliders, room: int, thickness: float) -> Contacts:
+def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) -> Contacts:
     """Return room for that many candidates, none of them in use."""
     capacity = len(colliders.shape)
     return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
                     np.zeros((capacity, 3)),
-                    np.zeros(3, np.int64), np.array([thickness]), np.zeros(room, np.int64),
+                    np.zeros(4, np.int64), np.array([thickness]), np.zeros(slots, np.int64),
+                    np.zeros(room, np.int64),
                     np.zeros(room, np.int64), np.zeros(room), np.zeros(room), np.zeros(room),
                     np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
                     np.zeros((room, 4)))
@@ -106,10 +109,16 @@ def move_colliders(contacts, substep):
 
 
 @jit
-def push_once(contacts, state):
-    """Push every candidate that is too deep out along the normal."""
-    poses, held_back = contacts.after, False
-    for k in range(contacts.count[0]):
+def push_once(contacts, state, back=False):
+    """
+    Push every candidate that is too deep out along the normal.
+
+    On the way ``back`` each goes half of what is left, so that a particle between two colliders
+    with less room than it wants ends in the middle, and not with the one that came last.
+    """
+    poses, held_back, count = contacts.after, False, contacts.count[0]
+    for n in range(count):
+        k = count - 1 - n if back else n
         i, c = contacts.particle[k], contacts.collider[k]
         x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
         x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
@@ -126,6 +135,8 @@ def push_once(contacts, state):
                 phi, nx, ny, nz = ahead, plane[0], plane[1], plane[2]
         before = contacts.push[k]
         push = max(contacts.gap[k] - phi, -before)
+        if back:
+            push = 0.5 * max(push, 0.0)
         if push == 0.0:
             continue
         held_back |= contacts.crossed[k] and push > 0.0
@@ -135,7 +146,8 @@ def push_once(contacts, state):
         state.x[2, i] += nz * push
         contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
         lose_history(state.history, i)
-    contacts.count[2] = held_back
+    if held_back or not back:
+        contacts.count[2] = held_back
 
 
 @jit(inline=True)

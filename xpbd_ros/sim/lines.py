@@ -9,7 +9,9 @@ with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one for
 one back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
 off-diagonal is at most m_k; only a rigid straight line between two pins is singular, and often
 asks for what cannot be. Hence α counts as at least TINY of the mobilities, which is nothing beside
-what a Gauss-Seidel pass adds: such a line shares its misfit out among its edges.
+what a Gauss-Seidel pass adds, and as more where a rigid edge is strained by far (``softened``):
+such a line shares its misfit out, without pulling harder than its directions bear. The closing
+pass over the edges knows the same α, or it would undo that edge by edge.
 
 Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
 rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
@@ -20,15 +22,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, STRIDE, zeros
+from xpbd_ros.sim.update import softened
 from xpbd_ros.sim.vector import (
     after,
     both,
     fma,
     lane_count,
     lanes,
-    larger,
     load,
     root,
     select,
@@ -89,8 +92,8 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
     longest = max(max(STRIDE * b.part, b.rows) for b in blocks) + lanes_
     warp, weft = (np.zeros((len(blocks), longest), dtype) for _ in range(2))
     for g, (block, (by_row, by_column)) in enumerate(zip(blocks, compliance)):
-        warp[g, :block.rows] = by_row
-        weft[g, block.slots[0] - block.first] = by_column
+        warp[g, :block.rows] = np.minimum(by_row, softest(dtype))
+        weft[g, block.slots[0] - block.first] = np.minimum(by_column, softest(dtype))
 
     def of(value):
         return np.array([value(b) for b in blocks], np.int64)
@@ -183,11 +186,12 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         dz = select(apart, dz * inverse, axis[2])
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
+        soft = softened(tiny, alpha, total, (l - rest) * inverse)
         link = off * pivot
-        bottom = fma(-link, off, total + larger(alpha, tiny * total))
+        bottom = fma(-link, off, total + soft)
         solvable = both(bottom > 0.0, there)
         pivot = 1.0 / select(solvable, bottom, 1.0)
-        right = select(solvable, (-fma(alpha, f, l - rest) - off * right) * pivot, 0.0)
+        right = select(solvable, (-fma(soft, f, l - rest) - off * right) * pivot, 0.0)
         store(ux, o, dx)
         store(uy, o, dy)
         store(uz, o, dz)

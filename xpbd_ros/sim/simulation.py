@@ -17,6 +17,9 @@ from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.state import forget, places, State
 from xpbd_ros.sim.sweeps import METHODS
 
+REACH = 1000.0
+"""no particle goes further in a frame, in sizes of the cloths"""
+
 
 @dataclass(frozen=True)
 class Solver:
@@ -90,6 +93,7 @@ class Simulation:
         self._step = step.compiled(tuple(effects))
         self._tuple = ()
         self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
+        self._last = LastGood(self)
         for built in effects.values():
             built.reset(state, 0)
         self._collect()
@@ -147,10 +151,12 @@ class Simulation:
         if pin is not None and pin.changed:
             self._hold()
         self.start = self._kept() if keep else None
+        self._last.keep()
         if self._guard is None:
             self._advance(self.solver.substeps)
         else:
             self._guard.advance()
+        self._last.look()
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
@@ -233,9 +239,49 @@ class Simulation:
         """Return what the effects have to say about the last frame."""
         found = {key: value for built in self.effects.values()
                  for key, value in built.stats().items()}
+        found['frames_taken_back'] = self._last.taken_back
         if self._guard is not None:
             found['explicit_redone'] = self._guard.redone
         return found
+
+
+class LastGood:
+    """
+    Takes back a frame that cannot be: what follows from it would be lost.
+
+    It has numbers that are not finite, or a particle that went REACH times the size of all cloths.
+    The particles are put where the frame began, at rest; only what is asked for can lead there.
+    """
+
+    def __init__(self, simulation: Simulation):
+        self.taken_back = 0
+        """frames so far"""
+        self._simulation = simulation
+        state = simulation.state
+        self._x, self._way = state.x.copy(), np.zeros_like(state.x)
+        self._reach = REACH * sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0)))
+                                  or 1.0 for cloth in simulation.cloths)
+
+    def keep(self) -> None:
+        """Remember where the particles are."""
+        self._x[:] = self._simulation.state.x
+
+    def look(self) -> None:
+        """Judge the frame, and take it back if it cannot be."""
+        simulation, state, way = self._simulation, self._simulation.state, self._way
+        with np.errstate(all='ignore'):
+            np.subtract(state.x, self._x, out=way)
+            far = np.abs(way, out=way).max(initial=0.0)
+            fast = np.abs(state.v, out=way).max(initial=0.0)
+        if far <= self._reach and fast < np.inf:    # not a number is neither
+            return
+        state.x[:], state.v[:] = self._x, 0.0
+        forget(state)
+        if state.reaction is not None:
+            state.reaction[:] = 0.0
+        for built in simulation.effects.values():
+            built.again()
+        self.taken_back += 1
 
 
 class ExplicitGuard:

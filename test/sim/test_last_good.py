@@ -1,0 +1,48 @@
+"""A frame that cannot be is taken back, counted, and the cloth goes on from where it was."""
+
+import numpy as np
+import pytest
+from sim.small import run, with_effects
+
+from xpbd_ros.sim.simulation import REACH
+
+
+@pytest.fixture(scope='module')
+def cloth():
+    """Return a cloth, pinned at a corner, that has swung for a while."""
+    simulation = with_effects(colliders={'table': {'plane': {}, 'position': [0, 0, -9]}})
+    run(simulation, 20)
+    return simulation
+
+
+@pytest.mark.parametrize(('array', 'value'), [
+    ('x', np.nan), ('x', np.inf), ('x', -np.inf), ('x', 1e300), ('v', np.nan), ('v', -np.inf)])
+def test_a_frame_that_cannot_be_is_taken_back(cloth, monkeypatch, array, value):
+    before, taken_back = cloth.frame(), cloth.stats()['frames_taken_back']
+    whole = cloth._advance
+
+    def broken(substeps):
+        whole(substeps)
+        getattr(cloth.state, array)[1, cloth.slot[7]] = value
+
+    monkeypatch.setattr(cloth, '_advance', broken)
+    frame = cloth.step()
+    np.testing.assert_array_equal(frame.x, before.x)
+    assert (frame.v == 0.0).all()
+    assert frame.index == before.index + 1
+    assert cloth.stats()['frames_taken_back'] == taken_back + 1
+    monkeypatch.undo()
+    later = run(cloth, 5)
+    assert np.isfinite(later.x).all()
+    assert np.abs(later.x - before.x).max() > 0.0
+    assert cloth.stats()['frames_taken_back'] == taken_back + 1
+
+
+def test_the_fastest_that_can_be_is_let_through():
+    cloth = with_effects(pins={}, colliders={'table': {'plane': {}, 'position': [0, 0, -1e9]}})
+    cloth.state.v[0, cloth.slot] = 0.5 * REACH * 60.0
+    run(cloth, 2)
+    assert cloth.stats()['frames_taken_back'] == 0
+    cloth.state.v[0, cloth.slot] = 4.0 * REACH * 60.0
+    run(cloth, 1)
+    assert cloth.stats()['frames_taken_back'] == 1

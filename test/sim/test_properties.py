@@ -1,0 +1,149 @@
+"""What holds for any cloth, material, step and order of commands; found by hypothesis."""
+
+from types import FunctionType
+
+from hypothesis import given, HealthCheck, settings, strategies as st
+import numpy as np
+import pytest
+from sim.small import EXAMPLES, simulate, USUAL
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.sim import measure
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+)
+
+METHODS = [('gauss_seidel', 'backward_euler'), ('line', 'bdf2')]
+"""those that other tests compile as well"""
+magnitudes = st.floats(-6.0, 6.0).map(lambda e: 10.0**e)
+"""twelve decades"""
+places = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
+names = st.sampled_from(['a', 'b', 'c'])
+commands = st.one_of(
+    st.builds(lambda n, p, r: Grasp(n, Pose(p), r), names, places, st.floats(1e-3, 3.0)),
+    st.builds(lambda n, p: MovePin(n, Pose(p)), names, places),
+    st.builds(Release, names), st.just(ReleaseAll()), st.just(Reset()),
+    st.builds(lambda p: MoveCollider('table', Pose(p)), places),
+    st.builds(lambda g: SetKey('gravity', list(g)), places),
+    st.builds(lambda k: SetKey('cloths.c.effects.stretch.warp', k), magnitudes),
+    st.builds(lambda k: SetKey('solver.compliance_scale', k), magnitudes),
+    st.builds(lambda n: SetKey('solver.substeps', n), st.integers(1, 12)))
+
+
+@st.composite
+def cloths(draw):
+    """Return the options of a cloth with the usual effects."""
+    warp, weft, shear = (draw(magnitudes) for _ in range(3))
+    values = {**EXAMPLES, 'stretch': {'warp': warp, 'weft': weft}, 'shear': {'stiffness': shear},
+              'bend': {'stiffness': draw(magnitudes) * 1e-3},
+              'contact': {'thickness': draw(st.floats(1e-4, 0.1))},
+              'damping': {'rate': draw(magnitudes)}}
+    kinds = {scope: {name: values[name] for name in USUAL if EFFECTS[name] == scope}
+             for scope in ('cloth', 'scene')}
+    method, integrator = draw(st.sampled_from(METHODS))
+    scale = draw(magnitudes)
+    return {'grid': draw(st.tuples(*[st.integers(3, 7)] * 2)), 'size': (scale, scale),
+            'density': draw(magnitudes), 'effects': kinds['cloth'],
+            'scene_effects': kinds['scene'], 'method': method, 'integrator': integrator,
+            'substeps': draw(st.integers(1, 6)), 'iterations': draw(st.integers(1, 3)),
+            'rate': draw(st.sampled_from([1.0, 30.0, 60.0, 1000.0])),
+            'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}},
+            'colliders': {'table': {'plane': {}, 'position': [0.0, 0.0, -0.1 * scale]}}}
+
+
+def some(count: int, slow: int, **strategies):
+    """Return a decorator: tests of so many examples, and of many more that is slow."""
+    def both(test):
+        found = []
+        for examples, marks in ((count, ()), (slow, pytest.mark.slow)):
+            again = FunctionType(test.__code__, test.__globals__, test.__name__)
+            found.append(pytest.param(settings(
+                max_examples=examples, deadline=None, derandomize=True, database=None,
+                suppress_health_check=list(HealthCheck))(given(**strategies)(again)),
+                id=f'{examples} examples', marks=marks))
+        return found
+    return both
+
+
+@some(12, 1500, options=cloths(),
+      story=st.lists(st.lists(commands, max_size=3), min_size=3, max_size=12))
+def stays_finite(options, story):
+    """Whatever is asked for: finite, a time that rises, and the same bits when repeated."""
+    hashes = []
+    for _ in range(2):
+        simulation, last = simulate(**options), -1
+        for asked in story:
+            frame = simulation.step(asked)
+            assert np.isfinite(frame.x).all()
+            assert np.isfinite(frame.v).all()
+            assert len(frame.applied) + len(frame.refused) == len(asked)
+            assert frame.time_ns > last
+            last = frame.time_ns
+        assert simulation.stats()['frames_taken_back'] == 0 or options['rate'] == 1.0
+        hashes.append(simulation.hash())
+    assert hashes[0] == hashes[1]
+
+
+@some(8, 600, options=cloths(), seed=st.integers(0, 2**32 - 1))
+def keeps_momentum_and_gains_no_energy(options, seed):
+    """A free cloth without gravity, strained and thrown anyhow."""
+    options = {**options, 'pins': {}, 'gravity': (0.0, 0.0, 0.0), 'iterations': 1,
+               'integrator': 'backward_euler', 'method': 'gauss_seidel'}
+    options['scene_effects'] = {**options['scene_effects'], 'damping': {'rate': 1e-300},
+                                'contact': {'thickness': 1e-4}}
+    options['colliders'] = {'table': {'plane': {}, 'position': [0.0, 0.0,
+                                                                -1e9 * options['size'][0]]}}
+    simulation = simulate(**options)
+    noise, state, slot = np.random.default_rng(seed), simulation.state, simulation.slot
+    size = options['size'][0]
+    state.x[:, slot] += noise.normal(0.0, 0.02 * size, (3, len(slot)))
+    state.v[:, slot] = noise.normal(0.0, size, (3, len(slot)))
+
+    def energy():
+        return measure.kinetic_energy(state) + measure.elastic_energy(simulation)
+
+    before, start = measure.momentum(state), energy()
+    most = np.abs(state.mass[slot] * state.v[:, slot]).sum()
+    for _ in range(5):
+        simulation.step()
+        assert np.abs(measure.momentum(state) - before).max() <= 1e-9 * max(
+            most, np.abs(state.mass[slot] * state.v[:, slot]).sum() * 60.0)
+        assert measure.kinetic_energy(state) <= 1.001 * start
+
+
+@some(5, 300, options=cloths(), power=st.integers(-20, 20))
+def does_not_depend_on_units(options, power):
+    """Masses and stiffnesses times a power of two: the same bits."""
+    factor, runs = 2.0**power, []
+    for by in (1.0, factor):
+        effects = {'stretch': {k: v * by for k, v in options['effects']['stretch'].items()},
+                   'shear': {'stiffness': options['effects']['shear']['stiffness'] * by},
+                   'bend': {'stiffness': options['effects']['bend']['stiffness'] * by}}
+        simulation = simulate(**{**options, 'density': options['density'] * by,
+                                 'effects': effects})
+        for _ in range(4):
+            frame = simulation.step()
+        runs.append(frame)
+    np.testing.assert_allclose(runs[0].x, runs[1].x, rtol=0.0, atol=1e-9 * options['size'][0])
+
+
+@pytest.mark.parametrize('run', stays_finite)
+def test_stays_finite_and_repeats_whatever_is_asked(run):
+    run()
+
+
+@pytest.mark.parametrize('run', keeps_momentum_and_gains_no_energy)
+def test_a_free_cloth_keeps_its_momentum_and_gains_no_energy(run):
+    run()
+
+
+@pytest.mark.parametrize('run', does_not_depend_on_units)
+def test_units_of_mass_do_not_matter(run):
+    run()

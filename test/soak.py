@@ -1,0 +1,95 @@
+"""
+Simulate for hours, as fast as it goes, under random commands; nothing may grow.
+
+    python test/soak.py [HOURS]
+
+Memory, file handles and the time stamps are looked at every simulated minute; the exit code is 1
+where one of them got worse. ``test/test_soak.py`` does the same for less long.
+"""
+
+import os
+from pathlib import Path
+import random
+import resource
+import sys
+import time
+
+import numpy as np
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim import measure
+from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose, Release, ReleaseAll, SetKey
+
+MEGABYTE = 2**20
+
+
+def command(noise: random.Random, frame):
+    """Return something that a robot might ask for."""
+    x, y, z = (noise.uniform(-0.4, 0.4) for _ in range(3))
+    point = Pose(tuple(frame.x[noise.randrange(len(frame.x))].tolist()))
+    return noise.choice([
+        Grasp(noise.choice('abc'), point, 0.05), Release(noise.choice('abc')), ReleaseAll(),
+        MovePin(noise.choice('abc'), Pose((x, y, 0.4 + z))),
+        MoveCollider('sphere', Pose((x, y, 0.2 + abs(z)))),
+        SetKey('gravity', [0.0, 0.0, -9.80665 * noise.uniform(0.5, 1.5)]),
+        SetKey('solver.substeps', noise.randint(6, 12))])
+
+
+def handles() -> int:
+    """Return how many files are open."""
+    return len(os.listdir('/proc/self/fd'))
+
+
+def memory() -> int:
+    """Return the memory in use [bytes]."""
+    return int(Path('/proc/self/statm').read_text().split()[1]) * resource.getpagesize()
+
+
+def soak(seconds: float, *, say=lambda text: None) -> dict:
+    """Run for so long and return the figures at the end and what got worse."""
+    simulation = compile_scene(load_scene('demo', {
+        'solver.method': 'gauss_seidel', 'solver.integrator': 'backward_euler',
+        'solver.substeps': 8, 'cloths.towel.grid.resolution': [13, 17]}))
+    simulation.compile()
+    noise, frame = random.Random(1), simulation.step()
+    minute, worst = round(60 * simulation.frame_rate), []
+    begin, first = time.perf_counter(), None
+    frames = round(seconds * simulation.frame_rate)
+    for k in range(2, frames + 1):
+        asked = [command(noise, frame)] if noise.random() < 0.05 else []
+        frame = simulation.step(asked)
+        assert frame.time_ns == round(k * 10**9 / simulation.frame_rate), 'times are exact'
+        if k % 60 == 0 and not (np.isfinite(frame.x).all() and np.isfinite(frame.v).all()):
+            worst.append(f'not finite at {k}')
+            break
+        if k % minute == 0 or k == frames:
+            now = {'memory': memory(), 'handles': handles()}
+            first = first or now
+            say(f'{k / minute:.0f} min: {now["memory"] / MEGABYTE:.1f} MB, '
+                f'{now["handles"]} files, strain {measure.largest_strain(simulation):.3g}')
+    simulation.step([ReleaseAll()])
+    for _ in range(600):
+        frame = simulation.step()
+    found = {'frames': simulation.index, 'times real time':
+             seconds / (time.perf_counter() - begin), 'grown_mb':
+             (memory() - first['memory']) / MEGABYTE, 'handles': handles() - first['handles'],
+             'speed_at_rest': float(np.abs(frame.v).max()),
+             'strain': measure.largest_strain(simulation),
+             'frames_taken_back': simulation.stats()['frames_taken_back']}
+    if found['grown_mb'] > 16.0:
+        worst.append('memory grows')
+    if found['handles'] > 0:
+        worst.append('files are left open')
+    if found['frames_taken_back']:
+        worst.append('frames were taken back')
+    if not found['strain'] < 1.0:
+        worst.append('the cloth does not come to rest')
+    return {**found, 'worse': worst}
+
+
+if __name__ == '__main__':
+    result = soak(3600.0 * float(sys.argv[1] if len(sys.argv) > 1 else 1.0),
+                  say=lambda text: print(text, flush=True))
+    print(result)
+    sys.exit(1 if result['worse'] else 0)

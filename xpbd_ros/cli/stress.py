@@ -1,0 +1,112 @@
+"""
+Run the hard cases: what breaks solvers, at every setting where it applies.
+
+Each row is one case at one setting: whether all stayed finite, the largest strain, when the cloth
+recovered, what the user is told, and whether a textbook XPBD solver survives the same. Cases that
+need a node start one as a process; where ROS is missing they are listed as skipped. The exit code
+is 1 where a row fails or is skipped.
+"""
+
+import json
+from pathlib import Path
+import subprocess
+import sys
+
+from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.errors import InputError
+
+EXAMPLE = 'xpbd_ros stress --case H13'
+
+
+def add_arguments(parser):
+    """Declare what the verb takes."""
+    parser.add_argument('--case', metavar='ID', help='only this case, such as H13')
+    parser.add_argument('--quick', action='store_true',
+                        help='the default setting alone, and no case that needs a node')
+    parser.add_argument('-o', '--output', metavar='DIR',
+                        help='write a table and draw a map of case by setting into this folder; '
+                             'must not exist')
+    add_json_argument(parser)
+
+
+def run(arguments) -> int:
+    """Run the cases and print what came of them."""
+    from xpbd_ros.study.stress.run import draw, known_ids, stress, table
+    for output in (arguments.json, arguments.output):
+        refuse_existing(output)
+    results = []
+    live = live_cases(arguments.case) if not arguments.quick else []
+    if arguments.case in (None, *known_ids()) or not live:
+        results += stress(arguments.case, quick=arguments.quick, progress=progress)
+    results = sorted(results + live, key=lambda one: int(one.id[1:]))
+    rows = [(result, each) for result in results for each in result.outcomes]
+    failed = sum(not each.good and not each.skipped for _, each in rows)
+    missing = sum(each.skipped for _, each in rows)
+    numbers = {
+        'cases': [{'id': result.id, 'family': result.family, 'title': result.title,
+                   **numbers_of(each)} for result, each in rows],
+        'seconds': {result.id: result.seconds for result in results},
+        'passed': len(rows) - failed - missing, 'failed': failed, 'skipped': missing,
+    }
+    if arguments.output:
+        folder = Path(arguments.output)
+        folder.mkdir(parents=True)
+        numbers['pictures'] = [draw(results, folder / 'stress.png')]
+        (folder / 'stress.md').write_text(table(results) + '\n', encoding='utf-8')
+    write_json(arguments.json, numbers)
+    if arguments.json != '-':
+        print('\n'.join(lines(results)))
+        print(f"{numbers['passed']} passed, {failed} failed, {missing} skipped")
+    return 1 if failed or missing else 0
+
+
+def live_cases(chosen: str | None) -> list:
+    """Return the cases that need a node, run or skipped."""
+    from xpbd_ros.study.stress.run import NODE_CASES, Result, skipped
+    ids = [one for one in NODE_CASES if chosen in (None, one)]
+    if not ids:
+        return []
+    try:
+        need_ros('stress')
+    except InputError as error:
+        return [skipped(one, NODE_CASES[one], str(error)) for one in ids]
+    from xpbd_ros.demo.domain import private_environment
+    from xpbd_ros.study.stress.case import Outcome
+    done = subprocess.run([sys.executable, '-m', 'xpbd_ros.live', *ids], stdout=subprocess.PIPE,
+                          env=private_environment(), text=True, check=False)
+    try:
+        found = json.loads(done.stdout)
+    except ValueError:
+        return [skipped(one, NODE_CASES[one], 'its process broke off') for one in ids]
+    return [Result(one, NODE_CASES[one], 'node',
+                   tuple(Outcome(**row) for row in found[one]['rows']), found[one]['seconds'])
+            for one in ids]
+
+
+def numbers_of(outcome) -> dict:
+    """Return a row as JSON has it."""
+    return {'setting': outcome.setting, 'finite': outcome.finite,
+            'strain_max': outcome.strain_max, 'energy_rise': outcome.energy_rise,
+            'recovered': outcome.recovered, 'recovery_s': outcome.recovery_s,
+            'reported': outcome.reported, 'textbook_pass': outcome.textbook,
+            'textbook_why': outcome.textbook_why, 'skipped': outcome.skipped,
+            'why': outcome.why, 'known': outcome.known, 'pass': outcome.good}
+
+
+def lines(results) -> list[str]:
+    """Return the table."""
+    text = [f'{"":<6}{"setting":<54}{"strain":>9} {"recovery":>9}  textbook  reported']
+    for result in results:
+        text.append(f'{result.id} {result.title} ({result.seconds:.1f} s)')
+        for each in result.outcomes:
+            strain = '' if each.strain_max is None else f'{each.strain_max:.3g}'
+            back = ('' if each.recovered is None else 'never' if not each.recovered else
+                    'yes' if each.recovery_s is None else f'{each.recovery_s:.2f} s')
+            book = {None: '-', True: 'pass', False: 'fails'}[each.textbook]
+            mark = 'skip' if each.skipped else 'pass' if each.good else 'FAIL'
+            said = each.reported[:72] + f'  [{each.why}]' * bool(each.why) + (
+                f' (known: {each.known})' * bool(each.known))
+            text.append(f'  {mark}  {each.setting:<54}{strain:>7} {back:>9}  {book:<8}  {said}')
+    return text

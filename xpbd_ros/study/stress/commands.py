@@ -1,0 +1,133 @@
+"""Commands: pins pulled apart, teleported, on and off; gusts; parameters changed live."""
+
+from dataclasses import replace
+
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey, SetWind
+from xpbd_ros.study.stress.case import hard
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+from xpbd_ros.study.stress.worlds import FEW, LINE, sheet, SIZE, USUAL
+
+MAX_SPEED = 5.0
+"""at which a pin follows, unless the scene says otherwise [m/s]"""
+
+
+@hard('H12', 'pins pulled apart, then released')
+def pulled():
+    """To one and a half lengths, slowly and fast; the cloth springs back and is whole."""
+    for speed, label in ((0.2, 'slowly'), (MAX_SPEED, 'fast')):
+        end = 0.5 * SIZE / speed
+
+        def pull(t, speed=speed, end=end):
+            if t > end + 0.2:
+                return {'a': None, 'b': None}
+            return {'b': (min(speed * t, 0.5 * SIZE), 0.0, 0.0)}
+
+        for setting in USUAL:
+            if setting.method == 'explicit':
+                setting = replace(setting, substeps=120)
+            yield Trial(setting, sheet(), end + 2.6, pins=pull, ended=end + 0.2, strain=3.0,
+                        speed=60.0, recovers=0.01, label=label)
+
+
+@hard('H13', 'a pin is sent 10 m away in one message')
+def pin_teleports():
+    """
+    It follows at its largest speed, which is said, and the cloth comes along.
+
+    The free edge whips, in the limit of small steps too, to less than four times that speed.
+    """
+    def jump(t):
+        return {'b': (0.0, 10.0, 0.0), 'a': (0.0, 10.0, 0.0)} if t > 0.1 else {}
+
+    def one(t):
+        return {'b': (0.5 * SIZE, 0.0, 0.0)} if 0.1 < t < 0.5 else {'b': (0.0, 0.0, 0.0)}
+
+    for setting in USUAL:
+        yield Trial(setting, sheet(), 4.6, pins=jump, ended=2.2, speed=4.0 * MAX_SPEED,
+                    recovers=0.01, tells=('pins_at_max_speed',), label='both')
+        yield Trial(setting, sheet(), 3.0, pins=one, ended=0.6, recovers=0.01, strain=3.0,
+                    tells=('pins_at_max_speed',), label='one, and back')
+
+
+TURNED = 'a corner that was turned over stays so: the sheet is too soft to turn it back'
+
+
+@hard('H14', 'a pin taken and left in every frame')
+def on_and_off():
+    """Finite, and whole when it ends; what cannot be is refused."""
+    def blink(t):
+        k = round(t * 60.0)
+        return {'b': None if k % 2 and t < 1.5 else (0.0, 0.0, 0.0)}
+
+    for setting in USUAL:
+        yield Trial(setting, sheet(), 4.0, pins=blink, ended=1.5, speed=3.0 * MAX_SPEED,
+                    recovers=0.01, known=TURNED if setting.method == 'gauss_seidel' else '')
+    far = [Grasp('c', Pose((9.0, 9.0, 9.0)), 0.01), Release('nobody'),
+           MovePin('nobody', Pose())]
+    yield Trial(LINE, sheet(), 0.5, commands=lambda k: far if k == 3 else [], textbook=False,
+                tells=('no free particle within', "pin 'nobody' holds nothing"),
+                label='nothing there, and nobody')
+    yield Refusal('an index out of range', sheet(pins={'a': [0, 999]}), (
+        'pins.a.at: indices must be from 0 to 120 (got [0, 999])',))
+
+
+@hard('H28', 'a gust of 30 m/s on light cloth')
+def gust():
+    """No particle gets faster than the wind."""
+    def blow(k):
+        return [SetWind((0.0, 30.0, 0.0))] if k == 30 else []
+
+    scene = sheet(density=0.05, scene_effects={'pin': {}, 'wind': {'velocity': [0.0, 0.0, 0.0]},
+                                               'drag': {}}, colliders={})
+    free = sheet(density=0.05, pins={}, gravity=0.0, colliders={},
+                 scene_effects=scene['effects'], pose={'orientation': [0.0, 0.0, 0.0, 1.0]})
+    for setting in (*FEW, replace(LINE, substeps=1), replace(LINE, substeps=32)):
+        wind = {'commands': blow, 'air': lambda t: (0.0, 30.0 if t > 0.51 else 0.0, 0.0),
+                'drag': 1.2}
+        yield Trial(setting, scene, 2.0, speed=33.0, label='held', **wind)
+        yield Trial(setting, free, 2.0, speed=30.0 * (1.0 + 1e-9), label='free', **wind)
+
+
+def storm(k: int):
+    """Return changes of parameters, some of them by six orders of magnitude, in turn."""
+    if k >= 120:
+        return [] if k > 120 else [
+            SetKey('cloths.c.effects.stretch.warp', 1000.0), SetKey('gravity', [0, 0, -9.80665]),
+            SetKey('cloths.c.effects.shear.stiffness', 20.0),
+            SetKey('cloths.c.effects.bend.stiffness', 1e-5),
+            SetKey('solver.compliance_scale', 1.0), SetKey('effects.contact.thickness', 0.004)]
+    return [(SetKey('cloths.c.effects.stretch.warp', (1e6, 1.0, 1e3)[k // 9 % 3]),),
+            (SetKey('gravity', [0.0, (30.0, -30.0)[k // 9 % 2], -9.80665]),),
+            (SetKey('cloths.c.effects.shear.stiffness', (1e-3, 1e3)[k // 9 % 2]),),
+            (SetKey('cloths.c.effects.bend.stiffness', (1e-9, 1e-2)[k // 9 % 2]),),
+            (SetKey('solver.compliance_scale', (1e3, 1e-3, 1.0)[k // 9 % 3]),),
+            (SetKey('effects.contact.thickness', (1e-4, 0.05)[k // 9 % 2]),),
+            (SetKey('cloths.c.friction', (0.0, 10.0)[k // 9 % 2]),), (), ()][k % 9]
+
+
+@hard('H30', 'parameters changed in every frame')
+def live():
+    """Over six orders of magnitude, while it runs: bounded, and whole when it ends."""
+    for setting in USUAL:
+        if setting.method != 'explicit':
+            yield Trial(setting, sheet(), 4.5, commands=storm, ended=2.1, recovers=0.02,
+                        textbook=False)
+
+    def steps(k):
+        count = (4, 64, 8, 200, 16)[k // 2 % 5]
+        return [SetKey('solver.substeps', count)] if k < 120 else [
+            SetKey('solver.substeps', 8)] * (k == 120)
+
+    for setting in USUAL:
+        if setting.method != 'explicit':
+            yield Trial(setting, sheet(), 4.5, commands=steps, ended=2.1, recovers=0.02,
+                        speed=30.0, textbook=False, label='substeps')
+    bad = [SetKey('gravity', [0.0, float('nan'), 0.0]), SetKey('solver.substeps', -1),
+           SetKey('cloths.c.effects.stretch.warp', float('inf')), SetKey('nothing', 1)]
+    yield Trial(LINE, sheet(), 0.5, commands=lambda k: bad if k == 3 else [], textbook=False,
+                tells=('gravity[1]: must be finite', 'solver.substeps: must be at least 1',
+                       'stretch.warp: must be finite', 'nothing: cannot change'),
+                recovers=0.01, label='without sense')
+
+

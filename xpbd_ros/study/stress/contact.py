@@ -1,0 +1,217 @@
+"""Contact: teleports, squeezing, what has no normal, bullets, slopes, cloth against itself."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from xpbd_ros.sim.commands import PlaceCollider, Pose, RemoveCollider
+from xpbd_ros.study.stress.case import hard, Setting
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+from xpbd_ros.study.stress.worlds import FEW, FLAT, N, sheet, SIZE, SPACING, USUAL
+
+GAP = 0.004
+DEPENETRATION = 1.0
+"""speed at which what is too deep may come out [m/s]"""
+
+
+def box(track_x, centre, half) -> float:
+    """Return how deep the deepest particle is in a box [m]."""
+    q = np.abs(track_x - centre) - half
+    return float(max(0.0, -q.max(1).min()))
+
+
+@hard('H15', 'a collider jumps into the cloth')
+def collider_teleports():
+    """It follows at its largest speed; what is overrun comes out gently, and is whole."""
+    ball = {'ball': {'sphere': {'radius': 0.1}, 'position': [0.2, 3.0, 0.2], 'friction': 0.4}}
+
+    def jump(t):
+        return {'ball': (0.0, -3.0 if 0.5 <= t < 1.5 else 0.0, 0.0)}
+
+    for setting in USUAL:
+        yield Trial(setting, sheet(colliders=ball), 4.5, colliders=jump, ended=2.1, speed=15.0,
+                    recovers=0.01, tells=('colliders_at_max_speed',), label='jumps')
+
+    def deep(k):
+        if k == 20:
+            return [PlaceCollider('deep', 'sphere', (0.1,), Pose((0.2, 0.05, 0.2)))]
+        return [RemoveCollider('deep')] if k == 120 else []
+
+    for setting in USUAL:
+        yield Trial(setting, sheet(), 4.0, commands=deep, ended=2.0, recovers=0.01,
+                    speed=4.0 * DEPENETRATION, textbook=False, label='appears half a radius deep')
+
+
+@hard('H16', 'squeezed between two colliders')
+def squeezed():
+    """Less room than the thickness: no jitter, and each gives half."""
+    blocks = {name: {'box': {'size': [1.0, 1.0, 0.2]}, 'position': [0.2, 0.2, z]}
+              for name, z in (('below', -0.1 - GAP), ('above', 0.3))}
+    scene = sheet(pose=FLAT, pins={}, colliders=blocks)
+
+    def close(t):
+        return {'above': (0.0, 0.0, -0.2 * min(1.0, t) + 0.001)}
+
+    def deep(track):
+        z = track.x[-1][:, 2]
+        room = 0.101 - 0.1 - (-GAP)    # between the faces, for twice the thickness
+        worst = max(float((-GAP + GAP - z).max()), float((z + GAP - 0.001).max()))
+        return '' if worst <= 0.5 * (2.0 * GAP - room) + 1e-4 else f'{worst:.2g} m too deep'
+
+    for setting in USUAL:
+        yield Trial(setting, scene, 3.0, colliders=close, still=1e-3, strain=0.5, also=deep)
+
+
+@hard('H17', 'where a normal is not defined')
+def no_normal():
+    """Particles at centres, on edges and corners; shapes without extent."""
+    mid = [SIZE / 2.0, 0.0, SIZE / 2.0]
+    for name, shape in (('centre of a sphere', {'sphere': {'radius': 0.06}}),
+                        ('centre of a box', {'box': {'size': [0.1, 0.1, 0.1]}}),
+                        ('axis of a capsule of no length',
+                         {'capsule': {'radius': 0.06, 'length': 0.0}}),
+                        ('edge of a box', {'box': {'size': [0.1, 0.1, 0.1]}})):
+        place = [mid[0] - 0.05, 0.05, mid[2]] if 'edge' in name else mid
+        scene = sheet(colliders={'thing': {**shape, 'position': place}})
+        for setting in USUAL:
+            yield Trial(setting, scene, 3.0, speed=4.0 * DEPENETRATION, strain=3.0,
+                        label=name)
+    for shape, says in (({'sphere': {'radius': 0.0}}, 'radius: must be > 0 m (got 0.0)'),
+                        ({'box': {'size': [0.1, 0.0, 0.1]}}, 'must be > 0 m (got 0.0)'),
+                        ({'plane': {'normal': [0.0, 0.0, 0.0]}}, 'normal: must not be zero')):
+        yield Refusal(str(shape), sheet(colliders={'thing': shape}), (says,))
+
+
+@hard('H18', 'a bullet against a sheet of 1 mm')
+def bullet():
+    """A cloth of 100 m/s, and a plate of 1 mm that moves as fast, end on the side they came."""
+    plate = {'plate': {'box': {'size': [4.0, 4.0, 0.001]}, 'position': [0.2, 0.2, 0.0],
+                       'friction': 0.4, 'max_speed': 100.0}}
+    scene = sheet(pose={'position': [0.0, 0.0, 1.0]}, pins={}, colliders=plate, gravity=-1.0)
+
+    def thrown(x):
+        return x, np.tile([3.0, 1.0, -100.0], (len(x), 1))
+
+    def above(track):
+        z = track.x[-1][:, 2]
+        return '' if z.min() >= 0.0 else f'{(z < 0.0).sum()} particles got through'
+
+    for setting in USUAL:
+        yield Trial(setting, scene, 1.0, place=thrown, also=above, label='the cloth moves')
+    still = sheet(pose=FLAT, pins={}, gravity=0.0, damping=0.0,
+                  colliders={'plate': {**plate['plate'], 'position': [0.2, 0.2, -5.0]}})
+
+    def sweep(t):
+        return {'plate': (0.0, 0.0, 10.0 if t > 0.1 else 0.0)}
+
+    def carried(track):
+        z = track.x[round(0.2 / track.dt) + 1][:, 2]
+        return '' if z.min() >= 5.0 else f'{(z < 5.0).sum()} particles got through'
+
+    for setting in USUAL:
+        yield Trial(setting, still, 0.5, colliders=sweep, also=carried, label='the plate moves')
+
+
+@hard('H26', 'thousands of contacts')
+def many():
+    """A sheet on a slope of 5 degrees sticks, and no particle jitters."""
+    a = np.radians(5.0)
+
+    def moved(track):
+        way = np.abs(track.x[-1] - track.x[30]).max()
+        return '' if way <= 1e-3 else f'slid by {way:.2g} m'
+
+    for setting in USUAL:
+        n = 45 if setting == Setting() else N
+        scene = sheet(grid=(n, n), pose={'position': [0.0, 0.0, GAP]}, pins={}, colliders={
+            'slope': {'plane': {}, 'friction': 0.4}})
+        scene['gravity'] = [9.80665 * float(np.sin(a)), 0.0, -9.80665 * float(np.cos(a))]
+        yield Trial(setting, scene, 2.0, still=1e-3, also=moved, label=f'{n * n} particles')
+
+
+def on_table(mu: float, angle: float, **keys) -> dict:
+    """Return a sheet on a plane that falls towards +x."""
+    a = np.radians(angle)
+    scene = sheet(pose={'position': [0.0, 0.0, GAP]}, pins={}, friction=mu, damping=0.0,
+                  colliders={'slope': {'plane': {}, 'friction': mu, **keys}}, scene_effects={
+                      'pin': {}, 'contact': {'thickness': GAP}, 'friction': {},
+                      'damping': {'rate': 1e-300}})
+    scene['gravity'] = [9.80665 * float(np.sin(a)), 0.0, -9.80665 * float(np.cos(a))]
+    return scene
+
+
+@hard('H29', 'friction and restitution at their ends')
+def extremes():
+    """No friction slides as it falls; a hundred holds on a cliff; a full bounce gains nothing."""
+    def way(expected, most, track):
+        got = track.x[-1][:, 0].mean() - track.x[0][:, 0].mean()
+        return '' if abs(got - expected) <= most else f'slid {got:.4g} m, not {expected:.4g}'
+
+    for setting in USUAL:
+        if setting.precision == 'float32':
+            continue
+        slide = 0.5 * 9.80665 * float(np.sin(np.radians(30.0)))
+        yield Trial(setting, on_table(0.0, 30.0), 1.0, also=partial(way, slide, 0.05 * slide),
+                    label='μ = 0')
+        yield Trial(setting, on_table(100.0, 80.0), 1.0, also=partial(way, 0.0, 1e-6),
+                    label='μ = 100')
+    for setting in FEW:
+        scene = on_table(0.0, 0.0, restitution=1.0)
+        scene['cloths']['c']['pose']['position'] = [0.0, 0.0, 0.5]
+        yield Trial(setting, scene, 2.0, energy=0.01, label='restitution 1', textbook=False)
+
+
+def folded(x):
+    """Return a sheet folded in two, the halves a little apart."""
+    found = x.copy()
+    over = found[:, 0] > SIZE / 2.0
+    found[over, 2] += 0.03
+    found[over, 0] = SIZE - found[over, 0]
+    return found, np.zeros_like(x)
+
+
+def tangled(x):
+    """Return a sheet that lies through itself anyhow."""
+    noise = np.random.default_rng(1).normal(0.0, 0.02, x.shape)
+    return x + noise, np.zeros_like(x)
+
+
+@hard('H27', 'cloth against itself', slow=True)
+def itself():
+    """A fold, a heap, three turns of twist: nothing gets through; a tangle does not explode."""
+    thickness = 0.01
+    effects = {'pin': {}, 'contact': {'thickness': GAP}, 'friction': {}, 'damping': {'rate': 3.0},
+               'self_collision': {'thickness': thickness, 'room': 60}}
+    floor = {'floor': {'plane': {}, 'friction': 0.4}}
+
+    def through(track):
+        count = crossings(track.x[-1], track.triangles)
+        return f'{count} crossings' if count else ''
+
+    heap = {'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5], 'position': [0.0, 0.0, 0.02]}
+    for setting in (replace(one, substeps=16) for one in FEW):
+        for label, place, pose in (('folded', folded, {'position': [0.0, 0.0, 0.05]}),
+                                   ('a heap', None, heap), ('tangled', tangled, {
+                                       'position': [0.0, 0.0, 0.3]})):
+            scene = sheet(pose=pose, pins={}, colliders=floor, scene_effects=effects)
+            yield Trial(setting, scene, 2.0, place=place, speed=10.0, apart=min(
+                thickness, 0.5 * SPACING), also=None if label == 'tangled' else through,
+                label=label)
+
+
+def crossings(x: np.ndarray, triangles: np.ndarray) -> int:
+    """Return how many pairs of edge and triangle, without a particle in common, cross."""
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    p, q = x[edges[:, 0], None], x[edges[:, 1], None]
+
+    def volume(u, v, w):
+        return (u * np.cross(v, w)).sum(-1)
+
+    found = volume(a - p, b - p, c - p) * volume(a - q, b - q, c - q) < 0.0
+    sides = np.array([volume(s - p, t - p, q - p) for s, t in ((a, b), (b, c), (c, a))])
+    found &= (sides.min(0) > 0.0) | (sides.max(0) < 0.0)
+    found &= ~(edges[:, None, :, None] == triangles[None, :, None, :]).any((2, 3))
+    return int(found.sum())

@@ -1,0 +1,180 @@
+"""Geometry: bad meshes, folds, collapsed sheets, bodies inside out, random starts."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+import tempfile
+
+import numpy as np
+
+from xpbd_ros.study.stress.case import hard, Setting
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, USUAL
+
+FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_stress_')
+SQUARE = '0 0 0', '1 0 0', '1 1 0', '0 1 0'
+
+
+def obj(name: str, vertices, faces) -> str:
+    """Write an OBJ file and return its name."""
+    file = Path(FOLDER.name) / f'{name.replace(" ", "_")}.obj'
+    file.write_text('\n'.join([*(f'v {v}' for v in vertices), *(f'f {f}' for f in faces), '']))
+    return str(file)
+
+
+@hard('H6', 'meshes that are none')
+def bad_meshes():
+    """Refused, or mended and said."""
+    for name, vertices, faces, says, mended in (
+            ('coincident vertices', (*SQUARE, '1 1 0'), ('1 2 3', '1 5 4'), ('merged',), True),
+            ('a triangle twice', SQUARE, ('1 2 3', '1 3 4', '2 3 1'), ('twice',), True),
+            ('a vertex of no triangle', (*SQUARE, '5 5 5'), ('1 2 3', '1 3 4'), (
+                'no triangle',), True),
+            ('a triangle turned over', SQUARE, ('1 2 3', '1 4 3'), ('turned',), True),
+            ('a triangle without area', (*SQUARE, '2 0 0'), ('1 2 3', '1 2 5'), (
+                'degenerate',), False),
+            ('an edge of no length', (*SQUARE, '0 0 0'), ('1 2 3', '1 5 4'), ('merged',), True),
+            ('a needle', (*SQUARE, '0.5 1e-14 0'), ('1 2 3', '1 2 5'), ('degenerate',), False),
+            ('an edge with three triangles', (*SQUARE, '0 0 1'), ('1 2 3', '1 3 4', '1 3 5'), (
+                'more than two triangles',), False),
+            ('a vertex that is no number', ('0 0 nan', *SQUARE[1:]), ('1 2 3', '1 3 4'), (
+                'must be finite',), False),
+            ('a corner that is not there', SQUARE, ('1 2 3', '1 3 9'), ('does not exist',), False),
+            ('nothing', (), (), ('has no triangles',), False)):
+        scene = {'cloths': {'c': {'mesh': {'file': obj(name, vertices, faces)}, 'density': 0.2,
+                                  'effects': {'stretch': {'warp': 10.0, 'weft': 10.0}}}}}
+        yield Refusal(name, scene, says, mended)
+
+
+FOLDING = alone({'stretch': {'warp': 1000.0, 'weft': 1000.0}, 'hinge': {'stiffness': 1e-3}},
+                pins={'a': 'edge_x0'}, pose=FLAT, gravity=0.0, damping=0.5)
+
+
+def folded(angle: float, speed: float, x):
+    """Return a sheet folded along its middle by an angle, the flap turning on at a speed."""
+    found, v = x.copy(), np.zeros_like(x)
+    arm = np.maximum(found[:, 0] - SIZE / 2.0, 0.0)
+    over = arm > 0.0
+    c, s = np.cos(angle), np.sin(angle)
+    found[over, 0] = SIZE / 2.0 + c * arm[over]
+    found[over, 2] = s * arm[over]
+    v[over] = np.stack([-s * arm, np.zeros_like(arm), c * arm], 1)[over] * speed / (SIZE / 2.0)
+    return found, v
+
+
+@hard('H7', 'folds of half a turn and more')
+def folds():
+    """No kick: nothing gets faster than the energy that there was."""
+    settings = (*FEW, replace(LINE, substeps=32), Setting('jacobi', 'backward_euler'))
+    for label, angle, speed in (('flat', 0.0, 0.0), ('half a turn', np.pi, 0.0),
+                                ('minus half a turn', -np.pi, 0.0),
+                                ('through half a turn', 0.9 * np.pi, 2.0)):
+        for setting in settings:
+            yield Trial(setting, FOLDING, 2.0, place=partial(folded, angle, speed), energy=0.05,
+                        strain=2.0, speed=10.0, label=label)
+
+
+SHEET = alone({'membrane': {'young': 1000.0, 'poisson': 0.3}})
+"""finite elements alone"""
+
+
+def collapsed(shape: str, x):
+    """Return a sheet without extent along one or two axes; its held corners stay."""
+    found = x.copy()
+    inner = np.ones(len(x), bool)
+    inner[[N * (N - 1), N * N - 1]] = False
+    middle = x.mean(0)
+    if shape in ('line', 'point'):
+        found[inner, 0] = middle[0]
+    if shape == 'point':
+        found[inner, 2] = middle[2]
+    if shape == 'mirrored':
+        found[inner, 0] = 2.0 * middle[0] - found[inner, 0]
+    return found, np.zeros_like(x)
+
+
+@hard('H8', 'a membrane collapsed')
+def membranes():
+    """To a line, to a point, or mirrored: it spreads again."""
+    for shape in ('line', 'point', 'mirrored'):
+        for setting in (*FEW, replace(LINE, substeps=32)):
+            yield Trial(setting, SHEET, 4.0, place=partial(collapsed, shape), recovers=0.05,
+                        label=shape)
+
+
+def body() -> str:
+    """Write a block of 3 × 2 × 2 cells of tetrahedra as VTK and return its name."""
+    nx, ny, nz = 3, 2, 2
+    points = [(i, j, k) for k in range(nz + 1) for j in range(ny + 1) for i in range(nx + 1)]
+    number = {p: n for n, p in enumerate(points)}
+    cells = []
+    for i in range(nx):
+        for j in range(ny):
+            for k in range(nz):
+                corner = [number[i + a, j + b, k + c] for c in (0, 1) for b in (0, 1)
+                          for a in (0, 1)]
+                for a, b in ((1, 3), (3, 2), (2, 6), (6, 4), (4, 5), (5, 1)):    # about 0-7
+                    cells.append((corner[0], corner[a], corner[b], corner[7]))
+    file = Path(FOLDER.name) / 'body.vtk'
+    lines = ['# vtk DataFile Version 2.0', 'body', 'ASCII', 'DATASET UNSTRUCTURED_GRID',
+             f'POINTS {len(points)} double',
+             *(' '.join(f'{0.05 * c:g}' for c in p) for p in points),
+             f'CELLS {len(cells)} {5 * len(cells)}',
+             *('4 ' + ' '.join(map(str, c)) for c in cells),
+             f'CELL_TYPES {len(cells)}', *['10'] * len(cells), '']
+    file.write_text('\n'.join(lines))
+    return str(file)
+
+
+COLLAPSES = 'the energy of ``volume`` has a second minimum where a tetrahedron is a point'
+
+
+def crushed(shape: str, x):
+    """Return a body inside out, flat, a line, or a point."""
+    middle = x.mean(0)
+    scale = {'inside out': (1.0, 1.0, -1.0), 'flat': (1.0, 1.0, 0.0),
+             'nearly a point': (1e-3, 1e-3, 1e-3), 'a point': (0.0, 0.0, 0.0)}[shape]
+    return middle + (x - middle) * scale, np.zeros_like(x)
+
+
+@hard('H9', 'bodies inside out')
+def bodies():
+    """They come back to the volume that they had."""
+    def whole(track):
+        tetrahedra, rest = track.tetrahedra
+        a, b, c, d = (track.x[-1][tetrahedra[:, k]] for k in range(4))
+        volume = ((b - a) * np.cross(c - a, d - a)).sum(1) / 6.0
+        low = (volume / rest).min()
+        return '' if low > 0.5 else f'a tetrahedron has {low:.2g} of its volume'
+
+    scene = alone({'volume': {'young': 2e4, 'poisson': 0.3}}, mesh={'file': body()}, pins={},
+                  gravity=0.0, density=200.0, damping=2.0, pose=FLAT)
+    for shape in ('inside out', 'flat', 'nearly a point', 'a point'):
+        for setting in FEW:
+            yield Trial(setting, scene, 3.0, place=partial(crushed, shape), also=whole,
+                        recovers=0.05, label=shape, known=COLLAPSES if 'point' in shape else '')
+
+
+def flattened(x):
+    """Return a sheet pressed to half its length, all in one plane."""
+    found = x.copy()
+    top = found[:, 2] > SIZE * (1.0 - 0.5 / N)
+    found[~top, 2] = SIZE - 0.5 * (SIZE - found[~top, 2])
+    return found, np.zeros_like(x)
+
+
+def random(x):
+    """Return particles anywhere in a box; the held corners stay."""
+    found = np.random.default_rng(7).uniform(0.0, SIZE, x.shape)
+    for k in (N * (N - 1), N * N - 1):
+        found[k] = x[k]
+    return found, np.zeros_like(x)
+
+
+@hard('H31', 'flattened and random starts')
+def starts():
+    """The sheet comes back to its lengths."""
+    for setting in USUAL:
+        yield Trial(setting, sheet(), 3.0, place=flattened, recovers=0.01, label='flattened')
+        yield Trial(setting, sheet(), 3.0, place=random, recovers=0.01, label='random')

@@ -1,0 +1,87 @@
+"""Steps of all lengths, small cloths, long runs, unsafe settings."""
+
+from dataclasses import replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from xpbd_ros.study.stress.case import hard, Setting
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+from xpbd_ros.study.stress.worlds import FEW, FLAT, LINE, N, sheet, SIZE, USUAL
+
+GENTLE = 0.05
+
+
+@hard('H19', 'substeps from 1e-5 to 0.1 s')
+def steps():
+    """Softer where they are long, by the law, and never wild."""
+    for setting in USUAL:
+        if setting.method == 'explicit' or setting.iterations > 1:
+            continue
+        for rate, substeps, seconds in ((10.0, 1, 4.0), (60.0, 1, 3.0), (60.0, 100, 1.0),
+                                        (1000.0, 100, 0.2)):
+            yield Trial(replace(setting, substeps=substeps), sheet(pose=FLAT, rate=rate), seconds,
+                        energy=GENTLE, label=f'at {rate:g} Hz')
+
+
+@hard('H22', 'the smallest cloths')
+def small():
+    """One particle, one row, no constraints; none at all is refused."""
+    for grid in ((1, 1), (2, 1), (1, 2), (N, 1), (1, N), (2, 2)):
+        for setting in FEW:
+            yield Trial(setting, sheet(grid=grid, pins={'a': [0]}), 1.0, energy=GENTLE,
+                        label=f'{grid[0]}x{grid[1]}')
+    for setting in FEW:
+        yield Trial(setting, {'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [3, 3]},
+                                               'density': 1.0}}}, 1.0, energy=GENTLE,
+                    label='no constraints', textbook=False)
+    yield Refusal('no particles', sheet(grid=(0, 5)), ('resolution[0]: must be at least 1',))
+    yield Refusal('no cloths', {'cloths': {}}, ('cloths: missing',))
+
+
+@hard('H25', 'a long run')
+def long():
+    """Ten minutes: at rest nothing drifts, a swing gains no energy, times are exact."""
+    def drift(track):
+        way = np.abs(track.x[-1] - track.x[len(track.x) // 2]).max()
+        return '' if way <= 1e-9 else f'drifts {way:.1e} m in half of it'
+
+    for setting in FEW:
+        yield Trial(setting, sheet(), 600.0, also=drift, energy=1e-9, label='at rest',
+                    textbook=False)
+        yield Trial(setting, sheet(pose=FLAT, damping=1e-300), 120.0, energy=GENTLE,
+                    label='swinging')
+
+
+def rough(kind: str, seed: int, x):
+    """Return a violent start; the held corners stay."""
+    random = np.random.default_rng(seed)
+    found, v = x.copy(), np.zeros_like(x)
+    inner = np.ones(len(x), bool)
+    inner[[N * (N - 1), N * N - 1]] = False
+    if kind == 'velocities':
+        v[inner] = random.uniform(-3.0, 3.0, (inner.sum(), 3))
+    else:
+        found[inner] += random.uniform(-1.0, 1.0, (inner.sum(), 3)) * 0.05 * SIZE / (N - 1)
+    return found, v
+
+
+def overshoot(simulation) -> None:
+    """Let Jacobi go as far as every constraint alone would."""
+    simulation.state.apart.per_relaxation[:] = 1.0
+
+
+@hard('H32', 'rough starts, and a relaxation that diverges')
+def unsafe():
+    """Under-resolved settings stay bounded; what diverges is caught and said."""
+    settings = [replace(LINE, substeps=count) for count in (1, 2, 4)]
+    settings += [Setting('gauss_seidel_symmetric', 'bdf2', count) for count in (1, 4)]
+    settings += [Setting('explicit', 'leapfrog', 100)]
+    for setting, kind in product(settings, ('velocities', 'positions')):
+        yield Trial(setting, sheet(), 3.0, place=partial(rough, kind, 1), energy=0.2,
+                    label=kind)
+    yield Trial(Setting('jacobi', 'backward_euler'), sheet(), 3.0, spoil=overshoot,
+                place=partial(rough, 'velocities', 1), tells=('frames_taken_back',),
+                textbook=False, label='relaxation too large')

@@ -1,0 +1,54 @@
+"""Precision: far from the origin, and the same bits in every run."""
+
+import numpy as np
+
+from xpbd_ros.study.stress.case import hard
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+from xpbd_ros.study.stress.worlds import HANGING, sheet, USUAL
+
+FAR = (1e4, -1e4, 1e4)
+"""such as the origin of a UTM map [m]"""
+
+
+def swaying(**keys) -> dict:
+    """Return a sheet that swings out of its plane, smoothly: what is chaotic tells nothing."""
+    scene = sheet(**keys)
+    scene['gravity'] = [0.0, 3.0, -9.80665]
+    return scene
+
+
+def near_and_far(setting):
+    """Return what the same run does near the origin."""
+    return Trial(setting, swaying(), 1.0).simulate()
+
+
+@hard('H24', '10 km from the origin')
+def far():
+    """As at the origin to 1e-7 m; float32 cannot, and says so."""
+    for setting in USUAL:
+        def same(track, setting=setting):
+            home = near_and_far(setting)
+            off = float(np.abs(track.x[-1] - FAR - home.x[-1]).max())
+            return '' if off <= 1e-7 else f'{off:.1e} m from the run at the origin'
+
+        scene = swaying(pose={'orientation': list(HANGING), 'position': list(FAR)}, colliders={
+            'ball': {'sphere': {'radius': 0.1}, 'position': [1e4, 50.0 - 1e4, 1e4]},
+            'floor': {'plane': {}, 'position': [0.0, 0.0, 1e4 - 50.0]}})
+        single = setting.precision == 'float32'
+        yield Trial(setting, scene, 1.0, also=None if single else same, textbook=not single,
+                    tells=('float32',) if single else ())
+
+
+@hard('H34', 'run after run')
+def again():
+    """The same bits, whatever ran before; more threads than there are ways are refused."""
+    for setting in USUAL:
+        def same(track, setting=setting):
+            once = Trial(setting, sheet(pose={'orientation': list(HANGING)}), 1.0)
+            return '' if not track.hash or track.hash == once.simulate().hash else 'other bits'
+
+        yield Trial(setting, sheet(), 1.0, also=same)
+    scene = sheet()
+    scene['solver'] = {'threads': 2}
+    yield Refusal('threads: 2', scene, ('threads: must be at most 1',))

@@ -1,0 +1,148 @@
+"""Run the hard cases, and draw what came of them."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+import time
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.study.chart import INK, page, save
+from xpbd_ros.study.stress import all_hard
+from xpbd_ros.study.stress.case import Outcome, Setting
+from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.trial import Trial
+
+NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
+              'H23': 'what is no number, while it runs'}
+"""those that need a node: ``xpbd_ros.live``"""
+GOOD, BAD, REFUSED, NONE = '#3b8c5a', '#b5443c', '#7fb3d5', '#ededed'
+
+
+@dataclass(frozen=True)
+class Result:
+    """A case that was run."""
+
+    id: str
+    title: str
+    family: str
+    outcomes: tuple[Outcome, ...]
+    seconds: float
+
+
+def known_ids() -> list[str]:
+    """Return the ids of all cases that need no node."""
+    return [one.id for one in all_hard()]
+
+
+def stress(chosen: str | None = None, *, quick: bool = False,
+           progress: Callable[[Iterable, str], Iterable] = lambda items, _: items
+           ) -> list[Result]:
+    """
+    Run all cases, or those of one id.
+
+    Parameters
+    ----------
+    chosen : an id, such as H13
+    quick : only refusals, and runs at the default setting of scenes that share their machine code
+    progress : passes cases on, and shows how far it is
+
+    """
+    cases = [one for one in all_hard() if chosen in (None, one.id)]
+    if not cases:
+        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known_ids())})")
+    found = []
+    for one in progress(cases, 'cases'):
+        start = time.perf_counter()
+        attempts = [each for each in one.attempts() if not quick or is_quick(one, each)]
+        found.append(Result(one.id, one.title, one.family,
+                            tuple(each.outcome() for each in attempts),
+                            time.perf_counter() - start))
+    return found
+
+
+def is_quick(case, attempt) -> bool:
+    """Tell whether an attempt takes little: no scene of its own, one setting, a few seconds."""
+    if isinstance(attempt, Refusal):
+        return True
+    return (isinstance(attempt, Trial) and attempt.setting == Setting() and not case.slow
+            and attempt.seconds <= 5.0)
+
+
+def columns(results: list[Result]) -> list[str]:
+    """Return the settings, without what else tells attempts apart, in the order they come in."""
+    found = dict.fromkeys(_setting(each) for result in results for each in result.outcomes)
+    return [name for name in found if name != 'door'] + ['door'] * ('door' in found)
+
+
+def _setting(outcome: Outcome) -> str:
+    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or 'door'
+
+
+def _words(text: str) -> int:
+    """Return how many words of a row's name are its setting."""
+    words = text.split()
+    if len(words) < 3 or 'x' not in words[2]:
+        return 0
+    return 4 if 'float32' in words[3:4] else 3
+
+
+def draw(results: list[Result], file: Path) -> Path:
+    """Draw a map of case by setting: passed, refused with its reason, failed; textbook beside."""
+    names = columns(results)
+    shown = [name for name in names if sum(_setting(each) == name for result in results
+                                           for each in result.outcomes) > 2]
+    shown = [name for name in shown if name != 'door'] + ['others', 'door', 'textbook']
+    figure, axes = page(11.0, 1.6 + 0.24 * len(results))
+    axis = axes[0, 0]
+    for y, result in enumerate(results):
+        for x, name in enumerate(shown):
+            these = [each for each in result.outcomes if name == 'textbook' or name == (
+                _setting(each) if _setting(each) in shown else 'others')]
+            if name == 'textbook':
+                marks = [each.textbook for each in these if each.textbook is not None]
+            else:
+                marks = [each.good for each in these]
+            colour = NONE if not marks else (
+                REFUSED if name != 'textbook' and all(marks)
+                and all(each.finite is None for each in these) else
+                GOOD if all(marks) else BAD)
+            axis.add_patch(_cell(x, y, colour))
+            if marks:
+                axis.text(x, y, f'{sum(marks)}/{len(marks)}', ha='center', va='center',
+                          color='white', fontsize=6)
+    axis.set_xlim(-0.5, len(shown) - 0.5)
+    axis.set_ylim(len(results) - 0.5, -0.5)
+    axis.set_xticks(range(len(shown)), shown, rotation=35, ha='left', fontsize=6.5)
+    axis.xaxis.tick_top()
+    axis.set_yticks(range(len(results)), [f'{r.id} {r.title}' for r in results], fontsize=6.5)
+    axis.spines[['left', 'bottom']].set_visible(False)
+    axis.tick_params(length=0)
+    for colour, text in ((GOOD, 'passed'), (REFUSED, 'refused with its reason'), (BAD, 'failed'),
+                         (NONE, 'does not apply')):
+        axis.plot([], [], 's', color=colour, label=text)
+    axis.legend(loc='upper center', bbox_to_anchor=(0.4, -0.01), ncols=4, fontsize=7,
+                frameon=False, labelcolor=INK)
+    return save(figure, file)
+
+
+def table(results: list[Result]) -> str:
+    """Return a Markdown table: how many attempts of each case passed, by ours and the textbook."""
+    rows = ['| Case | | Passed | Textbook |', '|---|---|---|---|']
+    for result in results:
+        tried = [each for each in result.outcomes if not each.skipped]
+        book = [each.textbook for each in tried if each.textbook is not None]
+        rows.append(f'| {result.id} | {result.title} | '
+                    f'{sum(each.good for each in tried)} of {len(tried)} | '
+                    + (f'{sum(book)} of {len(book)} |' if book else '|'))
+    return '\n'.join(rows)
+
+
+def _cell(x: int, y: int, colour: str):
+    from matplotlib.patches import Rectangle
+    return Rectangle((x - 0.46, y - 0.44), 0.92, 0.88, color=colour)
+
+
+def skipped(id_: str, title: str, why: str) -> Result:
+    """Return a case that cannot be run here."""
+    return Result(id_, title, 'node', (replace(Outcome('node', False), why=why, skipped=True),),
+                  0.0)
