@@ -169,9 +169,12 @@ def test_hinges_without_stiffness_are_as_absent_and_points_and_strips_have_none(
         assert len(simulation.effects['hinge'].constraints.particles) == 0
 
 
-@pytest.mark.parametrize('keys', [{}, {'warp': 1.0}, {'stiffness': 1.0, 'weft': 1.0}])
-def test_both_and_neither_are_refused(keys):
-    with pytest.raises(InputError, match=r'hinge: needs either stiffness, or warp and weft'):
+@pytest.mark.parametrize(('keys', 'why'), [
+    ({}, 'either stiffness, or warp and weft'),
+    ({'stiffness': 1.0, 'weft': 1.0}, 'either stiffness, or warp and weft'),
+    ({'warp': 1.0}, r'warp and weft \(N m\), and only one of them is given')])
+def test_both_and_neither_are_refused(keys, why):
+    with pytest.raises(InputError, match=f'hinge: needs {why}'):
         simulate(effects={'hinge': keys})
 
 

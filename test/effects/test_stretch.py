@@ -96,7 +96,9 @@ def test_both_forms_and_neither_are_refused(stretch, text):
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('gauss_seidel', 'backward_euler'), ('gauss_seidel_symmetric', 'bdf2'), ('line', 'bdf2')])
+    *(pytest.param(*setting, marks=pytest.mark.slow) for setting in (
+        ('gauss_seidel', 'backward_euler'), ('gauss_seidel_symmetric', 'bdf2'))),
+    ('line', 'bdf2')])
 def test_each_cloth_of_a_scene_moves_as_it_would_alone(method, integrator):
     """Whatever their stiffness and resolution, and though one of them does not stretch."""
     cloths = {
@@ -279,7 +281,9 @@ def test_edges_of_a_mesh_are_stiffer_along_the_stiffer_direction():
                                rtol=1e-9)
 
 
-@pytest.mark.parametrize('method', ['gauss_seidel', 'line', 'jacobi', 'explicit'])
+@pytest.mark.parametrize('method', [
+    'gauss_seidel', 'explicit', *(pytest.param(method, marks=pytest.mark.slow)
+                                  for method in ('line', 'jacobi'))])
 def test_a_disc_of_triangles_hangs_with_its_weight_from_its_middle(method):
     integrator = 'leapfrog' if method == 'explicit' else 'backward_euler'
     simulation = simulate(mesh=True, density=0.4, effects={

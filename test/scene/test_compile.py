@@ -15,7 +15,8 @@ from xpbd_ros.sim.measure import largest_strain
 SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
 
 
-@pytest.mark.parametrize('name', SHIPPED)
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[pytest.mark.slow] * (name in ('fold',))) for name in SHIPPED])
 def test_a_shipped_scene_runs(name):
     simulation = compile_scene(load_scene(name))
     for _ in range(30):

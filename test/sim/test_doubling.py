@@ -108,6 +108,23 @@ def test_the_estimate_holds_on_shipped_scenes(name, method, integrator, factor):
     assert held >= 4
 
 
+@pytest.mark.slow
+def test_errors_of_frames_add_up_to_about_that_of_the_run():
+    def keys(substeps):
+        return {'solver.method': 'line', 'solver.integrator': 'bdf2', 'solver.substeps': substeps}
+    truth = compile_scene(load_scene('swing', keys(512)))
+    for _ in range(32):
+        truth.step()
+    for substeps in (16, 33):
+        simulation, total = compile_scene(load_scene('swing', keys(substeps))), 0.0
+        for _ in range(32):
+            start = kept(simulation, 1)
+            total += estimate(start, simulation.state.x, frame=simulation.index,
+                              slot=simulation.slot, strain=largest_strain(simulation)).rms
+        true = position_error(simulation, truth.state)
+        assert true / 3.0 < total < 3.0 * true
+
+
 def test_what_is_not_resolved_is_said_to_be():
     simulation = swing('gauss_seidel', 'backward_euler', 2, stiffness=5e4)
     start = kept(simulation, 20)

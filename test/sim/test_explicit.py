@@ -59,6 +59,7 @@ def test_at_rest_the_forces_balance_the_weight_exactly():
     np.testing.assert_allclose(total, [0.0, 0.0, -0.2 * GRAVITY], atol=1e-7)
 
 
+@pytest.mark.slow
 def test_it_agrees_with_lines_as_both_get_finer():
     truth = run(sheet(512), 30).x
     line = run(sheet(64, 'line', 'bdf2'), 30).x

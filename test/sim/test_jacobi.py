@@ -30,6 +30,7 @@ def test_relaxation_is_one_over_the_most_constraints_at_a_particle():
     assert simulation.state.apart.per_relaxation[0] == count.max() > 12
 
 
+@pytest.mark.slow
 def test_many_iterations_come_to_what_gauss_seidel_comes_to():
     a, b = (run_until_still(sheet(method, 1000), speed=1e-9) for method in ('jacobi',
                                                                          'gauss_seidel'))

@@ -1,9 +1,13 @@
 """Where compiled kernels are kept, and how they are compiled."""
 
+import fcntl
+from threading import Thread
+
 from numba import config
 import pytest
 
 from xpbd_ros.sim import jit
+from xpbd_ros.sim.packs import _fill as pack_kernel
 from xpbd_ros.sim.state import begin
 
 
@@ -47,3 +51,27 @@ def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
     assert not begin.targetoptions.get('fastmath')
     assert str(jit.CACHE_FOLDER) in begin.stats.cache_path
     assert str(jit.CACHE_FOLDER) != config.CACHE_DIR
+
+
+def test_variants_are_written_by_one_process_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
+
+    @jit.jit
+    def half(x):
+        return 0.5 * x
+    with open(tmp_path / 'lock', 'ab') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        thread = Thread(target=half, args=(1.0,))
+        thread.start()
+        thread.join(1.0)
+        assert thread.is_alive(), 'it waits'
+        assert not list(tmp_path.rglob('*.nbi'))
+    thread.join()
+    assert list(tmp_path.rglob('*.nbi'))
+    half(1)
+    assert len(list(tmp_path.rglob('*.nbc'))) == 2
+
+
+def test_a_kernel_counts_references_only_where_it_allocates():
+    assert not begin.targetoptions['_nrt']
+    assert pack_kernel.targetoptions['_nrt']

@@ -101,7 +101,8 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
 
 @pytest.mark.parametrize('method, integrator', [
     ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')])
-@pytest.mark.parametrize('grid', [(6, 5), (1, 7), (7, 1)])
+@pytest.mark.parametrize('grid', [
+    (6, 5), *(pytest.param(grid, marks=pytest.mark.slow) for grid in ((1, 7), (7, 1)))])
 def test_nothing_moves_the_padding(grid, method, integrator):
     """It has neither mass nor mobility; whatever passes over it leaves it where it is."""
     simulation = with_effects(grid, substeps=3, iterations=2, method=method,

@@ -43,7 +43,8 @@ COMMANDS = {
 
 
 METHODS = pytest.mark.parametrize('options', [
-    {}, {'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'},
+    {}, pytest.param({'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'},
+                     marks=pytest.mark.slow),
     {'method': 'line', 'integrator': 'bdf2'}], ids=lambda options: options.get('method', 'plain'))
 
 
@@ -238,7 +239,9 @@ def test_compiling_moves_nothing():
     assert simulation.index == 0
 
 
-@pytest.mark.parametrize('grid', [(1, 1), (2, 1), (1, 2), (1, 7), (7, 1), (2, 2)])
+@pytest.mark.parametrize('grid', [
+    (1, 1), (7, 1), *(pytest.param(grid, marks=pytest.mark.slow)
+                      for grid in ((2, 1), (1, 2), (1, 7), (2, 2)))])
 @METHODS
 def test_the_smallest_cloths_run(options, grid):
     """H22."""

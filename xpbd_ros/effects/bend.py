@@ -44,7 +44,7 @@ from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, Shape
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, release_forces, row, target
+from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, release_forces, row
 from xpbd_ros.sim.vector import both, first, fma, lanes, load, select
 
 
@@ -143,7 +143,7 @@ def prepare_bend(bend, state, substep):
 def project_curvature(bend, state, substep):
     """One Gauss-Seidel pass, run after run; linear, so the axes know nothing of one another."""
     for k in range(3):
-        _straighten(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+        _straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
                     state.apart, bend.runs, bend.compliance, False)
 
 
@@ -152,7 +152,7 @@ def project_curvature(bend, state, substep):
 def project_curvature_back(bend, state, substep):
     """Do the same pass in reverse."""
     for k in range(3):
-        _straighten(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+        _straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
                     state.apart, bend.runs, bend.compliance, True)
 
 
@@ -188,7 +188,7 @@ def _straighten(x, to, force, mobility, apart, runs, compliance, reverse):
 def project_twist(bend, state, substep):
     """One Gauss-Seidel pass, run after run."""
     for k in range(3):
-        _untwist(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+        _untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
                  state.apart, bend.runs, bend.compliance, False)
 
 
@@ -197,7 +197,7 @@ def project_twist(bend, state, substep):
 def project_twist_back(bend, state, substep):
     """Do the same pass in reverse."""
     for k in range(3):
-        _untwist(state.x[k], target(state.apart, k), row(bend.force, k), state.mobility,
+        _untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
                  state.apart, bend.runs, bend.compliance, True)
 
 

@@ -167,7 +167,7 @@ def _project_packs(records, apart, particles, rest_angle, compliance, angle, for
 
 
 @stage(react, Hinge)
-@jit
+@jit(allocates=True)
 def react_hinge(hinge, state, substep):
     """Forces on pinned particles: g_i f."""
     part, held, x = substep.end - substep.begin, hinge.held, state.x

@@ -30,7 +30,7 @@ from xpbd_ros.sim.mesh import cross, dot
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import load_records, PACK, store_records
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, target
+from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import fma, lanes, load, splat, store
 
 AIR = 101325.0
@@ -138,7 +138,7 @@ def project_pressure(pressure, state, substep):
     for lane in range(0, len(force), lanes(mobility)):
         keep(force, lane, f, df)
     for k in range(3):
-        _move(state.x[k], target(state.apart, k), mobility, gradient[k], first, last, df)
+        _move(state.x[k], row(moves(state.apart), k), mobility, gradient[k], first, last, df)
 
 
 @jit
@@ -253,8 +253,8 @@ class BuiltPressure(Built):
         self.data, *self.also = parts
         most = max(len(cloth.slots) for cloth in parameters)
         particles = np.full((len(parts), most), slots - 1)
-        for row, cloth in zip(particles, parameters):
-            row[:len(cloth.slots)] = cloth.slots
+        for slots_of, cloth in zip(particles, parameters):
+            slots_of[:len(cloth.slots)] = cloth.slots
         self._names = [cloth.name for cloth in parameters]
         self.constraints = Gas(particles, np.zeros(len(parts), np.int64), listed,
                                np.array(volumes), np.array(compliance))

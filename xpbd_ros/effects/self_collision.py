@@ -248,7 +248,7 @@ def stop_all(planes, near, x, w, history):
             x[a, j] = start + share * (x[a, j] - start)
 
 
-@jit
+@jit(allocates=True)
 def part(share, side, number, start, step, slot, n, count, x, w):
     """Stop both sides of each pair before the plane between them."""
     level, rise = np.zeros(4), np.zeros(4)

@@ -36,7 +36,17 @@ from xpbd_ros.sim.relax import (
     shared,
 )
 from xpbd_ros.sim.runs import listed, Runs
-from xpbd_ros.sim.update import divisor, keep, misfit, put, recall, softened, strain_of, target
+from xpbd_ros.sim.update import (
+    divisor,
+    keep,
+    misfit,
+    moves,
+    put,
+    recall,
+    row,
+    softened,
+    strain_of,
+)
 from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -266,7 +276,7 @@ def project_edges(edges, state, reverse, tiny=None):
     ``tiny``: below which part of the mobilities a compliance is that of a rigid line.
     """
     _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
-             target(state.apart, 0), target(state.apart, 1), target(state.apart, 2),
+             row(moves(state.apart), 0), row(moves(state.apart), 1), row(moves(state.apart), 2),
              edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis,
              edges.damping, reverse, tiny)
 

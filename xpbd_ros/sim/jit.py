@@ -6,16 +6,36 @@ sees neither edits in other files nor that a type came from another scene, so th
 folder named by a hash of the package's own kernels.
 """
 
+from contextlib import suppress
+import fcntl
 import hashlib
 import os
 from pathlib import Path
 import tempfile
 
 from numba import config, njit
+from numba.core.caching import FunctionCache
 
 from xpbd_ros.sim.vector import BITS
 
-FLAGS = {'nogil': True, 'error_model': 'numpy'}
+
+class Cache(FunctionCache):
+    """
+    Numba's cache, for processes that compile at the same time.
+
+    Numba numbers a kernel's variants in an index that it reads, changes and writes back; two
+    processes at once would give two of them the same number, and one would run the other's code.
+    """
+
+    def save_overload(self, signature, data):
+        """Write one variant, while nobody else does."""
+        with open(CACHE_FOLDER / 'lock', 'ab') as lock:
+            with suppress(OSError):    # a file system without locks
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            super().save_overload(signature, data)
+
+
+FLAGS = {'nogil': True, 'error_model': 'numpy', '_nrt': False}
 INNER = {**FLAGS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
 """for what only compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
 
@@ -48,9 +68,13 @@ def _cache_folder() -> Path:
 CACHE_FOLDER = _cache_folder()
 
 
-def jit(function=None, *, inline: bool = False, cache_name: str = 'kernels'):
+def jit(function=None, *, inline: bool = False, allocates: bool = False,
+        cache_name: str = 'kernels'):
     """
     Compile a module-level kernel, GIL released, cached on disk.
+
+    Arrays that come from outside outlive the call, so that nobody counts references to them;
+    only a kernel that ``allocates`` arrays must.
 
     ``inline`` writes the function out where it is called: Numba hands over a NamedTuple by copying
     all that it holds, which costs more than a small kernel for one particle.
@@ -62,7 +86,9 @@ def jit(function=None, *, inline: bool = False, cache_name: str = 'kernels'):
         before = config.CACHE_DIR
         config.CACHE_DIR = str(CACHE_FOLDER / cache_name)
         try:
-            return njit(cache=True, forceinline=inline, **FLAGS)(function)
+            kernel = njit(forceinline=inline, **{**FLAGS, '_nrt': allocates})(function)
+            kernel._cache = Cache(function)
+            return kernel
         finally:
             config.CACHE_DIR = before
     return compile_ if function is None else compile_(function)

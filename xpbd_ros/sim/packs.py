@@ -35,7 +35,7 @@ def pack(particles: np.ndarray) -> np.ndarray:
     return np.where(found >= 0, order[found] if len(order) else EMPTY, EMPTY)
 
 
-@jit
+@jit(allocates=True)
 def _fill(particles):
     count = len(particles)
     found = np.full((count + OPEN, PACK), -1)    # at worst each has a pack of its own

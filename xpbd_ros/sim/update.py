@@ -12,10 +12,11 @@ far a constraint goes.
 ``None`` for a multiplier means that nobody asks for it and that it is 0 before the only pass.
 """
 
+from operator import getitem
 from typing import NamedTuple
 
 from numba import types
-from numba.extending import overload
+from numba.extending import intrinsic, overload
 import numpy as np
 
 from xpbd_ros.sim.jit import INNER, jit
@@ -54,8 +55,16 @@ def _kind(apart):
     return getattr(apart, 'instance_class', None)
 
 
-def row(array, k):
-    """Return a row of an array; of None, None."""
+@intrinsic
+def row(typing, array, k):
+    """Return row k of an array; None of None. (A function of ours could not return a view.)"""
+    if isinstance(array, types.NoneType):
+        return types.none(array, k), lambda context, builder, *_: context.get_dummy_value()
+    view = typing.resolve_function_type(getitem, (array, k), {}).return_type
+
+    def generate(context, builder, signature, arguments):
+        return context.get_function(getitem, view(*signature.args))(builder, arguments)
+    return view(array, k), generate
 
 
 def recall(apart, force, c):
@@ -88,19 +97,20 @@ def divisor(apart, total, alpha):
     """Return what a misfit is divided by: W + α, and what the method makes of it."""
 
 
-def target(apart, k):
-    """Return where moves along axis k are added up; None: where positions are."""
+@intrinsic
+def moves(typing, apart):
+    """Return where moves are added up; None: where positions are."""
+    if isinstance(apart, types.NoneType):
+        return types.none(apart), lambda context, builder, *_: context.get_dummy_value()
+    move = apart[apart.fields.index('move')]
+
+    def generate(context, builder, signature, arguments):
+        return context.get_getattr(apart, 'move')(context, builder, apart, arguments[0], 'move')
+    return move(apart), generate
 
 
 def put(x, target, i, xi, step, d):
     """Move by step d from xi."""
-
-
-@inline(row)
-def _row(array, k):
-    if isinstance(array, types.NoneType):
-        return lambda array, k: None
-    return lambda array, k: array[k]
 
 
 @inline(recall)
@@ -148,13 +158,6 @@ def _divisor(apart, total, alpha):
     if _kind(apart) is Explicit:
         return lambda apart, total, alpha: alpha
     return lambda apart, total, alpha: total + alpha
-
-
-@inline(target)
-def _target(apart, k):
-    if isinstance(apart, types.NoneType):
-        return lambda apart, k: None
-    return lambda apart, k: apart.move[k]
 
 
 @inline(put)

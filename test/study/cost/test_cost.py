@@ -68,8 +68,10 @@ DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,
 
 
 @pytest.mark.parametrize('name, keys, method', [
-    ('drape', DRAPE, 'line'), ('swing', SMALL, 'gauss_seidel_symmetric'),
-    ('swing', SMALL, 'gauss_seidel')])
+    ('swing', SMALL, 'line'),
+    pytest.param('drape', DRAPE, 'line', marks=pytest.mark.slow),
+    pytest.param('swing', SMALL, 'gauss_seidel_symmetric', marks=pytest.mark.slow),
+    pytest.param('swing', SMALL, 'gauss_seidel', marks=pytest.mark.slow)])
 def test_the_clock_changes_no_bit(name, keys, method):
     """With every kind of stage; ``cost`` itself would fail where the two runs part."""
     assert cost(load_scene(name, {**keys, 'solver.method': method}), 5, rounds=1).frames == 5

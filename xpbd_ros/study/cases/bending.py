@@ -82,7 +82,7 @@ def settled(strip, n: int, h: float, length: float) -> np.ndarray:
     return np.array([tip[0] - 0.5 * h, -tip[2]]) / length
 
 
-@case('V9', 'cantilever under its own weight')
+@case('V9', 'cantilever under its own weight', slow=True)
 def cantilever():
     """Γ = q L³ / B; the answer is a boundary value problem of the elastica, solved apart."""
     for gamma in (1.0, 5.0, 20.0):

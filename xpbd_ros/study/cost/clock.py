@@ -13,7 +13,7 @@ _read.argtypes = [ctypes.c_int, ctypes.c_void_p]
 _read.restype = ctypes.c_int
 
 
-@njit
+@njit(_nrt=True)
 def lap(book, row):
     """
     Add the time since the last call to one row of a book.
