@@ -1,26 +1,12 @@
 """What tests of every part need: a DDS domain of their own, and a small log."""
 
 from collections.abc import Callable, Iterator
-import os
 from pathlib import Path
 import random
 import socket
 
 import pytest
 from samples import sample_log
-
-MOST_WORKERS = 8
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_cmdline_main(config: pytest.Config) -> None:
-    """Share the whole suite out over the cores, file by file, where pytest-xdist is installed."""
-    whole = config.args_source is config.ArgsSource.TESTPATHS
-    if whole and config.pluginmanager.hasplugin('xdist') and config.option.dist == 'no' and not (
-            config.option.usepdb or config.option.collectonly):
-        config.option.numprocesses = min(len(os.sched_getaffinity(0)), MOST_WORKERS)
-        config.option.dist = 'loadfile'
-
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
