@@ -8,6 +8,7 @@ import socket
 import pytest
 from samples import sample_log
 
+
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
     """Return a DDS domain that nobody on this machine uses, and keep other test runs off it."""
