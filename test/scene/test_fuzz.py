@@ -98,7 +98,7 @@ def test_spoilt_scenes(tmp_path):
     found = attack(400, 1, tmp_path)
     assert found['read'] + found['refused'] >= 400
     assert found['refused'] > 100
-    assert found['read'] > 20
+    assert found['read'] > 10, 'some are still scenes'
 
 
 @pytest.mark.slow

@@ -43,12 +43,12 @@ def cloths(draw):
     warp, weft, shear = (draw(magnitudes) for _ in range(3))
     values = {**EXAMPLES, 'stretch': {'warp': warp, 'weft': weft}, 'shear': {'stiffness': shear},
               'bend': {'stiffness': draw(magnitudes) * 1e-3},
-              'contact': {'thickness': draw(st.floats(1e-4, 0.1))},
               'damping': {'rate': draw(magnitudes)}}
     kinds = {scope: {name: values[name] for name in USUAL if EFFECTS[name] == scope}
              for scope in ('cloth', 'scene')}
     method, integrator = draw(st.sampled_from(METHODS))
     scale = draw(magnitudes)
+    kinds['scene']['contact'] = {'thickness': scale * draw(st.floats(1e-4, 0.1))}
     return {'grid': draw(st.tuples(*[st.integers(3, 7)] * 2)), 'size': (scale, scale),
             'density': draw(magnitudes), 'effects': kinds['cloth'],
             'scene_effects': kinds['scene'], 'method': method, 'integrator': integrator,
