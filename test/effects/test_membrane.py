@@ -145,7 +145,7 @@ def test_a_triangle_squeezed_flat_does_not_fly_apart(precision, squeezed, stiffn
 
 def test_a_sheet_of_no_stiffness_is_as_absent():
     simulation = simulate((3, 3), gravity=(0, 0, 0), iterations=2, effects={
-        'membrane': {'young': 1e-320, 'poisson': 0.3}})
+        'membrane': {'young': 1e-300, 'poisson': 0.3}})
     simulation.state.x[2, simulation.slot[4]] += 0.5
     start = simulation.frame().x
     np.testing.assert_allclose(run(simulation, 3).x, start, atol=1e-14)
