@@ -6,7 +6,7 @@ import pytest
 
 from xpbd_ros.cli.main import main
 
-pytest.importorskip('rclpy')
+pytest.importorskip('rclpy', reason='ROS is not installed')
 
 
 @pytest.mark.slow
