@@ -72,4 +72,5 @@ def test_unrelaxed_it_diverges(relaxed):
         simulation.state.apart.per_relaxation[0] = 1.0
     with np.errstate(all='ignore'):
         frame = run(simulation, 60)
-    assert (np.abs(frame.x).max() < 3.0) == relaxed
+    assert np.abs(frame.x).max() < 3.0, 'frames that are not finite are taken back'
+    assert (simulation.stats()['frames_taken_back'] == 0) == relaxed
