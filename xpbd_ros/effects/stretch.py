@@ -115,7 +115,7 @@ def solve_stretch(stretch, state, substep):
 @jit
 def close_stretch(stretch, state, substep):
     """Do one more pass over all edges: lines that are no more than shared out stay so."""
-    distance.project_edges(stretch.edges, state, False, stretch.lines.tiny)
+    distance.project_edges(stretch.edges, state, False)
 
 
 @stage(react, Stretch)

@@ -191,7 +191,7 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         bottom = fma(-link, off, total + soft)
         solvable = both(bottom > 0.0, there)
         pivot = 1.0 / select(solvable, bottom, 1.0)
-        right = select(solvable, (-fma(soft, f, l - rest) - off * right) * pivot, 0.0)
+        right = select(solvable, (-fma(alpha, f, l - rest) - off * right) * pivot, 0.0)
         store(ux, o, dx)
         store(uy, o, dy)
         store(uz, o, dz)

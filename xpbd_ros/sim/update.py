@@ -83,9 +83,7 @@ def softened(tiny, alpha, total, strain):
     """
     Return the compliance α of an edge of a line, or what a rigid one counts as; None: α as it is.
 
-    What is rigid next to the mobilities W counts as TINY W; as W where it is strained by more than
-    YIELD all the same. So what cannot be, such as a rigid line between pins too far apart, pulls
-    with no more than about l / W: beyond, it is thrown about across its direction.
+    What is rigid next to the mobilities W counts as TINY W.
     """
 
 
@@ -141,7 +139,7 @@ def _softened(tiny, alpha, total, strain):
     if isinstance(tiny, types.NoneType):
         return lambda tiny, alpha, total, strain: alpha
     return lambda tiny, alpha, total, strain: select(
-        alpha < tiny * total, select(strain * strain > YIELD * YIELD, total, tiny * total), alpha)
+        alpha < tiny * total, tiny * total, alpha)
 
 
 @inline(strain_of)
