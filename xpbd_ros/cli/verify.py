@@ -35,7 +35,6 @@ def run(arguments) -> int:
     failed = sum(not row.good for row in rows) + sum(not one.fails for one in wrong)
     numbers = {
         'cases': [{'id': answer.id, 'family': answer.family, 'title': answer.title,
-                   'known': answer.known,
                    **numbers_of(row)} for answer in answers for row in answer.rows],
         'seconds': {answer.id: answer.seconds for answer in answers},
         'controls': [{'id': one.id, 'scheme': one.scheme, 'error': one.error,
@@ -66,8 +65,6 @@ def lines(answers, wrong) -> list[str]:
     text = []
     for answer in answers:
         text.append(f'{answer.id} {answer.title} ({answer.seconds:.1f} s)')
-        if answer.known:
-            text.append(f'  known to fail: {answer.known}')
         for row in answer.rows:
             order = ('' if row.order is None
                      else f', order {row.order:.2f} ({row.order_expected:g})')

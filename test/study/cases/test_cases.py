@@ -16,8 +16,7 @@ EVERY = [one for family in all_cases().values() for one in family]
 
 @pytest.mark.parametrize('case', [
     pytest.param(one, id=f'{one.id}-{one.rows.__name__}',
-                 marks=[pytest.mark.slow] * one.slow
-                 + [pytest.mark.xfail(strict=True, reason=one.known)] * bool(one.known))
+                 marks=[pytest.mark.slow] * one.slow)
     for one in EVERY])
 def test_case(case):
     rows = list(case.rows())

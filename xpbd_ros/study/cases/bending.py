@@ -141,30 +141,25 @@ def textile():
     yield value('chord', 41.5, np.degrees(np.arctan2(down, across)), '°', 1e-2)
 
 
-@case('V22', 'first mode of a cantilever strip',
-      known='the finest step is off by 9e-4, so that the measured order is below 2')
+@case('V22', 'first mode of a cantilever strip')
 def mode():
-    """ω = 3.516 √(B / ρ L⁴), without gravity."""
-    B, length = 0.005, 0.3
+    """ω = 3.516 √(B / ρ L⁴), without gravity: a quarter period of the strip's share in it."""
+    B, length, rate = 1e-3, 0.3, 120.0
     k = 1.875104068711961
     expected = k * k * np.sqrt(B / DENSITY) / length**2
+    sigma = (np.sinh(k) - np.sin(k)) / (np.cosh(k) + np.cos(k))
 
     def frequency(n):
-        strip, h = clamped(n, length, B, substeps=64, gravity=(0, 0, 0), rate=120.0)
+        strip, h = clamped(n, length, B, substeps=64, gravity=(0, 0, 0), rate=rate)
         x = strip.frame().x
         s = np.clip((x[:, 0] - 0.5 * h) / length, 0.0, 1.0) * k
-        sigma = (np.sinh(k) - np.sin(k)) / (np.cosh(k) + np.cos(k))
         shape = np.cosh(s) - np.cos(s) - sigma * (np.sinh(s) - np.sin(s))
-        shape[np.isclose(x[:, 0], 0.0) | np.isclose(x[:, 0], h)] = 0.0
+        shape[x[:, 0] < 1.5 * h] = 0.0    # the clamp
         place(strip, x + np.outer(shape, [0, 0, 1e-4]))
-        times, z = [0.0], [1.0]
-        while z[-1] > 0.0 or len(z) < 6:
-            z.append(run(strip, 1).x[n + 1, 2])
-            times.append(strip.index / 120.0)
-        for _ in range(3):
-            z.append(run(strip, 1).x[n + 1, 2])
-            times.append(strip.index / 120.0)
-        return 0.5 * np.pi / crossing(times, z)
+        share = [1.0]
+        while share[-3:][0] > 0.0:    # until two frames after it is crossed
+            share.append(run(strip, 1).x[:, 2] @ shape / (shape @ shape * 1e-4))
+        return 0.5 * np.pi / crossing(np.arange(len(share)) / rate, share)
 
     sizes = (6, 12, 24)
     yield order('ω', expected, [length / (n + 0.5) for n in sizes], [frequency(n) for n in sizes],

@@ -47,17 +47,15 @@ class Case:
     family: str
     rows: Callable[[], Iterable[Row]]
     slow: bool = False
-    known: str = ''
-    """why it is known to fail today"""
 
 
 CASES: list[Case] = []
 
 
-def case(id_: str, title: str, *, slow: bool = False, known: str = ''):
+def case(id_: str, title: str, *, slow: bool = False):
     """Register a function that yields rows."""
     def register(rows):
-        CASES.append(Case(id_, title, rows.__module__.rpartition('.')[2], rows, slow, known))
+        CASES.append(Case(id_, title, rows.__module__.rpartition('.')[2], rows, slow))
         return rows
     return register
 
