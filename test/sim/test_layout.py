@@ -6,7 +6,7 @@ from sim.small import run, with_effects
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.layout import blocks, LINE, STRIDE, zeros
+from xpbd_ros.sim.layout import blocks, LINE, zeros
 from xpbd_ros.sim.state import forget, new_state, places, solved_by
 from xpbd_ros.sim.vector import BITS, lane_count
 
@@ -38,7 +38,7 @@ def test_parts_of_rows_begin_on_whole_vectors(shapes, dtype):
     lanes = lane_count(dtype)
     found, slots = blocks(shapes, dtype)
     for block in found:
-        for column in range(min(STRIDE, block.columns)):
+        for column in range(min(block.parts, block.columns)):
             assert (block.slots[:, column] % lanes == 0).all()
         assert block.row_stride % lanes == 0
         assert block.row_stride * np.dtype(dtype).itemsize // LINE % 2 == 1    # spreads over sets
@@ -61,10 +61,18 @@ def test_meshes_lie_between_grids_by_rank_and_end_on_whole_vectors(dtype):
 
 
 @DTYPES
-def test_columns_four_apart_are_neighbours(dtype):
-    (block,), _ = blocks([(6, 22)], dtype)
+@pytest.mark.parametrize('columns', [22, 41, 64, 81])
+def test_columns_as_far_apart_as_there_are_parts_are_neighbours(columns, dtype):
+    (block,), _ = blocks([(6, columns)], dtype)
+    assert block.parts >= 4
     assert (np.diff(block.slots, axis=0) == block.row_stride).all()
-    assert (block.slots[:, STRIDE:] - block.slots[:, :-STRIDE] == 1).all()
+    assert (block.slots[:, block.parts:] - block.slots[:, :-block.parts] == 1).all()
+
+
+def test_rows_are_split_for_the_least_padding_whatever_the_lanes():
+    found, _ = blocks([(2, columns) for columns in (41, 64, 81, 3)], 'float64')
+    assert [block.parts for block in found] == [6, 4, 11, 4]
+    assert [block.short for block in found] == [True, False, True, True]
 
 
 @DTYPES

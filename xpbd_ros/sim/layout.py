@@ -1,13 +1,14 @@
 """
-Where particles lie in memory: rows of a grid, each split by column modulo STRIDE; or any order.
+Where particles lie in memory: rows of a grid, each split by its columns; or any order.
 
-A row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11 …: four parts of
-the same length, one after another. Constraints of the same shape, four columns apart, then touch
-neighbouring places in memory and no particle twice: a vector of them is loaded, projected and
-stored without a gather. Parts are padded to whole vectors, since a load that overlaps half of a
-recent store has to wait for it; a row takes an odd number of cache lines, so that columns do not
-crowd into a few sets of the cache; and a grid has at least as many rows as a vector has lanes, for
-the lines that run along them. The particles of a mesh lie in the order of their ranks, padded to
+Split into four, a row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11
+…: parts of the same length, one after another. Constraints of the same shape, four columns apart,
+then touch neighbouring places in memory and no particle twice: a vector of them is loaded,
+projected and stored without a gather. Parts are padded to whole vectors, since a load that
+overlaps half of a recent store has to wait for it, and a row is split into as many parts as leaves
+the least padding; it takes an odd number of cache lines, so that columns do not crowd into a few
+sets of the cache; and a grid has at least as many rows as a vector has lanes, for the lines that
+run along them. The particles of a mesh lie in the order of their ranks, padded to
 whole vectors at the end. Padding has neither mass nor mobility, so nothing moves it.
 """
 
@@ -17,10 +18,8 @@ import numpy as np
 
 from xpbd_ros.sim.vector import lane_count
 
-STRIDE = 4
-"""columns apart; the widest constraint (a hinge across an edge) spans three columns"""
-
-
+PARTS = range(4, 13)
+"""of a row; the widest constraint (a hinge across an edge) spans three columns"""
 LINE = 64
 """bytes of a cache line, and of the widest vector"""
 
@@ -33,8 +32,12 @@ class Block:
     columns: int
     first: int
     """slot of row 0, column 0"""
+    parts: int
+    """into how many a row is split"""
     part: int
     """slots of one part of a row"""
+    short: bool
+    """whether a part is no more than a cache line"""
     row_stride: int
     """slots from one row to the next"""
     rows_stored: int
@@ -47,8 +50,8 @@ class Block:
 
     def slot(self, row, column):
         """Return the slot of a particle, or of arrays of them."""
-        return (self.first + row * self.row_stride + column % STRIDE * self.part
-                + column // STRIDE)
+        return (self.first + row * self.row_stride + column % self.parts * self.part
+                + column // self.parts)
 
     @property
     def slots(self) -> np.ndarray:
@@ -94,17 +97,27 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
             found.append(Span(first, shape, _round_up(len(shape), lanes)))
         else:
             rows, columns = shape
-            part = _round_up(-(-columns // STRIDE), lanes)
-            found.append(Block(rows, columns, first, part, _odd(STRIDE * part, dtype),
-                               max(rows, lanes)))
+            parts = _parts(columns, dtype)
+            longest = -(-columns // parts)
+            part = _round_up(longest, lanes)
+            found.append(Block(rows, columns, first, parts, part, longest <= _per_line(dtype),
+                               _odd(parts * part, dtype), max(rows, lanes)))
         first += found[-1].size
     return found, first + lanes
 
 
+def _parts(columns: int, dtype) -> int:
+    """Return the fewest parts of whole cache lines with the least padding, whatever the lanes."""
+    return min(PARTS, key=lambda parts: parts * _round_up(-(-columns // parts), _per_line(dtype)))
+
+
 def _odd(slots: int, dtype) -> int:
     """Return at least so many slots, an odd number of cache lines."""
-    per_line = LINE // np.dtype(dtype).itemsize
-    return (-(-slots // per_line) | 1) * per_line
+    return (-(-slots // _per_line(dtype)) | 1) * _per_line(dtype)
+
+
+def _per_line(dtype) -> int:
+    return LINE // np.dtype(dtype).itemsize
 
 
 def _round_up(number: int, unit: int) -> int:

@@ -24,7 +24,7 @@ import numpy as np
 
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import Block, STRIDE, zeros
+from xpbd_ros.sim.layout import Block, zeros
 from xpbd_ros.sim.update import softened
 from xpbd_ros.sim.vector import (
     after,
@@ -53,6 +53,7 @@ class Lines(NamedTuple):
     """shape (grids,)"""
     columns: np.ndarray
     """shape (grids,)"""
+    parts: np.ndarray
     part: np.ndarray
     """slots of one part of a row, shape (grids,)"""
     stride: np.ndarray
@@ -89,7 +90,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
 
     """
     lanes_ = lane_count(dtype)
-    longest = max(max(STRIDE * b.part, b.rows) for b in blocks) + lanes_
+    longest = max(max(b.parts * b.part, b.rows) for b in blocks) + lanes_
     warp, weft = (np.zeros((len(blocks), longest), dtype) for _ in range(2))
     for g, (block, (by_row, by_column)) in enumerate(zip(blocks, compliance)):
         warp[g, :block.rows] = np.minimum(by_row, softest(dtype))
@@ -99,7 +100,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
         return np.array([value(b) for b in blocks], np.int64)
 
     return Lines(of(lambda b: b.first), of(lambda b: b.rows), of(lambda b: b.columns),
-                 of(lambda b: b.part), of(lambda b: b.row_stride),
+                 of(lambda b: b.parts), of(lambda b: b.part), of(lambda b: b.row_stride),
                  np.arange(2 * len(blocks)).reshape(-1, 2) * slots,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
@@ -114,26 +115,26 @@ def solve_edges(lines, force, state):
     count = lanes(x)
     for g in range(len(lines.first)):
         start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
-        part, stride = lines.part[g], lines.stride[g]
+        part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
         if columns > 1:
             base = lines.force[g, 0]
             for begin in range(0, rows, count):
                 row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
                 top = start + row * stride
-                _gather(x, top, part, stride, tile[0])
-                _gather(y, top, part, stride, tile[1])
-                _gather(z, top, part, stride, tile[2])
-                _gather(m, top, part, stride, tile[3])
-                _gather(force, base + top, part, stride, tile[4])
+                _gather(x, top, parts, part, stride, tile[0])
+                _gather(y, top, parts, part, stride, tile[1])
+                _gather(z, top, parts, part, stride, tile[2])
+                _gather(m, top, parts, part, stride, tile[3])
+                _gather(force, base + top, parts, part, stride, tile[4])
                 _solve(tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns,
                        begin - row, lines.rest_length[g, 0], load(lines.warp[g], row), work,
                        lines.axis[0], lines.tiny)
-                _scatter(tile[0], x, top, part, stride)
-                _scatter(tile[1], y, top, part, stride)
-                _scatter(tile[2], z, top, part, stride)
-                _scatter(tile[4], force, base + top, part, stride)
+                _scatter(tile[0], x, top, parts, part, stride)
+                _scatter(tile[1], y, top, parts, part, stride)
+                _scatter(tile[2], z, top, parts, part, stride)
+                _scatter(tile[4], force, base + top, parts, part, stride)
         if rows > 1:
-            for q in range(0, STRIDE * part, count):
+            for q in range(0, parts * part, count):
                 at = start + q
                 _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
                        lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
@@ -141,22 +142,22 @@ def solve_edges(lines, force, state):
 
 
 @jit
-def _gather(source, top, part, stride, tile):
+def _gather(source, top, parts, part, stride, tile):
     """Transpose as many rows as there are lanes: column c of them becomes the vector c."""
     count = lanes(source)
-    for k in range(STRIDE):
+    for k in range(parts):
         for p in range(0, part, count):
-            transpose(source, top + k * part + p, stride, tile, (STRIDE * p + k) * count,
-                      STRIDE * count)
+            transpose(source, top + k * part + p, stride, tile, (parts * p + k) * count,
+                      parts * count)
 
 
 @jit
-def _scatter(tile, target, top, part, stride):
+def _scatter(tile, target, top, parts, part, stride):
     """Transpose back."""
     count = lanes(target)
-    for k in range(STRIDE):
+    for k in range(parts):
         for p in range(0, part, count):
-            transpose(tile, (STRIDE * p + k) * count, STRIDE * count, target,
+            transpose(tile, (parts * p + k) * count, parts * count, target,
                       top + k * part + p, stride)
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.layout import Block, STRIDE
+from xpbd_ros.sim.layout import Block
 
 STRIP = 8
 """rows that a sweep takes at a time, so that they stay in the cache"""
@@ -97,17 +97,19 @@ def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]
     Return a shape's anchors in a row, as few spans of neighbours: first place, count, offsets.
 
     Neighbouring parts whose constraints reach out alike are one span, with holes between them
-    where a part ends without a constraint.
+    where a part ends without a constraint. But a vector that begins where the one before ends
+    would wait for it: short parts that are joined along their row are taken each down its rows.
     """
-    found, last_part = [], STRIDE
-    for part in range(STRIDE):
-        columns = [c for c in shape.columns if c % STRIDE == part]
+    waits = block.short and len({j for j, _ in shape.particles}) == 1
+    found, last_part = [], block.parts
+    for part in range(block.parts):
+        columns = [c for c in shape.columns if c % block.parts == part]
         if not columns:
             continue
         place, end = _place(block, columns[0]), _place(block, columns[-1]) + 1
         offset = tuple(block.slot(j, columns[0] + c) - block.slot(0, columns[0])
                        for j, c in shape.particles)
-        if part == last_part + 1 and found[-1][2] == offset:
+        if part == last_part + 1 and offset == found[-1][2] and not waits:
             found[-1] = (found[-1][0], end - found[-1][0], offset)
         else:
             found.append((place, end - place, offset))
