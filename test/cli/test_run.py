@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -21,6 +22,7 @@ import yaml
 
 from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
@@ -73,6 +75,14 @@ def test_a_pin_that_slips_is_told(scene, tmp_path, capsys):
     (line,) = [line for line in capsys.readouterr().out.splitlines() if 'slipped' in line]
     assert line.startswith("note     frame 1: pin 'left' slipped: the cloth pulled with 0.")
     assert line.endswith(' N, and it holds 0.01 N')
+    counted = [(message.frame, unpacked(message.data, DiagnosticArray).status[0])
+               for message in LogReader(tmp_path / 'out').messages({'/diagnostics'})]
+    assert [(frame, status.level, {pair.key: pair.value for pair in status.values})
+            for frame, status in counted] == [(1, DiagnosticStatus.WARN, {'pins_slipped': '1'})]
+
+
+def test_a_log_without_guards_that_acted_tells_of_none(done):
+    assert '/diagnostics' not in LogReader(done[1]).topics
 
 
 def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, tmp_path, capsys):

@@ -254,6 +254,14 @@ def test_commands_come_out_of_the_log_as_they_went_in():
     assert list(map(repr, after)) == list(map(repr, before))    # repr tells -0.0 from 0.0
 
 
+@pytest.mark.parametrize('count', [2**64 - 1, 2**40, 4097])
+def test_a_log_that_counts_more_resets_than_there_can_be_is_refused(count):
+    kind, read = READERS['resets']
+    with pytest.raises(InputError, match=f'{count} resets in one frame'):
+        read(unpacked(serialize_message(kind(data=count)), kind), 'world')
+    assert read(kind(data=4096), 'world') == [Reset()] * 4096
+
+
 # the inbox
 
 

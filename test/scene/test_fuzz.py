@@ -3,6 +3,7 @@
 from collections import Counter
 import copy
 import random
+import re
 import time
 
 import numpy as np
@@ -28,9 +29,17 @@ LONGEST = 5.0
 """for one file [s]"""
 
 
+def other_digits(noise: random.Random, text: bytes) -> bytes:
+    """Return a text with some of its digits changed: mostly a scene still."""
+    return re.sub(rb'\d', lambda found: b'%d' % noise.randrange(10) if noise.random() < 0.05
+                  else found[0], text)
+
+
 def spoilt_bytes(noise: random.Random) -> bytes:
     """Return the text of a shipped scene with something done to its bytes."""
-    text = bytearray(noise.choice(SHIPPED))
+    text = bytearray(other_digits(noise, noise.choice(SHIPPED)))
+    if noise.random() < 0.3:
+        return bytes(text)
     for _ in range(noise.randint(1, 6)):
         at, length = noise.randrange(len(text) + 1), noise.randint(0, 30)
         how = noise.randrange(5)
@@ -98,7 +107,7 @@ def test_spoilt_scenes(tmp_path):
     found = attack(400, 1, tmp_path)
     assert found['read'] + found['refused'] >= 400
     assert found['refused'] > 100
-    assert found['read'] > 10, 'some are still scenes'
+    assert found['read'] >= 20, 'some are still scenes'
 
 
 @pytest.mark.slow

@@ -26,15 +26,7 @@ from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import edge_areas
 from xpbd_ros.sim.runs import grid_runs, join, Shape
-from xpbd_ros.sim.stages import (
-    close_lines,
-    prepare,
-    project,
-    project_back,
-    react,
-    solve_lines,
-    stage,
-)
+from xpbd_ros.sim.stages import prepare, project, project_back, react, solve_lines, stage
 from xpbd_ros.sim.update import release_forces
 
 
@@ -109,13 +101,6 @@ def project_mesh_stretch_back(stretch, state, substep):
 def solve_stretch(stretch, state, substep):
     """Solve every warp line, then every weft line."""
     lines.solve_edges(stretch.lines, stretch.edges.force, state)
-
-
-@stage(close_lines, Stretch)
-@jit
-def close_stretch(stretch, state, substep):
-    """Do one more pass over all edges: lines that are no more than shared out stay so."""
-    distance.project_edges(stretch.edges, state, False)
 
 
 @stage(react, Stretch)

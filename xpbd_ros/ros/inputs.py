@@ -47,6 +47,8 @@ FAR = 1e6
 """nothing sensible is further away, or faster [m, m/s, rad/s]"""
 SECOND = 10**9
 """[ns]"""
+MOST_RESETS = 4096
+"""in one frame; a log that says more is not one of ours"""
 
 
 def pose(position, orientation, what: str) -> Pose:
@@ -217,6 +219,13 @@ def read_events(message: ParameterEvent) -> list[Command]:
             for p in message.changed_parameters]
 
 
+def read_resets(message: UInt64) -> list[Command]:
+    """Read the log's ``~/resets``: how many there were before a frame."""
+    if message.data > MOST_RESETS:
+        raise InputError(f'{message.data} resets in one frame (at most {MOST_RESETS})')
+    return [Reset()] * message.data
+
+
 def unpacked(raw: bytes, kind: type):
     """Return a serialized message as one of a type, or refuse bytes that are none."""
     try:
@@ -279,7 +288,7 @@ READERS = {
     'collider_states': (MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider)),
     'wind': (Vector3Stamped, read_wind),
     'parameter_events': (ParameterEvent, lambda m, f: read_events(m)),
-    'resets': (UInt64, lambda m, f: [Reset()] * m.data),
+    'resets': (UInt64, lambda m, f: read_resets(m)),
 }
 """the log's input topics, by their last part: type, and reader (message, frame_id) -> commands"""
 

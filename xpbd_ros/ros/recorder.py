@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.serialization import serialize_message
@@ -11,6 +12,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.inputs import as_messages
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.sim.simulation import Frame
@@ -19,6 +21,9 @@ INPUT = Qos(depth=10)
 INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
           'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'wind': Vector3Stamped,
           'resets': UInt64, '/parameter_events': ParameterEvent}
+GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
+          'colliders_at_max_speed', 'contacts_without_room', 'self_without_room')
+"""what a log tells of, of what the simulation counts"""
 
 
 class Recorder:
@@ -51,7 +56,9 @@ class Recorder:
             if not output.view_only:
                 self.log.add_channel(self._full(output.topic), type_name(output.kind),
                                      output.qos)
-        self._inputs: set[str] = set()
+        self._later: set[str] = set()
+        """channels that came when there was something to write"""
+        self._counts: dict[str, int] = {}
         frame = outputs.simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)
@@ -75,15 +82,31 @@ class Recorder:
         outputs = self.outputs
         before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
         for topic, message in as_messages(frame.applied, outputs.frame_id, before_ns):
-            if topic not in self._inputs:
-                self.log.add_channel(self._full(topic), type_name(INPUTS[topic]), INPUT)
-                self._inputs.add(topic)
-            self.log.write(self._full(topic), serialize_message(message), time_ns=before_ns,
-                           frame=frame.index)
+            self._write_one(topic, INPUTS[topic], message, before_ns, frame.index)
         self._write_all(encoded, frame)
         self._write_all({'state_hash': outputs.hash()}, frame)
         if frame.index % self._checkpoint_frames == 0:
             self._write_all(outputs.state(frame, self.epoch_ns + frame.time_ns), frame)
+
+        self._write_guards(frame)
+
+    def _write_one(self, topic: str, kind: type, message, time_ns: int, frame: int) -> None:
+        if topic not in self._later:
+            self.log.add_channel(self._full(topic), type_name(kind), INPUT)
+            self._later.add(topic)
+        self.log.write(self._full(topic), serialize_message(message), time_ns=time_ns,
+                       frame=frame)
+
+    def _write_guards(self, frame: Frame) -> None:
+        """Write what the guards count, in the frames where that changes."""
+        stats = self.outputs.simulation.stats()
+        counts = {name: stats[name] for name in GUARDS if stats.get(name)}
+        if counts == self._counts:
+            return
+        self._counts, time_ns = counts, self.epoch_ns + frame.time_ns
+        self._write_one('/diagnostics', DiagnosticArray, diagnostics.message(
+            self._name.lstrip('/'), 'WARN' if counts else 'OK', 'guards', counts, time_ns),
+            time_ns, frame.index)
 
     def close(self) -> None:
         """Finish the log."""

@@ -36,17 +36,7 @@ from xpbd_ros.sim.relax import (
     shared,
 )
 from xpbd_ros.sim.runs import listed, Runs
-from xpbd_ros.sim.update import (
-    divisor,
-    keep,
-    misfit,
-    moves,
-    put,
-    recall,
-    row,
-    softened,
-    strain_of,
-)
+from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -251,7 +241,7 @@ def room(count: int) -> Held:
 
 
 @jit(inline=True)
-def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before, tiny):
+def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
     """
     Return the step along d of an edge, d itself and Δf, for particles dx, dy, dz apart.
 
@@ -260,7 +250,6 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
     l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
     apart_ = l > 0.0
     l_or_1 = select(apart_, l, 1.0)
-    alpha = softened(tiny, alpha, total, strain_of(tiny, l - rest, l_or_1))
     wrong = lag(misfit(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
     step = select(both(total > 0.0, there),
                   -wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
@@ -269,21 +258,17 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
 
 
 @jit
-def project_edges(edges, state, reverse, tiny=None):
-    """
-    One Gauss-Seidel pass over all edges, run after run.
-
-    ``tiny``: below which part of the mobilities a compliance is that of a rigid line.
-    """
+def project_edges(edges, state, reverse):
+    """One Gauss-Seidel pass over all edges, run after run."""
     _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
              row(moves(state.apart), 0), row(moves(state.apart), 1), row(moves(state.apart), 2),
              edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis,
-             edges.damping, reverse, tiny)
+             edges.damping, reverse)
 
 
 @jit
 def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
-             damping, reverse, tiny):
+             damping, reverse):
     runs_count, places = len(runs.start), compliance.shape[1]
     for a in range(runs_count):
         r = runs_count - 1 - a if reverse else a
@@ -302,10 +287,10 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
                 xi, yi, zi, mi = load(x, i), load(y, i), load(z, i), load(mobility, i)
                 xj, yj, zj, mj = load(x, j), load(y, j), load(z, j), load(mobility, j)
                 alpha, f = load(compliance, numbers + q), recall(apart, force, c)
-                there, total = both(alpha >= 0.0, first(x, runs.count[r] - q)), mi + mj
-                g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, total, rest,
-                                         alpha, f, there, ux, uy, uz, gamma,
-                                         apart_before(damping, i, j), tiny)
+                there = both(alpha >= 0.0, first(x, runs.count[r] - q))
+                g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
+                                         f, there, ux, uy, uz, gamma,
+                                         apart_before(damping, i, j))
                 keep(force, c, f, df)
                 gi, gj = g * mi, -g * mj
                 put(x, tx, i, xi, gi, dx)
@@ -337,7 +322,7 @@ def _project_packs(records, apart, i, j, rest_length, compliance, force, damping
         alpha, f = load(compliance, q), recall(apart, force, q)
         g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
                                  load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0,
-                                 gammas_of(damping, q), records_before(damping, i, j, q), None)
+                                 gammas_of(damping, q), records_before(damping, i, j, q))
         keep(force, q, f, df)
         gi, gj = g * mi, -g * mj
         put_records(records, apart, i, q, xi, yi, zi, mi, gi, dx, dy, dz)

@@ -7,11 +7,13 @@ The edges of a line, linearised where it lies, couple only to their neighbours:
 
 with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination,
 one back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
-off-diagonal is at most m_k; only a rigid straight line between two pins is singular, and often
-asks for what cannot be. Hence α counts as at least TINY of the mobilities, which is nothing beside
-what a Gauss-Seidel pass adds, and as more where a rigid edge is strained by far (``softened``):
-such a line shares its misfit out, without pulling harder than its directions bear. The closing
-pass over the edges knows the same α, or it would undo that edge by edge.
+off-diagonal is at most m_k; only a rigid straight line between two pins is singular. Hence α
+counts as at least TINY of the mobilities, which is nothing beside what a Gauss-Seidel pass adds.
+
+A rigid line between two pins that are further apart than it is long cannot be. Solved, it would
+pull with its strain over TINY, and from f > l / (m_k + m_{k+1}) on a pull throws what it holds
+about across its direction. So where the strain is more than TINY it is left as it is, to the pass
+edge by edge that closes the sweep.
 
 Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
 rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
@@ -25,13 +27,14 @@ import numpy as np
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, zeros
-from xpbd_ros.sim.update import softened
 from xpbd_ros.sim.vector import (
     after,
+    any_lane,
     both,
     fma,
     lane_count,
     lanes,
+    larger,
     load,
     root,
     select,
@@ -73,7 +76,8 @@ class Lines(NamedTuple):
     tile: np.ndarray
     """scratch: transposed rows: x y z mobility f; shape (5, columns * lanes)"""
     work: np.ndarray
-    """scratch of the elimination: u, off-diagonal / pivot, Δf; shape (5, edges * lanes)"""
+    """scratch of the elimination: u, off-diagonal / pivot, Δf, whether the line up to here is too
+    short; shape (6, edges * lanes)"""
 
 
 def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -> Lines:
@@ -104,7 +108,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
                  np.arange(2 * len(blocks)).reshape(-1, 2) * slots,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
-                 zeros((5, longest * lanes_), dtype), zeros((5, longest * lanes_), dtype))
+                 zeros((5, longest * lanes_), dtype), zeros((6, longest * lanes_), dtype))
 
 
 @jit
@@ -170,10 +174,11 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
     at edge + k stride.
     """
     n = lanes(x)
-    ux, uy, uz, ratio, step = work[0], work[1], work[2], work[3], work[4]
+    ux, uy, uz, ratio, step, mark = work[0], work[1], work[2], work[3], work[4], work[5]
     zero, there = splat(x, 0.0), after(x, done)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
+    px, py, pz, longest = xa, ya, za, select(ma > 0.0, splat(x, np.inf), 0.0)    # from a pin on
     for k in range(nodes - 1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
@@ -187,9 +192,16 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         dz = select(apart, dz * inverse, axis[2])
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
-        soft = softened(tiny, alpha, total, (l - rest) * inverse)
+        longest = longest + (1.0 + tiny) * rest
+        if any_lane(mb <= 0.0):
+            free = mb > 0.0
+            rx, ry, rz = xb - px, yb - py, zb - pz
+            far = fma(rx, rx, fma(ry, ry, rz * rz)) > longest * longest
+            store(mark, o, select(both(far, alpha < tiny * total), 1.0, zero))
+            px, py, pz = select(free, px, xb), select(free, py, yb), select(free, pz, zb)
+            longest = select(free, longest, 0.0)
         link = off * pivot
-        bottom = fma(-link, off, total + soft)
+        bottom = fma(-link, off, total + larger(alpha, tiny * total))
         solvable = both(bottom > 0.0, there)
         pivot = 1.0 / select(solvable, bottom, 1.0)
         right = select(solvable, (-fma(alpha, f, l - rest) - off * right) * pivot, 0.0)
@@ -201,13 +213,15 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         vx, vy, vz = dx, dy, dz
         xa, ya, za, ma = xb, yb, zb, mb
     # right is now Δf of the last edge; going back, Δf_k = right_k - (off_{k+1} pivot_k) Δf_{k+1}
-    df, above, wx, wy, wz = zero, zero, zero, zero, zero
+    df, above, wx, wy, wz, short = zero, zero, zero, zero, zero, zero
     for k in range(nodes - 2, -1, -1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
-        df = load(step, o) - above * df
+        mb = load(m, i)
+        if any_lane(mb <= 0.0):
+            short = select(mb > 0.0, short, load(mark, o))
+        df = select(short > 0.0, 0.0, load(step, o) - above * df)
         store(force, c, load(force, c) + df)
         gx, gy, gz = df * load(ux, o), df * load(uy, o), df * load(uz, o)
-        mb = load(m, i)
         store(x, i, fma(mb, gx - wx, load(x, i)))
         store(y, i, fma(mb, gy - wy, load(y, i)))
         store(z, i, fma(mb, gz - wz, load(z, i)))

@@ -35,10 +35,6 @@ def solve_lines(effects, state, substep):
     """Solve whole lines of constraints at once, for an effect that has lines."""
 
 
-def close_lines(effects, state, substep):
-    """Do one more Gauss-Seidel pass over the constraints of lines."""
-
-
 def touch(effects, state, substep):
     """Contact and friction, after everything else of an iteration."""
 

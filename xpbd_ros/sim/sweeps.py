@@ -15,14 +15,7 @@ from typing import NamedTuple
 from numba.extending import overload
 
 from xpbd_ros.sim.jit import INNER, jit
-from xpbd_ros.sim.stages import (
-    close_lines,
-    kernel_of,
-    project,
-    project_back,
-    solve_lines,
-    walk,
-)
+from xpbd_ros.sim.stages import kernel_of, project, project_back, solve_lines, walk
 from xpbd_ros.sim.state import add_moves, at_start, half_kick, set_mobility
 
 
@@ -79,7 +72,7 @@ def _has_lines(effect) -> bool:
 walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect))
 walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
      backwards=True)
-walk(close, lambda effect, state: kernel_of(close_lines, effect))
+walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
 
 
 def sweep(method, effects, state, substep):

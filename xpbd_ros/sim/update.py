@@ -20,10 +20,7 @@ from numba.extending import intrinsic, overload
 import numpy as np
 
 from xpbd_ros.sim.jit import INNER, jit
-from xpbd_ros.sim.vector import fma, load, select, store
-
-YIELD = 0.1
-"""strain above which a rigid edge of a line is one that cannot be"""
+from xpbd_ros.sim.vector import fma, load, store
 
 
 class Jacobi(NamedTuple):
@@ -79,18 +76,6 @@ def misfit(residual, alpha, f):
     """Return C + α f."""
 
 
-def softened(tiny, alpha, total, strain):
-    """
-    Return the compliance α of an edge of a line, or what a rigid one counts as; None: α as it is.
-
-    What is rigid next to the mobilities W counts as TINY W.
-    """
-
-
-def strain_of(tiny, residual, l):
-    """Return a strain for ``softened``; with None nobody asks."""
-
-
 def divisor(apart, total, alpha):
     """Return what a misfit is divided by: W + α, and what the method makes of it."""
 
@@ -132,21 +117,6 @@ def _misfit(residual, alpha, f):
     if isinstance(f, types.NoneType):
         return lambda residual, alpha, f: residual
     return lambda residual, alpha, f: fma(alpha, f, residual)
-
-
-@inline(softened)
-def _softened(tiny, alpha, total, strain):
-    if isinstance(tiny, types.NoneType):
-        return lambda tiny, alpha, total, strain: alpha
-    return lambda tiny, alpha, total, strain: select(
-        alpha < tiny * total, tiny * total, alpha)
-
-
-@inline(strain_of)
-def _strain_of(tiny, residual, l):
-    if isinstance(tiny, types.NoneType):
-        return lambda tiny, residual, l: residual
-    return lambda tiny, residual, l: residual / l
 
 
 @inline(divisor)

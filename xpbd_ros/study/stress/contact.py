@@ -180,7 +180,12 @@ def tangled(x):
 
 @hard('H27', 'cloth against itself', slow=True)
 def itself():
-    """A fold, a heap, three turns of twist: nothing gets through; a tangle does not explode."""
+    """
+    A fold and a heap: nothing gets through; a tangle does not explode.
+
+    The tangle starts with edges strained by a half, which alone make it as fast as 120 m/s in the
+    limit of short steps: what must not be is more energy than there was, or speed that stays.
+    """
     thickness = 0.01
     effects = {'pin': {}, 'contact': {'thickness': GAP}, 'friction': {}, 'damping': {'rate': 3.0},
                'self_collision': {'thickness': thickness, 'room': 60}}
@@ -196,9 +201,10 @@ def itself():
                                    ('a heap', None, heap), ('tangled', tangled, {
                                        'position': [0.0, 0.0, 0.3]})):
             scene = sheet(pose=pose, pins={}, colliders=floor, scene_effects=effects)
-            yield Trial(setting, scene, 2.0, place=place, speed=10.0, apart=min(
-                thickness, 0.5 * SPACING), also=None if label == 'tangled' else through,
-                label=label)
+            tangle = {'energy': 0.0, 'still': 10.0} if label == 'tangled' else {
+                'speed': 10.0, 'also': through}
+            yield Trial(setting, scene, 2.0, place=place, label=label,
+                        apart=min(thickness, 0.5 * SPACING), **tangle)
 
 
 def crossings(x: np.ndarray, triangles: np.ndarray) -> int:

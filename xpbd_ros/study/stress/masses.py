@@ -126,13 +126,13 @@ def held_edge():
                     note='forces on ~/pin_states')
 
 
-SWAYS = 'bdf2 keeps what is left swaying, at some cm/s'
+UNEVEN = 'edges are taken one by one there: every other one stays short'
 SHAKES = 'several sweeps over what cannot be pull too hard'
 
 
 @hard('H11', 'rigid strip between pins that are too far apart')
 def too_far():
-    """Cannot be: lines share the strain out, and it is still."""
+    """Cannot be: it is still, and lines share the strain out."""
     def even(track):
         along = np.abs(np.diff(track.edges, axis=1)[:, 0]) == 1
         i, j = track.edges[along].T
@@ -148,9 +148,9 @@ def too_far():
 
     for setting in USUAL:
         for scene, label in ((strip, 'a strip'), (wide, 'a sheet')):
-            restless = (SWAYS if setting.method == 'line' and setting.integrator == 'bdf2'
-                        else SHAKES if setting.iterations > 1 and scene is strip else '')
-            yield Trial(setting, scene, 4.0, pins=apart, still=1e-3, label=label, known=restless,
+            known = (UNEVEN if setting.method == 'line' else
+                     SHAKES if setting.iterations > 1 and scene is strip else '')
+            yield Trial(setting, scene, 4.0, pins=apart, still=1e-3, label=label, known=known,
                         also=even if setting.method == 'line' else None)
 
 

@@ -93,7 +93,9 @@ class Trial:
             with np.errstate(all='ignore'):
                 ours = self.simulate()
         except InputError as error:
-            return Outcome(self.name, True, reported=str(error).split(': ', 1)[-1])
+            text = str(error).split(': ', 1)[-1]
+            at_door = text.startswith('solver.')    # the setting, and not the scene
+            return Outcome(self.name, at_door, reported=text, why='' if at_door else 'was refused')
         why, recovery = self.judge(ours, self.calm('simulate'))
         told = [text for text in self.tells if ours.stats.get(text) or any(
             text in said for said in ours.said)]

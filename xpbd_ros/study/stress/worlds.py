@@ -43,7 +43,7 @@ def sheet(effects=None, *, grid=(N, N), size=(SIZE, SIZE), pins=None, pose=None,
                              'pose': pose or {'orientation': list(HANGING)},
                              'effects': effects or SOFT}},
             'pins': {name: {'cloth': 'c', 'at': at} for name, at in pins.items()},
-            'colliders': colliders,
+            **({'colliders': colliders} if colliders else {}),
             'effects': scene_effects or {
                 'pin': {}, 'contact': {'thickness': thickness}, 'friction': {},
                 'damping': {'rate': damping}}}
