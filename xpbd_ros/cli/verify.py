@@ -6,6 +6,7 @@ of convergence. Schemes known to be wrong solve some of the same cases, as contr
 fail. The exit code is 1 where a case fails, or a control does not.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
@@ -19,7 +20,8 @@ def add_arguments(parser):
     parser.add_argument('--case', metavar='ID', help='only this case, such as V6')
     parser.add_argument('--quick', action='store_true', help='leave out what takes minutes')
     parser.add_argument('-o', '--output', metavar='DIR',
-                        help='draw a picture per family into this folder; must not exist')
+                        help='draw a picture per family into this folder, and write the table in '
+                             'README there; must not exist')
     add_json_argument(parser)
 
 
@@ -45,6 +47,7 @@ def run(arguments) -> int:
         folder = Path(arguments.output)
         folder.mkdir(parents=True)
         numbers['pictures'] = draw(answers, folder)
+        (folder / 'verify.md').write_text('\n'.join([*table(answers, wrong), '']))
     write_json(arguments.json, numbers)
     if arguments.json != '-':
         print('\n'.join(lines(answers, wrong)))
@@ -58,6 +61,33 @@ def numbers_of(row) -> dict:
             'error': row.error, 'norm': row.norm, 'tolerance': row.tolerance,
             'order_expected': row.order_expected, 'order': row.order, 'ladder': row.ladder,
             'step': row.step, 'pass': row.good}
+
+
+def table(answers, wrong) -> list[str]:
+    """Return a table in Markdown: of each case the row nearest to its tolerance, and the orders."""
+    text = ['| Case | | Numbers | Largest error | Tolerance | Orders | Expected |',
+            '|---|---|---|---|---|---|---|']
+    for answer in merged(answers):
+        worst = max(answer.rows, key=lambda row: row.error / row.tolerance)
+        orders = [row for row in answer.rows if row.order is not None]
+        text.append(f'| {answer.id} | {answer.title} | {len(answer.rows)} | '
+                    f'{worst.error:.1e} {worst.norm} | {worst.tolerance:.0e} | '
+                    f'{", ".join(f"{row.order:.2f}" for row in orders)} | '
+                    f'{", ".join(dict.fromkeys(f"{row.order_expected:g}" for row in orders))} |')
+    text += ['', '| Scheme known to be wrong | Case | Error | Tolerance |', '|---|---|---|---|']
+    for one in wrong:
+        text.append(f'| {one.scheme} | {one.id} | {one.error:.1e} | {one.tolerance:.0e} |')
+    return text
+
+
+def merged(answers) -> list:
+    """Return one answer for each id."""
+    found = {}
+    for answer in answers:
+        known = found.get(answer.id)
+        found[answer.id] = answer if known is None else replace(
+            known, rows=known.rows + answer.rows)
+    return list(found.values())
 
 
 def lines(answers, wrong) -> list[str]:

@@ -54,6 +54,37 @@ def one_oscillator():
                     [1 / 60 / k for k in counts], got, 'm', slope, 0.05, step='substep [s]')
 
 
+@case('V3', 'Kelvin-Voigt oscillator')
+def damped_oscillator():
+    """Per step ‖z‖² falls by 1 / (1 + c h / m + ω² h²); with h → 0 the decay is the exact one."""
+    k, time = 30.0, 0.02
+
+    def pair(**options):
+        """Two free particles of 0.5 kg, 0.2 m too far apart; and their reduced mass."""
+        simulation = build((2, 1), (1.0, 1.0), {'stretch': {'compliance': 1.0 / k},
+                                                'rayleigh': {'time': time}}, density=1.0,
+                           gravity=(0, 0, 0), **options)
+        place(simulation, [[-0.1, 0, 0], [1.1, 0, 0]])
+        return simulation, 0.5 * simulation.state.mass[simulation.slot[0]]
+
+    simulation, mass = pair()
+    frames = [run(simulation, 1) for _ in range(3)]
+    z = np.array([[f.x[1, 0] - f.x[0, 0] - 1.0, f.v[1, 0] - f.v[0, 0]] for f in frames])
+    h, c = 1 / 60, k * time
+    yield value('‖z‖² kept in a step', 1.0 / (1.0 + c * h / mass + k / mass * h * h),
+                np.linalg.det(z[1:].T @ np.linalg.inv(z[:2].T)), '', 1e-10)
+    a, t = 0.5 * c / mass, 0.2
+    w = np.sqrt(k / mass - a * a)
+    exact = 0.2 * np.exp(-a * t) * (np.cos(w * t) + a / w * np.sin(w * t))
+    for name, slope in ORDERS:
+        counts, got = (32, 64, 128, 256), []
+        for n in counts:
+            x = run(pair(substeps=n, integrator=name)[0], 12).x
+            got.append(x[1, 0] - x[0, 0] - 1.0)
+        yield order(f'stretch at 0.2 s, {name}', exact, [1 / 60 / n for n in counts], got, 'm',
+                    slope, 0.02, step='substep [s]')
+
+
 @case('V4', 'spinning pair')
 def spinning_pair():
     """Angular momentum after one turn: what the integrator took of it."""
