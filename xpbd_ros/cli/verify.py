@@ -64,7 +64,7 @@ def numbers_of(row) -> dict:
 
 
 def table(answers, wrong) -> list[str]:
-    """Return a table in Markdown: of each case the row nearest to its tolerance, and the orders."""
+    """Return a Markdown table: of each case the row nearest to its tolerance, and the orders."""
     text = ['| Case | | Numbers | Largest error | Tolerance | Orders | Expected |',
             '|---|---|---|---|---|---|---|']
     for answer in merged(answers):
