@@ -14,11 +14,12 @@ from numba import njit
 import numpy as np
 from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 
-from xpbd_ros.effects.bend import Curvature, curvature_shapes, Twist, twist_shapes
+from xpbd_ros.effects.bend import Curvature, Twist
 from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.distance import by_place, grid_edges, mesh_edges
 from xpbd_ros.sim.layout import blocks, zeros
 from xpbd_ros.sim.lines import grid_lines, solve_edges

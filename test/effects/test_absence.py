@@ -77,12 +77,12 @@ def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cac
     """
     The scene with contact runs first, so that the other meets what it left in the cache.
 
-    Nobody asks for forces, and the method neither sweeps back nor solves lines.
+    Nobody asks for forces, and the method neither sweeps back nor solves lines nor leaps.
     """
     seen = look(names, cache)
     assert not seen['cached']
     assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
-        stages.react, stages.project_back, stages.solve_lines))
+        stages.react, stages.project_back, stages.solve_lines, stages.kick))
     assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
     assert [name.lower() for name in seen['data']] == list(names)
     assert not seen['reaction']

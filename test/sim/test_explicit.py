@@ -23,8 +23,8 @@ STIFF = {**EFFECTS, 'stretch': {'warp': 6000.0, 'weft': 4000.0}}
 
 def sheet(substeps, method='explicit', integrator=None, **options):
     """Return a small cloth that swings from two corners."""
-    return simulate((6, 5), pins=PINS, density=0.2, method=method, substeps=substeps,
-                    **{'integrator': integrator or 'leapfrog', 'effects': EFFECTS, **options})
+    return simulate((6, 5), density=0.2, method=method, substeps=substeps, **{
+        'integrator': integrator or 'leapfrog', 'effects': EFFECTS, 'pins': PINS, **options})
 
 
 def test_error_falls_at_second_order():
@@ -57,6 +57,30 @@ def test_at_rest_the_forces_balance_the_weight_exactly():
     assert simulation.stats()['explicit_redone'] == 0
     total = sum(simulation.frame().pins[name].force for name in 'ab')
     np.testing.assert_allclose(total, [0.0, 0.0, -0.2 * GRAVITY], atol=1e-7)
+
+
+@pytest.mark.parametrize('more', [
+    {'pins': {'a': {**PINS['a'], 'compliance': 0.01}, 'b': {**PINS['b'], 'compliance': 0.01}},
+     'scene_effects': {'force': {'per_mass': [0.0, 2.0, 0.0]}}},
+    pytest.param({'pins': None, 'colliders': {'table': {'plane': {}, 'position': [
+        0.0, 0.0, -0.005]}}, 'scene_effects': {
+            'contact': {'thickness': 0.005}, 'friction': {},
+            'self_collision': {'thickness': 0.003}}}, marks=pytest.mark.slow)])
+def test_what_is_at_rest_shows_no_velocity_whatever_holds_it(more):
+    """Springs and forces, which no projection is of, or a push in every substep."""
+    simulation = sheet(24, **{**more, 'scene_effects': {
+        'damping': {'rate': 10.0}, **more['scene_effects']}})
+    run_until_still(simulation, speed=1e-9)
+    assert simulation.stats()['explicit_redone'] == 0
+
+
+def test_a_constant_force_is_as_exact_as_gravity():
+    simulation = simulate((2, 2), effects={'stretch': {'compliance': 1e3}}, method='explicit',
+                          integrator='leapfrog', substeps=3,
+                          scene_effects={'force': {'per_mass': [0.0, 0.0, 2.0]}})
+    frame, a = run(simulation, 30), 2.0 - GRAVITY
+    np.testing.assert_allclose(frame.x[:, 2], 0.5 * a * 0.25, rtol=1e-12)
+    np.testing.assert_allclose(frame.v[:, 2], 0.5 * a, rtol=1e-12)
 
 
 @pytest.mark.slow

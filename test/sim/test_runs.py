@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from sim.small import numbers, simulate
 
-from xpbd_ros.effects.bend import curvature_shapes, twist_shapes
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.distance import room as make_room
 from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.layout import blocks

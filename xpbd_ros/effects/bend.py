@@ -34,18 +34,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.curvature import curvature_shapes, straighten, twist_shapes, untwist
 from xpbd_ros.sim.distance import by_place, softest
 from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
 from xpbd_ros.sim.held import hold, room_for
+from xpbd_ros.sim.isometric import isometric_weights, project_packs
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.mesh import cross, dot, length
 from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, Shape
+from xpbd_ros.sim.records import from_records, to_records
+from xpbd_ros.sim.runs import grid_runs, join, listed, Runs
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, release_forces, row
-from xpbd_ros.sim.vector import both, first, fma, lanes, load, select
+from xpbd_ros.sim.update import moves, release_forces, row
 
 
 @dataclass(frozen=True)
@@ -143,8 +143,8 @@ def prepare_bend(bend, state, substep):
 def project_curvature(bend, state, substep):
     """One Gauss-Seidel pass, run after run; linear, so the axes know nothing of one another."""
     for k in range(3):
-        _straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                    state.apart, bend.runs, bend.compliance, False)
+        straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                   state.apart, bend.runs, bend.compliance, False)
 
 
 @stage(project_back, Curvature)
@@ -152,35 +152,8 @@ def project_curvature(bend, state, substep):
 def project_curvature_back(bend, state, substep):
     """Do the same pass in reverse."""
     for k in range(3):
-        _straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                    state.apart, bend.runs, bend.compliance, True)
-
-
-@jit
-def _straighten(x, to, force, mobility, apart, runs, compliance, reverse):
-    places = compliance.shape[1]
-    for a in range(len(runs.start)):
-        r = len(runs.start) - 1 - a if reverse else a
-        numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
-        last = (runs.count[r] - 1) // lanes(x) * lanes(x)
-        for b in range(runs.rows[r]):
-            anchor = runs.start[r] + (runs.rows[r] - 1 - b if reverse else b) * runs.stride[r]
-            for p in range(0, runs.count[r], lanes(x)):
-                q = last - p if reverse else p
-                c = anchor + q
-                i1, i2, i3 = (c + runs.offset[r, 0], c + runs.offset[r, 1],
-                              c + runs.offset[r, 2])
-                x1, x2, x3 = load(x, i1), load(x, i2), load(x, i3)
-                m1, m2, m3 = load(mobility, i1), load(mobility, i2), load(mobility, i3)
-                alpha, f = load(compliance, numbers + q), recall(apart, force, base + c)
-                total = fma(4.0, m2, m1 + m3)
-                there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
-                df = select(there, -misfit(fma(-2.0, x2, x1 + x3), alpha, f)
-                            / divisor(apart, total, alpha), 0.0)
-                keep(force, base + c, f, df)
-                put(x, to, i1, x1, m1, df)
-                put(x, to, i2, x2, -2.0 * m2, df)
-                put(x, to, i3, x3, m3, df)
+        straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                   state.apart, bend.runs, bend.compliance, True)
 
 
 @stage(project, Twist)
@@ -188,8 +161,8 @@ def _straighten(x, to, force, mobility, apart, runs, compliance, reverse):
 def project_twist(bend, state, substep):
     """One Gauss-Seidel pass, run after run."""
     for k in range(3):
-        _untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                 state.apart, bend.runs, bend.compliance, False)
+        untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                state.apart, bend.runs, bend.compliance, False)
 
 
 @stage(project_back, Twist)
@@ -197,37 +170,8 @@ def project_twist(bend, state, substep):
 def project_twist_back(bend, state, substep):
     """Do the same pass in reverse."""
     for k in range(3):
-        _untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                 state.apart, bend.runs, bend.compliance, True)
-
-
-@jit
-def _untwist(x, to, force, mobility, apart, runs, compliance, reverse):
-    places = compliance.shape[1]
-    for a in range(len(runs.start)):
-        r = len(runs.start) - 1 - a if reverse else a
-        numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
-        last = (runs.count[r] - 1) // lanes(x) * lanes(x)
-        for b in range(runs.rows[r]):
-            anchor = runs.start[r] + (runs.rows[r] - 1 - b if reverse else b) * runs.stride[r]
-            for p in range(0, runs.count[r], lanes(x)):
-                q = last - p if reverse else p
-                c = anchor + q
-                i0, i1 = c + runs.offset[r, 0], c + runs.offset[r, 1]
-                i2, i3 = c + runs.offset[r, 2], c + runs.offset[r, 3]
-                x0, x1, x2, x3 = load(x, i0), load(x, i1), load(x, i2), load(x, i3)
-                m0, m1 = load(mobility, i0), load(mobility, i1)
-                m2, m3 = load(mobility, i2), load(mobility, i3)
-                alpha, f = load(compliance, numbers + q), recall(apart, force, base + c)
-                total = (m0 + m1) + (m2 + m3)
-                there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
-                df = select(there, -misfit((x0 - x1) - (x2 - x3), alpha, f)
-                            / divisor(apart, total, alpha), 0.0)
-                keep(force, base + c, f, df)
-                put(x, to, i0, x0, m0, df)
-                put(x, to, i1, x1, -m1, df)
-                put(x, to, i2, x2, -m2, df)
-                put(x, to, i3, x3, m3, df)
+        untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                state.apart, bend.runs, bend.compliance, True)
 
 
 @stage(project, MeshBend)
@@ -248,41 +192,9 @@ def project_mesh_bend_back(bend, state, substep):
 def _project_mesh(bend, state, reverse):
     first_, last = bend.slots[0], bend.slots[1]
     to_records(state, bend.records, first_, last)
-    _project_packs(bend.records, state.apart, bend.particles, bend.weight,
-                   bend.compliance, row(bend.force, 0), row(bend.force, 1), row(bend.force, 2),
-                   reverse)
+    project_packs(bend.records, state.apart, bend.particles, bend.weight, bend.compliance,
+                  row(bend.force, 0), row(bend.force, 1), row(bend.force, 2), reverse)
     from_records(state, bend.records, first_, last)
-
-
-@jit
-def _project_packs(records, apart, particles, weight, compliance, fx, fy, fz, reverse):
-    count, step = len(compliance), lanes(compliance)
-    p0, p1, p2, p3 = particles[0], particles[1], particles[2], particles[3]
-    w0, w1, w2, w3 = weight[0], weight[1], weight[2], weight[3]
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
-        x0, y0, z0, m0 = load_records(records, p0, q)
-        x1, y1, z1, m1 = load_records(records, p1, q)
-        x2, y2, z2, m2 = load_records(records, p2, q)
-        x3, y3, z3, m3 = load_records(records, p3, q)
-        k0, k1, k2, k3 = load(w0, q), load(w1, q), load(w2, q), load(w3, q)
-        n0, n1, n2, n3 = k0 * m0, k1 * m1, k2 * m2, k3 * m3
-        total = fma(k0, n0, fma(k1, n1, fma(k2, n2, k3 * n3)))
-        alpha = load(compliance, q)
-        f, g, h = recall(apart, fx, q), recall(apart, fy, q), recall(apart, fz, q)
-        x = fma(k0, x0, fma(k1, x1, fma(k2, x2, k3 * x3)))
-        y = fma(k0, y0, fma(k1, y1, fma(k2, y2, k3 * y3)))
-        z = fma(k0, z0, fma(k1, z1, fma(k2, z2, k3 * z3)))
-        per = select(total > 0.0, -1.0 / divisor(apart, total, alpha), 0.0)
-        dx, dy, dz = (per * misfit(x, alpha, f), per * misfit(y, alpha, g),
-                      per * misfit(z, alpha, h))
-        keep(fx, q, f, dx)
-        keep(fy, q, g, dy)
-        keep(fz, q, h, dz)
-        put_records(records, apart, p0, q, x0, y0, z0, m0, n0, dx, dy, dz)
-        put_records(records, apart, p1, q, x1, y1, z1, m1, n1, dx, dy, dz)
-        put_records(records, apart, p2, q, x2, y2, z2, m2, n2, dx, dy, dz)
-        put_records(records, apart, p3, q, x3, y3, z3, m3, n3, dx, dy, dz)
 
 
 @stage(react, Curvature)
@@ -350,41 +262,6 @@ class Linear:
         return total[:, None, None] * np.eye(3)
 
 
-def isometric_weights(corners: np.ndarray) -> np.ndarray:
-    """
-    Return K_i / sqrt(A0 + A1) [1/m], shape (hinges, 4).
-
-    Parameters
-    ----------
-    corners : rest positions of the hinges' particles [m], shape (hinges, 4, 3)
-
-    """
-    x0, x1, x2, x3 = (corners[:, k] for k in range(4))
-    e = x1 - x0
-
-    def cot(u, v):
-        return dot(u, v) / length(cross(u, v))
-
-    c01, c02, c03, c04 = cot(e, x2 - x0), cot(e, x3 - x0), cot(-e, x2 - x1), cot(-e, x3 - x1)
-    area = 0.5 * (length(cross(e, x2 - x0)) + length(cross(e, x3 - x0)))
-    return np.stack([c03 + c04, c01 + c02, -c01 - c03, -c02 - c04], 1) / np.sqrt(area)[:, None]
-
-
-def curvature_shapes(rows: int, columns: int) -> list[Shape]:
-    """Return three in a row (inside, at the rim), three in a column."""
-    across = ((0, 0), (0, 1), (0, 2))
-    inside, rim = (range(1, rows - 1), range(0, rows, rows - 1)) if rows > 1 else (
-        range(1), range(0))
-    return [Shape(across, inside, range(columns - 2), 0),
-            Shape(across, rim, range(columns - 2), 0),
-            Shape(((0, 0), (1, 0), (2, 0)), range(rows - 2), range(columns), 1)]
-
-
-def twist_shapes(rows: int, columns: int) -> list[Shape]:
-    """Return the cells."""
-    return [Shape(((0, 0), (0, 1), (1, 0), (1, 1)), range(rows - 1), range(columns - 1), 0)]
-
-
 def _on_grids(cloths, world) -> list[Curvature | Twist]:
     found = []
     for kind, shapes_of, families, compliance_of in (
@@ -421,7 +298,8 @@ def _curvature_compliance(cloth, warp: float, weft: float) -> np.ndarray:
 def _twist_compliance(cloth, warp: float, weft: float) -> np.ndarray:
     """Return dx dy / (2 B) [m/N], by place in a row."""
     dx, dy = cloth.mesh.spacing
-    return np.full((1, cloth.block.row_stride), dx * dy / (2.0 * np.sqrt(warp * weft)))
+    with np.errstate(divide='ignore'):
+        return np.full((1, cloth.block.row_stride), dx * dy / (2.0 * np.sqrt(warp * weft)))
 
 
 def _on_meshes(cloths, world) -> list[MeshBend]:

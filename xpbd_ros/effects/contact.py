@@ -32,46 +32,29 @@ to the plane that touches it right below.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
-from math import sqrt
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.colliders import (
-    Colliders,
-    inner,
-    new_colliders,
-    reach,
-    signed_distance,
-    to_local,
-    write_grid,
-    write_heights,
-)
+from xpbd_ros.sim.bounce import Bounce, drive_away, rebound, speed_away
+from xpbd_ros.sim.candidates import find_candidates
+from xpbd_ros.sim.colliders import Colliders, new_colliders, write_grid, write_heights
 from xpbd_ros.sim.commands import (
     MoveCollider,
     PlaceCollider,
-    Pose,
     RemoveAllColliders,
     RemoveCollider,
-    Twist,
 )
-from xpbd_ros.sim.contacts import (
-    Contacts,
-    DEPENETRATION,
-    move_colliders,
-    new_contacts,
-    push_once,
-    surface_motion,
-)
+from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, push_once
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.field import distance_field, Field
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.motion import monotone_cubic, Motion
+from xpbd_ros.sim.placed import ColliderState, motion_of, Placed
 from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
-from xpbd_ros.sim.stages import finish, prepare, stage, touch
-from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
+from xpbd_ros.sim.stages import finish, kick, prepare, stage, touch
+from xpbd_ros.sim.state import stay
 
 CANDIDATES = 16
 """room for candidates, per particle"""
@@ -94,15 +77,6 @@ class Parameters:
         'room for the grids of meshes that come while it runs (4 bytes each)'))
 
 
-class Bounce(NamedTuple):
-    """What only bouncing needs."""
-
-    restitution: np.ndarray
-    """e by collider, shape (capacity,)"""
-    approach: np.ndarray
-    """velocity of each candidate before the substep [m/s], shape (room, 3)"""
-
-
 class Contact(NamedTuple):
     """Data of the kernels."""
 
@@ -122,72 +96,6 @@ def forget_contacts(contact, state, substep):
         contact.contacts.count[1] = 0
     contact.contacts.count[0] = NOT_SOUGHT
     move_colliders(contact.contacts, substep)
-
-
-@jit
-def find_candidates(contact, state, substep):
-    """List the pairs that may touch in this substep, and the gap that each has to keep."""
-    contacts, thickness, w = contact.contacts, contact.contacts.thickness[0], state.inv_mass
-    contacts.count[0] = contacts.count[3] = 0
-    slots = len(w)
-    for q in range(0, slots, lanes(w)):
-        free = load(w, q) > 0.0
-        if not any_lane(free):
-            continue
-        x, y, z = load(state.x, q), load(state.x, slots + q), load(state.x, 2 * slots + q)
-        dx, dy = x - load(state.x_prev, q), y - load(state.x_prev, slots + q)
-        dz = z - load(state.x_prev, 2 * slots + q)
-        step = root(dx * dx + dy * dy + dz * dz)
-        for c in range(contacts.colliders.count[0]):
-            bound, p, up = contacts.colliders.reach[c], contacts.after, contacts.up
-            ax, ay, az = x - p[c, 0], y - p[c, 1], z - p[c, 2]
-            arm = root(ax * ax + ay * ay + az * az)
-            near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
-            if bound >= 0.0:
-                close = arm < bound + near
-            else:
-                top = -1.0 - bound
-                close = ax * up[c, 0] + ay * up[c, 1] + az * up[c, 2] < near + top
-            if any_lane(both(free, close)):
-                for i in range(q, q + lanes(w)):
-                    if w[i] > 0.0:
-                        consider(contacts, contact.bounce, state, i, c, thickness, substep)
-
-
-@jit(inline=True)
-def consider(contacts, bounce, state, i, c, thickness, substep):
-    """Make a pair a candidate if it is within twice what both may move in this substep."""
-    p = contacts.after
-    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
-    x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
-    step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
-    arm = sqrt((x - p[c, 0])**2 + (y - p[c, 1])**2 + (z - p[c, 2])**2)
-    near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
-    lx, ly, lz = to_local(p, c, x, y, z)
-    if signed_distance(contacts.colliders, c, lx, ly, lz)[0] > near:
-        return
-    k = contacts.count[0]
-    if k == len(contacts.particle):
-        contacts.count[1] += 1
-        return
-    lx, ly, lz = to_local(contacts.before, c, x0, y0, z0)
-    gap = signed_distance(contacts.colliders, c, lx, ly, lz)[0]
-    earlier = contacts.latest[i]
-    if earlier < k and contacts.particle[earlier] == i:
-        contacts.count[3] = 1
-    contacts.latest[i] = k
-    contacts.particle[k] = i
-    contacts.collider[k] = c
-    contacts.gap[k] = min(thickness, gap + DEPENETRATION * substep.h)
-    contacts.overlap[k] = max(0.0, contacts.gap[k] - gap)
-    contacts.push[k] = 0.0
-    contacts.crossed[k] = False
-    for a in range(3):
-        contacts.slip[k, a] = 0.0
-    if bounce is not None:
-        for a in range(3):
-            bounce.approach[k, a] = state.v[a, i] - substep.h * state.gravity[a]
-    contacts.count[0] = k + 1
 
 
 @jit
@@ -214,7 +122,7 @@ def push_out(contact, state, substep):
     if waits(contact.wait):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
-        find_candidates(contact, state, substep)
+        find_candidates(contact.contacts, contact.bounce, state, substep)
     for _ in range(CORNER):
         push_once(contact.contacts, state)
         if not contact.contacts.count[2]:
@@ -237,85 +145,14 @@ def calm(contact, state, substep):
     rebound(contact.bounce, contacts, state, substep)
 
 
-@jit(inline=True)
-def speed_away(contacts, k, state, substep):
-    """Return how fast the particle of contact k leaves the surface [m/s]."""
-    i, v, n, h = contacts.particle[k], state.v, contacts.normal, substep.h
-    ux, uy, uz = surface_motion(contacts, k, state, substep)
-    return ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
-            + (v[2, i] - uz / h) * n[k, 2])
-
-
-@jit(inline=True)
-def drive_away(contacts, k, state, speed):
-    """Add a velocity along the normal [m/s]."""
-    for a in range(3):
-        state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
-
-
+@stage(kick, Contact)
 @jit
-def rebound(bounce, contacts, state, substep):
-    """Newton's law of restitution: v_n = -e (v_n before), unless that is what gravity gives."""
-    if bounce is not None:
-        g, h = state.gravity, substep.h
-        least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h
-        for k in range(contacts.count[0]):
-            e = bounce.restitution[contacts.collider[k]]
-            if e == 0.0 or contacts.push[k] == 0.0:
-                continue
-            ux, uy, uz = surface_motion(contacts, k, state, substep)
-            w, n = bounce.approach[k], contacts.normal[k]
-            before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
-            if before < -least:
-                missing = -e * before - speed_away(contacts, k, state, substep)
-                if missing > 0.0:
-                    drive_away(contacts, k, state, missing)
-
-
-@dataclass
-class Placed:
-    """One collider that is there."""
-
-    entry: Entry
-    motion: Motion
-    twist: Twist | None = None
-    """velocity of its surface, where that is not the pose's"""
-    expires_ns: int | None = None
-    """when it goes away by itself"""
-    field: Field | None = None
-    """the distances to it, if it is a mesh"""
-    heights: np.ndarray | None = None
-    """[m], if it is ground; shape (along y, along x)"""
-
-    @property
-    def reach(self) -> float:
-        """The ball or half space that holds it, as the kernels have it."""
-        if self.field is not None:
-            return self.field.reach
-        if self.heights is not None:
-            return -1.0 - max(0.0, float(self.heights.max()))
-        return reach(SHAPES[self.entry.shape], np.array(shape_size(self.entry)))
-
-    @property
-    def inner(self) -> float:
-        """What moves no further in a substep cannot get through it [m]."""
-        if self.field is not None:
-            return 0.5 * self.field.spacing
-        if self.heights is not None:
-            across, along = self.entry.heights.size
-            rows, columns = self.heights.shape
-            return 0.5 * min(across / (columns - 1), along / (rows - 1))
-        return inner(SHAPES[self.entry.shape], np.array(shape_size(self.entry)))
-
-
-@dataclass(frozen=True)
-class ColliderState:
-    """One collider after a frame."""
-
-    entry: Entry
-    pose: Pose
-    linear: np.ndarray = field(compare=False)
-    """velocity [m/s], shape (3,)"""
+def rest_on_colliders(contact, state, substep):
+    """What touches goes on as it does: the push is an impulse in every substep."""
+    contacts = contact.contacts
+    for k in range(contacts.count[0]):
+        if contacts.push[k] > 0.0:
+            stay(state, contacts.particle[k], substep.h)
 
 
 class BuiltContact(Built):
@@ -370,7 +207,11 @@ class BuiltContact(Built):
                 raise InputError(f'colliders.{name}.{entry.shape}: {file}{error}') from None
         return found
 
+    def again(self):
+        self.contacts.count[0] = NOT_SOUGHT
+
     def reset(self, state, now_ns):
+        self.again()
         self.placed = {}
         for name, entry in self.entries.items():
             shape = self.shapes.get(name)
@@ -517,15 +358,6 @@ class BuiltContact(Built):
                 'colliders': len(self.placed),
                 'colliders_at_max_speed': sum(
                     placed.motion.limited for placed in self.placed.values())}
-
-
-def motion_of(entry: Entry, now: float) -> Motion:
-    """Return how a collider moves from the start, at the simulation time ``now`` [s]."""
-    keyframes, pose = None, entry.pose
-    if entry.motion is not None:
-        keyframes = monotone_cubic(entry.motion, now)
-        pose = Pose(keyframes(now), pose.orientation)
-    return Motion(pose, entry.max_speed, keyframes=keyframes)
 
 
 EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

@@ -7,8 +7,7 @@ with f [N] of each particle: ``per_particle`` itself, ``per_mass`` times its mas
 gravity), or its share by mass of the ``total`` over all that are named. It acts on one cloth or
 all, or on some particles of a cloth; what is pinned hands it to its pin.
 
-Limits: one force in a scene, constant in space and time but for live changes. With the method
-``explicit`` velocities lag behind by half a substep of it.
+Limits: one force in a scene, constant in space and time but for live changes.
 """
 
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.stages import force, react, stage
+from xpbd_ros.sim.stages import force, kick, react, stage
 from xpbd_ros.sim.state import step_of
 from xpbd_ros.sim.vector import fma, lanes, load, select, store
 
@@ -68,6 +67,17 @@ def push(data, state, substep):
             change = rate * load(f, i)
             store(v, i, load(v, i) + change)
             store(x, i, fma(step, change, load(x, i)))
+
+
+@stage(kick, Force)
+@jit
+def kick_force(data, state, substep):
+    """H² w f."""
+    move, f, m, slots = state.apart.move, data.f, state.mobility, len(state.mobility)
+    for q in range(0, slots, lanes(m)):
+        for k in range(3):
+            i = k * slots + q
+            store(move, i, fma(load(m, q), load(f, i), load(move, i)))
 
 
 @stage(react, Force)

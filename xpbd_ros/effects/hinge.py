@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim import closest
 from xpbd_ros.sim.angle import angle_of
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
@@ -166,27 +167,29 @@ def _project_packs(records, apart, particles, rest_angle, compliance, angle, for
         put_records(records, apart, i3, q, x3, y3, z3, m3, m3 * dl, vx, vy, vz)
 
 
+@jit(inline=True)
+def way(x, i, j):
+    """Return the vector from one particle to another."""
+    return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+
+
 @stage(react, Hinge)
-@jit(allocates=True)
+@jit
 def react_hinge(hinge, state, substep):
     """Forces on pinned particles: g_i f."""
     part, held, x = substep.end - substep.begin, hinge.held, state.x
-    e, a, b, n, o = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for h in range(held.count[0]):
         i0, i1, i2, i3 = (held.particles[h, 0], held.particles[h, 1], held.particles[h, 2],
                           held.particles[h, 3])
         f = part * hinge.force[held.index[h]]
         if f == 0.0:    # or without an angle
             continue
-        for k in range(3):
-            e[k], a[k], b[k] = x[k, i1] - x[k, i0], x[k, i2] - x[k, i0], x[k, i3] - x[k, i0]
-        for k in range(3):
-            i, j = (k + 1) % 3, (k + 2) % 3
-            n[k], o[k] = e[i] * a[j] - e[j] * a[i], b[i] * e[j] - b[j] * e[i]
-        l, n_n, o_o = np.sqrt((e * e).sum()), (n * n).sum(), (o * o).sum()
+        e, a, b = way(x, i0, i1), way(x, i0, i2), way(x, i0, i3)
+        n, o = closest.cross(e, a), closest.cross(b, e)
+        l, n_n, o_o = np.sqrt(closest.dot(e, e)), closest.dot(n, n), closest.dot(o, o)
         if n_n == 0.0 or o_o == 0.0:
             continue
-        t1, t2 = (a * e).sum() / l, (b * e).sum() / l
+        t1, t2 = closest.dot(a, e) / l, closest.dot(b, e) / l
         for k in range(3):
             u, v = f * n[k] / n_n, f * o[k] / o_o
             state.reaction[k, i0] += (l - t1) * u + (l - t2) * v

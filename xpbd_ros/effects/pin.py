@@ -26,7 +26,7 @@ there. Cloth does not slide in a pin: it is held or let go.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from typing import NamedTuple
 
@@ -38,8 +38,9 @@ from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
+from xpbd_ros.sim.pins import chosen, Held, PinState
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
-from xpbd_ros.sim.stages import finish, prepare, stage
+from xpbd_ros.sim.stages import finish, kick, prepare, stage
 from xpbd_ros.sim.state import forget, places
 
 
@@ -144,6 +145,18 @@ def pull_to_pins(spring, state, substep):
         state.mobility[i] = m / (1.0 + m / alpha)    # also where α is infinite
 
 
+@stage(kick, Spring)
+@jit
+def kick_springs(spring, state, substep):
+    """H² w (p + R q - x) / (n α)."""
+    pin, x, move = spring.pin, state.x, state.apart.move
+    for k in range(pin.count[0]):
+        i = pin.particle[k]
+        per, goal = state.mobility[i] / spring.compliance[k], place_of(pin, k, substep.end)
+        for a in range(3):
+            move[a, i] += per * (goal[a] - x[a, i])
+
+
 @stage(finish, Spring)
 @jit
 def weigh_springs(spring, state, substep):
@@ -153,42 +166,6 @@ def weigh_springs(spring, state, substep):
         i, per = pin.particle[k], part / spring.compliance[k]
         for a in range(3):
             spring.force[k, a] += per * (state.x[a, i] - spring.place[k, a])
-
-
-@dataclass
-class Held:
-    """One pin that holds."""
-
-    name: str
-    slot: int
-    motion: Motion
-    particles: np.ndarray
-    """slots, shape (k,)"""
-    offsets: np.ndarray
-    """[m], in the pin's axes, shape (k, 3)"""
-    compliance: float = 0.0
-    """of the whole pin [m/N]; 0: its particles are pinned"""
-    slip: float | None = None
-    """force at which it lets go [N]"""
-    expires_ns: int | None = None
-    """when it lets go by itself"""
-
-
-@dataclass(frozen=True)
-class PinState:
-    """One pin after a frame."""
-
-    pose: Pose
-    linear: np.ndarray = field(compare=False)
-    """velocity [m/s], shape (3,)"""
-    force: np.ndarray = field(compare=False)
-    """of the cloth on the gripper [N], shape (3,)"""
-    torque: np.ndarray = field(compare=False)
-    """about the pose [N m], shape (3,)"""
-    particles: np.ndarray = field(compare=False)
-    """numbers of what it holds, in the natural order of a frame; shape (k,)"""
-    limited: bool = False
-    """whether it lags behind its target at max_speed"""
 
 
 class BuiltPin(Built):
@@ -235,7 +212,7 @@ class BuiltPin(Built):
         self.states, self.slipped = {}, 0
         self.free_slots.sort()
         for name, entry in self.entries.items():
-            particles = self._chosen(name, entry, state.x)
+            particles = chosen(name, entry, self.cloths, state.x)
             particles = particles[~self._taken(state)[particles]]
             if not len(particles):
                 raise InputError(f'pins.{name}: other pins hold all that it names')
@@ -247,27 +224,6 @@ class BuiltPin(Built):
             held = self._hold(name, particles, Pose(point), state, keyframes)
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)
-
-    def _chosen(self, name: str, entry: Entry, x: np.ndarray) -> np.ndarray:
-        """Return the particles that an entry of the scene names."""
-        if entry.cloth not in self.cloths:
-            raise InputError(f"pins.{name}.cloth: unknown cloth '{entry.cloth}' "
-                             f'(known: {", ".join(self.cloths)})')
-        cloth = self.cloths[entry.cloth]
-        if entry.near is not None:
-            there = cloth.slots
-            distance = length(places(x, there) - entry.near)
-            near = there[distance <= entry.radius]
-            if not len(near):
-                gap = distance.min()
-                raise InputError(f'pins.{name}: no particle within {entry.radius:g} m of '
-                                 f'{list(entry.near)}; the nearest is {gap:.3g} m away')
-            return near
-        if isinstance(entry.at, str) and cloth.mesh.grid is None:
-            raise InputError(f'pins.{name}.at: {entry.at} is a place on a grid, and '
-                             f"'{cloth.name}' is a mesh; use near and radius (m), or a list "
-                             'of particle numbers')
-        return cloth.at(entry.at, f'pins.{name}.at')
 
     def _taken(self, state) -> np.ndarray:
         """Return which slots hold a particle that a pin holds, or none."""

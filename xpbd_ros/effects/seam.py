@@ -28,7 +28,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, check_place, Cloth, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, react, stage, touch
+from xpbd_ros.sim.stages import kick, prepare, react, stage, touch
 
 CLOSING = 1.0
 """how fast a rigid seam that is open closes [m/s]"""
@@ -104,6 +104,18 @@ def sew(seam, state, substep):
             x[a, j] -= n * df
 
 
+@stage(kick, Seam)
+@jit
+def kick_seams(seam, state, substep):
+    """H² w f, of the substep before."""
+    move, m = state.apart.move, state.mobility
+    for p in range(len(seam.first)):
+        i, j = seam.first[p], seam.second[p]
+        for a in range(3):
+            move[a, i] += m[i] * seam.force[p, a]
+            move[a, j] -= m[j] * seam.force[p, a]
+
+
 @stage(react, Seam)
 @jit
 def react_seams(seam, state, substep):
@@ -142,6 +154,13 @@ class BuiltSeam(Built):
         if first:
             self.data = Seam(*map(np.concatenate, (first, second, compliance)),
                              np.zeros((sum(map(len, first)), 3)))
+
+    def again(self):
+        for seam in self.parts:
+            seam.force[:] = 0.0
+
+    def reset(self, state, now_ns):
+        self.again()
 
 
 def side_of(cloths: dict[str, Cloth], side: Side, path: str) -> np.ndarray:

@@ -50,16 +50,15 @@ from xpbd_ros.sim.nearby import (
     TRIANGLES,
     way,
 )
-from xpbd_ros.sim.stages import bound, finish, prepare, react, stage, touch
-from xpbd_ros.sim.state import lose_history
+from xpbd_ros.sim.planes import part_sides, Planes, stop_all
+from xpbd_ros.sim.stages import bound, finish, kick, prepare, react, stage, touch
+from xpbd_ros.sim.state import stay
 from xpbd_ros.sim.touches import calm_down, new_touches, press, push_apart, rub, Rubbing, Touches
 
 NOT_SOUGHT = -1
 """count of pairs before the first iteration of a substep"""
 SLACK = 0.25
 """of the thickness: how far pushes may move what does not move by itself"""
-CLEAR = 0.05
-"""of a pair's distance: how far before its plane a side stops"""
 LISTED = 4
 """pairs listed in a search, per pair that may touch"""
 
@@ -82,19 +81,8 @@ class SelfCollision(NamedTuple):
     """[m], shape (1,)"""
     near: Nearby
     touches: Touches
-    planes: 'Planes | None'
+    planes: Planes | None
     """None where only particles are looked at"""
-
-
-class Planes(NamedTuple):
-    """What stops at the planes."""
-
-    side: np.ndarray
-    """how many of a pair's particles are on the one side; 0: it has no plane; shape (room,)"""
-    number: np.ndarray
-    """particles in natural order, as ``Touches.particles``; shape (room, 4)"""
-    share: np.ndarray
-    """τ of each particle, shape (particles,)"""
 
 
 @stage(prepare, SelfCollision)
@@ -221,69 +209,6 @@ def stop(effect, state, substep):
     stop_all(effect.planes, effect.near, state.x, state.inv_mass, state.history)
 
 
-@jit
-def part_sides(planes, near, touches, state):
-    """Find how much of its way each particle may go."""
-    if planes is not None:
-        planes.share[:] = 1.0
-        part(planes.share, planes.side, planes.number, near.x, near.step, near.slot,
-             touches.normal, touches.count[0], state.x, state.inv_mass)
-
-
-@jit
-def stop_all(planes, near, x, w, history):
-    """Let each particle go only its share of the way, unless it is pinned."""
-    for i in range(len(near.slot)):
-        moved = gone(x, near.x, near.step, near.slot[i], i)
-        share = near.travel[i] / moved if moved > near.travel[i] else 1.0
-        if planes is not None:
-            share = min(share, planes.share[i])
-        j = near.slot[i]
-        if share == 1.0 or w[j] == 0.0:
-            continue
-        near.count[2] += 1
-        lose_history(history, j)
-        for a in range(3):
-            start = near.x[i, a] + near.step[a]
-            x[a, j] = start + share * (x[a, j] - start)
-
-
-@jit(allocates=True)
-def part(share, side, number, start, step, slot, n, count, x, w):
-    """Stop both sides of each pair before the plane between them."""
-    level, rise = np.zeros(4), np.zeros(4)
-    for m in range(count):
-        if side[m] == 0:
-            continue
-        above, below = np.inf, -np.inf
-        for p in range(4):
-            i = number[m, p]
-            j = slot[i]
-            level[p] = (n[m, 0] * start[i, 0] + n[m, 1] * start[i, 1] + n[m, 2] * start[i, 2])
-            rise[p] = (n[m, 0] * (x[0, j] - start[i, 0] - step[0])
-                       + n[m, 1] * (x[1, j] - start[i, 1] - step[1])
-                       + n[m, 2] * (x[2, j] - start[i, 2] - step[2]))
-            if p < side[m]:
-                above = min(above, level[p])
-            else:
-                below = max(below, level[p])
-        clear = CLEAR * (above - below)
-        if clear <= 0.0:
-            continue
-        plane = 0.5 * (above + below)
-        for p in range(4):    # what is pinned goes its way
-            if w[slot[number[m, p]]] == 0.0:
-                end = level[p] + rise[p]
-                plane = min(plane, end - clear) if p < side[m] else max(plane, end + clear)
-        plane = min(max(plane, below + 2.0 * clear), above - 2.0 * clear)
-        for p in range(4):
-            sign = 1.0 if p < side[m] else -1.0
-            room, way = sign * (level[p] - plane), sign * rise[p]
-            if room + way < clear:
-                i = number[m, p]
-                share[i] = min(share[i], max(0.0, (room - clear) / -way))
-
-
 @stage(finish, SelfCollision)
 @jit
 def settle(effect, state, substep):
@@ -291,6 +216,18 @@ def settle(effect, state, substep):
     calm_down(effect.touches, state, substep)
     for a in range(3):
         effect.near.drift[a] += effect.near.step[a]
+
+
+@stage(kick, SelfCollision)
+@jit
+def rest_on_cloth(effect, state, substep):
+    """What touches goes on as it does: the push is an impulse in every substep."""
+    touches = effect.touches
+    for k in range(touches.count[0]):
+        if touches.push[k] > 0.0:
+            for p in range(touches.particles.shape[1]):
+                if touches.weight[k, p] != 0.0:
+                    stay(state, touches.particles[k, p], substep.h)
 
 
 @stage(react, SelfCollision)
@@ -315,7 +252,8 @@ class BuiltSelfCollision(Built):
             np.array([parameters.thickness]), new_nearby(world.cloths, LISTED * room, surface,
                                                          kin(world)),
             new_touches(room, 4 if surface else 2), None if not surface else Planes(
-                np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros(count)))
+                np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros(count),
+                np.zeros((2, 4))))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
         """Have friction, with μ_k and μ_s by cloth and cloth."""
@@ -324,6 +262,12 @@ class BuiltSelfCollision(Built):
         cloth_of[near.slot] = near.cloth
         self.data = self.data._replace(touches=touches._replace(rubbing=Rubbing(
             cloth_of, kinetic, static, np.zeros((len(touches.gap), 3)))))
+
+    def again(self):
+        self.data.touches.count[0] = NOT_SOUGHT
+
+    def reset(self, state, now_ns):
+        self.again()
 
     def stats(self):
         touches, near = self.data.touches, self.data.near

@@ -47,6 +47,15 @@ def finish(effects, state, substep):
     """Once per substep, after the velocities are known."""
 
 
+def kick(effects, state, substep):
+    """
+    Add up the moves h² F / m of what acts at x without a projection.
+
+    The leapfrog asks at both ends of a frame, to tell the velocities there from those half a
+    substep away; what is held by an impulse in every substep has no such difference.
+    """
+
+
 def react(effects, state, substep):
     """Add up the forces on pinned particles; compiled only where ``state.reaction`` exists."""
 
@@ -89,7 +98,7 @@ def _asks_for_forces(state) -> bool:
     return not isinstance(state[state.fields.index('reaction')], types.NoneType)
 
 
-for _stub in (force, prepare, project, touch, bound, finish):
+for _stub in (force, prepare, project, touch, bound, finish, kick):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 walk(react, lambda effect, state: kernel_of(react, effect) if _asks_for_forces(state) else None)

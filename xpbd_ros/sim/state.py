@@ -305,6 +305,13 @@ def add_moves(state):
         store(x, i, load(x, i) + load(move, i))
 
 
+@jit(inline=True)
+def stay(state, i, h):
+    """Have a particle keep its velocity in ``half_kick``."""
+    for k in range(3):
+        state.apart.move[k, i] = -h * h * state.gravity[k]
+
+
 @jit
 def half_kick(state, h, share):
     """v += share h a, with the moves h² F / m that were summed up; pinned particles keep v."""

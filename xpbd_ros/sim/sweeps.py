@@ -15,7 +15,7 @@ from typing import NamedTuple
 from numba.extending import overload
 
 from xpbd_ros.sim.jit import INNER, jit
-from xpbd_ros.sim.stages import kernel_of, project, project_back, solve_lines, walk
+from xpbd_ros.sim.stages import kernel_of, kick, project, project_back, solve_lines, walk
 from xpbd_ros.sim.state import add_moves, at_start, half_kick, set_mobility
 
 
@@ -138,4 +138,5 @@ def _kick(effects, state, substep, share):
     set_mobility(state, substep.h)
     state.apart.move[:] = 0.0
     project(effects, state, substep)
+    kick(effects, state, substep)
     half_kick(state, substep.h, share)
