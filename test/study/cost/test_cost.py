@@ -71,9 +71,12 @@ DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,
     ('swing', SMALL, 'line'),
     pytest.param('drape', DRAPE, 'line', marks=pytest.mark.slow),
     pytest.param('swing', SMALL, 'gauss_seidel_symmetric', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'gauss_seidel', marks=pytest.mark.slow)])
+    pytest.param('swing', SMALL, 'gauss_seidel', marks=pytest.mark.slow),
+    pytest.param('swing', SMALL, 'jacobi', marks=pytest.mark.slow),
+    pytest.param('swing', {**SMALL, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow),
+    pytest.param('drape', {**DRAPE, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow)])
 def test_the_clock_changes_no_bit(name, keys, method):
-    """With every kind of stage; ``cost`` itself would fail where the two runs part."""
+    """With every kind of stage and method; ``cost`` itself would fail where the runs part."""
     assert cost(load_scene(name, {**keys, 'solver.method': method}), 5, rounds=1).frames == 5
 
 

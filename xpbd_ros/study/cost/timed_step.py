@@ -6,9 +6,10 @@ itself and followed by a reading of the clock. So an effect is timed inside the 
 the caches as the others leave them.
 """
 
+from collections.abc import Iterator
+
 from numba import njit, typeof
 
-from xpbd_ros.errors import InputError
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.stages import (
@@ -16,6 +17,7 @@ from xpbd_ros.sim.stages import (
     finish,
     force,
     kernel_of,
+    kick,
     prepare,
     project,
     project_back,
@@ -23,15 +25,26 @@ from xpbd_ros.sim.stages import (
     solve_lines,
     touch,
 )
-from xpbd_ros.sim.state import begin, Substep, update_velocity
-from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Line, METHODS, Symmetric
+from xpbd_ros.sim.state import (
+    add_moves,
+    at_start,
+    begin,
+    half_kick,
+    set_mobility,
+    Substep,
+    update_velocity,
+)
+from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Leapfrog, Line, Symmetric
 from xpbd_ros.study.cost.clock import lap
 
 SWEEPS = {GaussSeidel: ((project, False),),
           Symmetric: ((project, False), (project_back, True)),
           Line: ((forth, False), (back, True), (close, False))}
-"""the walks of each method (``sim.sweeps``), and whether they go backwards"""
+"""the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
+NAMES = {each.__name__: each for each in (
+    add_moves, at_start, begin, flush_denormals, half_kick, lap, restore_mode, set_mobility,
+    Substep, update_velocity)}
 
 
 def timed_step(effects: tuple, method: type):
@@ -39,45 +52,75 @@ def timed_step(effects: tuple, method: type):
     Return ``advance(effects, state, method, frame_dt, substeps, book)`` for a scene.
 
     Row k of the book is effect k, the row after them the integration.
-
-    Raises
-    ------
-    InputError : naming a method whose step cannot be taken apart
-
     """
-    if method not in SWEEPS:
-        known = {kind: name for name, kind in METHODS.items()}
-        raise InputError(f"solver.method: cost cannot take a step of '{known[method]}' apart "
-                         f'(it can: {", ".join(known[kind] for kind in SWEEPS)})')
-    names = {'begin': begin, 'update_velocity': update_velocity, 'Substep': Substep, 'lap': lap,
-             'flush_denormals': flush_denormals, 'restore_mode': restore_mode}
-    integration = len(effects)
+    step = _Step(effects, method)
+    exec('\n'.join(step.lines()), step.names)
+    return njit(**FLAGS)(step.names['advance'])
 
-    def walk(stub, indent, backwards=False):
-        order = range(len(effects))
+
+class _Step:
+    """The lines of a step, and what they name."""
+
+    def __init__(self, effects: tuple, method: type):
+        self.effects, self.method, self.names = effects, method, dict(NAMES)
+
+    def lines(self) -> Iterator[str]:
+        """Yield ``sim.step.advance``."""
+        once, each, inner = ' ' * 4, ' ' * 8, ' ' * 12
+        leaps = self.method is Leapfrog
+        yield 'def advance(effects, state, method, frame_dt, substeps, book):'
+        yield f'{once}mode = flush_denormals()'
+        yield f'{once}h = frame_dt / substeps'
+        yield f'{once}lap(book, -1)'
+        if leaps:
+            yield from self._kick(once, 0.0, -0.5)
+        yield f'{once}for k in range(substeps):'
+        yield f'{each}substep = Substep(h, k / substeps, (k + 1) / substeps)'
+        yield from self._integrate(each, 'begin(state, substep)')
+        yield from self._walk(each, force)
+        yield from self._walk(each, prepare)
+        yield f'{each}for _ in range(method.iterations):'
+        if self.method in SWEEPS:
+            for stub, backwards in SWEEPS[self.method]:
+                yield from self._walk(inner, stub, backwards=backwards)
+        else:
+            yield from self._sum_up(inner, 'at_start(state)' if leaps else 'state')
+            yield from self._integrate(inner, 'add_moves(state)')
+        yield from self._walk(inner, touch)
+        yield from self._walk(inner, bound)
+        yield f'{inner}pass'
+        yield from self._integrate(each, 'update_velocity(state, substep)')
+        yield from self._walk(each, finish)
+        yield from self._walk(each, react)
+        if leaps:
+            yield from self._kick(once, 1.0, 0.5)
+        yield f'{once}restore_mode(mode)'
+
+    def _walk(self, indent: str, stub, *, state: str = 'state', backwards: bool = False):
+        """Yield a call for each effect that takes part, and a reading of the clock."""
+        order = range(len(self.effects))
         for k in reversed(order) if backwards else order:
             stubs = SWEPT if stub in (project, project_back, forth, back, close) else (stub,)
-            if any(kernel_of(one, typeof(effects[k])) for one in stubs):
-                names[stub.__name__] = stub
-                yield f'{indent}{stub.__name__}((effects[{k}],), state, substep)'
+            if any(kernel_of(one, typeof(self.effects[k])) for one in stubs):
+                self.names[stub.__name__] = stub
+                yield f'{indent}{stub.__name__}((effects[{k}],), {state}, substep)'
                 yield f'{indent}lap(book, {k})'
 
-    inner, deep = ' ' * 8, ' ' * 12
-    lines = ['def advance(effects, state, method, frame_dt, substeps, book):',
-             '    mode = flush_denormals()',
-             '    h = frame_dt / substeps',
-             '    lap(book, -1)',
-             '    for k in range(substeps):',
-             f'{inner}substep = Substep(h, k / substeps, (k + 1) / substeps)',
-             f'{inner}begin(state, substep)',
-             f'{inner}lap(book, {integration})',
-             *walk(force, inner), *walk(prepare, inner),
-             f'{inner}for _ in range(method.iterations):']
-    for stub, backwards in SWEEPS[method]:
-        lines += walk(stub, deep, backwards)
-    lines += [*walk(touch, deep), *walk(bound, deep), f'{deep}pass',
-              f'{inner}update_velocity(state, substep)',
-              f'{inner}lap(book, {integration})',
-              *walk(finish, inner), *walk(react, inner), '    restore_mode(mode)']
-    exec('\n'.join(lines), names)
-    return njit(**FLAGS)(names['advance'])
+    def _integrate(self, indent: str, line: str):
+        """Yield a line that is of no effect."""
+        yield f'{indent}{line}'
+        yield f'{indent}lap(book, {len(self.effects)})'
+
+    def _sum_up(self, indent: str, where: str):
+        """Yield a pass that adds up the moves of all constraints, from where they are read."""
+        yield f'{indent}state.apart.move[:] = 0.0'
+        yield from self._integrate(indent, f'start = {where}')
+        yield from self._walk(indent, project, state='start')
+
+    def _kick(self, indent: str, place: float, share: float):
+        """Yield what moves the velocities on by a share of a substep."""
+        yield f'{indent}substep = Substep(h, {place}, {place})'
+        yield f'{indent}set_mobility(state, h)'
+        yield from self._sum_up(indent, 'state')
+        yield from self._walk(indent, kick)
+        yield from self._integrate(indent, f'half_kick(state, h, {share})')
