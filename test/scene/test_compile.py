@@ -13,10 +13,15 @@ from xpbd_ros.share import share_folder
 from xpbd_ros.sim.measure import largest_strain
 
 SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+HEAVY = ('arch', 'bag', 'balloon', 'drum', 'fold')
+"""scenes that take long to compile, of effects that have quick tests of their own"""
 
 
-@pytest.mark.parametrize('name', [
-    pytest.param(name, marks=[pytest.mark.slow] * (name in ('fold',))) for name in SHIPPED])
+EACH = pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in SHIPPED])
+
+
+@EACH
 def test_a_shipped_scene_runs(name):
     simulation = compile_scene(load_scene(name))
     for _ in range(30):
@@ -29,7 +34,7 @@ def test_a_shipped_scene_runs(name):
         assert np.isfinite(pin.force).all()
 
 
-@pytest.mark.parametrize('name', SHIPPED)
+@EACH
 def test_what_is_saved_runs_with_the_same_bits(name):
     scene = load_scene(name, {'solver.iterations': 2, 'gravity': [0.1, 0.2, -9.0]})
     simulation = compile_scene(scene)

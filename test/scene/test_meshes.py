@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import ball, box, disc, obj_text, vtk_text
+from sim.shapes import arch, ball, box, disc, obj_text, vtk_text
 from sim.small import run
 import yaml
 
@@ -169,4 +169,5 @@ def test_the_shipped_meshes_are_what_is_written_here():
     """One source for each: write it anew from here when it changes."""
     folder = share_folder() / 'scenes' / 'meshes'
     assert {file.name: file.read_text() for file in folder.iterdir()} == {
-        'ball.obj': obj_text(*ball(2, 0.15)), 'box.vtk': vtk_text(*box((4, 4, 4), 0.05))}
+        'arch.obj': obj_text(*arch()), 'ball.obj': obj_text(*ball(2, 0.15)),
+        'box.vtk': vtk_text(*box((4, 4, 4), 0.05))}

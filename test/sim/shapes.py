@@ -33,6 +33,19 @@ def disc(rings: int = 4, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices), np.array(triangles)
 
 
+def arch(along: int = 25, across: int = 9, radius: float = 0.1, width: float = 0.12
+         ) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of half a tube that stands on both its edges, along y."""
+    angle, y = np.linspace(np.pi, 0.0, along), np.linspace(0.0, width, across)
+    vertices = np.array([(radius * np.cos(a), b, radius * np.sin(a)) for b in y for a in angle])
+    triangles = []
+    for row, column in np.ndindex(across - 1, along - 1):
+        a = row * along + column
+        b, c, d = a + 1, a + along, a + along + 1
+        triangles += [(a, b, d), (a, d, c)] if (row + column) % 2 else [(a, b, c), (b, d, c)]
+    return vertices, np.array(triangles)
+
+
 def box(cells: tuple[int, int, int] = (2, 2, 3), size: float = 0.1):
     """Return vertices and tetrahedra of a box of cubes, six tetrahedra in each."""
     counts = np.array(cells) + 1

@@ -110,9 +110,13 @@ def rope():
                     step='edge [m]')
 
 
-@case('V13', 'moduli of the lattice')
+@case('V13', 'moduli of lattice and membrane')
 def patch():
-    """C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear, on square cells."""
+    """
+    C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear, on square cells.
+
+    And of a membrane in any affine field Eᵀ S E / 2, with S of plane stress (Jones 1975).
+    """
     warp, weft, shear, e = 70.0, 40.0, 15.0, 1e-5
     simulation = build((6, 5), (0.5, 0.4), {'stretch': {'warp': warp, 'weft': weft},
                                             'shear': {'stiffness': shear}})
@@ -132,3 +136,13 @@ def patch():
                                 ('C12', shear, 0.5 * (energy(1, 1, 0) - c11 - c22)),
                                 ('C66', shear, energy(0, 0, 1))):
         yield value(name, expected, got, 'N/m', 1e-5)
+    poisson, other = 0.35, 0.35 * weft / warp
+    simulation = build((6, 5), (0.5, 0.4), {'membrane': {
+        'warp': warp, 'weft': weft, 'shear': shear, 'poisson': poisson}})
+    f = np.array([[1.1, 0.3, 0.0], [-0.2, 0.9, 0.0], [0.4, -0.1, 1.0]])
+    place(simulation, x @ f.T)
+    green = 0.5 * (f.T @ f - np.eye(3))
+    e11, e22, g12 = green[0, 0], green[1, 1], 2.0 * green[0, 1]
+    yield value('membrane', 0.1 * (warp * e11**2 + 2.0 * other * warp * e11 * e22 + weft * e22**2)
+                / (1.0 - poisson * other) + 0.1 * shear * g12**2,
+                simulation.effects['membrane'].constraints.energy(simulation.state.x), 'J', 1e-12)
