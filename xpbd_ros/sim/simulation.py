@@ -18,7 +18,9 @@ from xpbd_ros.sim.state import forget, places, State
 from xpbd_ros.sim.sweeps import METHODS
 
 REACH = 1000.0
-"""no particle goes further in a frame, in sizes of the cloths"""
+"""no particle goes further in a frame, in sizes of the cloths and ways of what may drive it"""
+DRIVE = 1.0
+"""a speed of pins and colliders, and of what comes out of them [m/s]"""
 
 
 @dataclass(frozen=True)
@@ -249,8 +251,9 @@ class LastGood:
     """
     Takes back a frame that cannot be: what follows from it would be lost.
 
-    It has numbers that are not finite, or a particle that went REACH times the size of all cloths.
-    The particles are put where the frame began, at rest; only what is asked for can lead there.
+    It has numbers that are not finite, or a particle that went REACH times the size of all cloths
+    and the way that gravity and DRIVE make in a frame. The particles are put where the frame
+    began, at rest; only what is asked for can lead there.
     """
 
     def __init__(self, simulation: Simulation):
@@ -259,8 +262,8 @@ class LastGood:
         self._simulation = simulation
         state = simulation.state
         self._x, self._way = state.x.copy(), np.zeros_like(state.x)
-        self._reach = REACH * sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0)))
-                                  or 1.0 for cloth in simulation.cloths)
+        self._size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0))) or 1.0
+                         for cloth in simulation.cloths)
 
     def keep(self) -> None:
         """Remember where the particles are."""
@@ -273,7 +276,9 @@ class LastGood:
             np.subtract(state.x, self._x, out=way)
             far = np.abs(way, out=way).max(initial=0.0)
             fast = np.abs(state.v, out=way).max(initial=0.0)
-        if far <= self._reach and fast < np.inf:    # not a number is neither
+        dt = simulation.frame_dt
+        drive = dt * (DRIVE + dt * float(np.linalg.norm(state.gravity)))
+        if far <= REACH * (self._size + drive) and fast < np.inf:    # not a number is neither
             return
         state.x[:], state.v[:] = self._x, 0.0
         forget(state)

@@ -1,12 +1,13 @@
 """Commands: pins pulled apart, teleported, on and off; gusts; parameters changed live."""
 
 from dataclasses import replace
+from functools import partial
 
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey, SetWind
 from xpbd_ros.study.stress.case import hard
 from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import FEW, LINE, sheet, SIZE, USUAL
+from xpbd_ros.study.stress.worlds import FEW, LINE, sheet, SIZE, TURNED, USUAL
 
 MAX_SPEED = 5.0
 """at which a pin follows, unless the scene says otherwise [m/s]"""
@@ -50,7 +51,7 @@ def pin_teleports():
                     tells=('pins_at_max_speed',), label='one, and back')
 
 
-TURNED = 'a corner that was turned over stays so: the sheet is too soft to turn it back'
+FLUTTERS = 'one substep leaves it fluttering from frame to frame, in another way than before'
 
 
 @hard('H14', 'a pin taken and left in every frame')
@@ -116,18 +117,19 @@ def live():
     """Over six orders of magnitude, while it runs: bounded, and whole when it ends."""
     for setting in USUAL:
         if setting.method != 'explicit':
+            known = {'gauss_seidel backward_euler 8x1': TURNED, 'line bdf2 1x1': FLUTTERS}
             yield Trial(setting, sheet(), 4.5, commands=storm, ended=2.1, recovers=0.02,
-                        textbook=False)
+                        textbook=False, known=known.get(str(setting), ''))
 
-    def steps(k):
+    def steps(last, k):
         count = (4, 64, 8, 200, 16)[k // 2 % 5]
         return [SetKey('solver.substeps', count)] if k < 120 else [
-            SetKey('solver.substeps', 8)] * (k == 120)
+            SetKey('solver.substeps', last)] * (k == 120)
 
     for setting in USUAL:
         if setting.method != 'explicit':
-            yield Trial(setting, sheet(), 4.5, commands=steps, ended=2.1, recovers=0.02,
-                        speed=30.0, textbook=False, label='substeps')
+            yield Trial(setting, sheet(), 4.5, commands=partial(steps, setting.substeps),
+                        ended=2.1, recovers=0.02, speed=30.0, textbook=False, label='substeps')
     bad = [SetKey('gravity', [0.0, float('nan'), 0.0]), SetKey('solver.substeps', -1),
            SetKey('cloths.c.effects.stretch.warp', float('inf')), SetKey('nothing', 1)]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: bad if k == 3 else [], textbook=False,

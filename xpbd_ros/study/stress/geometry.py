@@ -10,7 +10,7 @@ import numpy as np
 from xpbd_ros.study.stress.case import hard, Setting
 from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, USUAL
+from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, TURNED, USUAL
 
 FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_stress_')
 SQUARE = '0 0 0', '1 0 0', '1 1 0', '0 1 0'
@@ -77,6 +77,7 @@ def folds():
 
 SHEET = alone({'membrane': {'young': 1000.0, 'poisson': 0.3}})
 """finite elements alone"""
+STIFF = alone({'membrane': {'young': 1e6, 'poisson': 0.3}})
 
 
 def collapsed(shape: str, x):
@@ -85,10 +86,11 @@ def collapsed(shape: str, x):
     inner = np.ones(len(x), bool)
     inner[[N * (N - 1), N * N - 1]] = False
     middle = x.mean(0)
-    if shape in ('line', 'point'):
-        found[inner, 0] = middle[0]
-    if shape == 'point':
-        found[inner, 2] = middle[2]
+    left = 1e-6 if 'nearly' in shape else 0.0
+    if 'line' in shape or 'point' in shape:
+        found[inner, 0] = middle[0] + left * (x[inner, 0] - middle[0])
+    if 'point' in shape:
+        found[inner, 2] = middle[2] + left * (x[inner, 2] - middle[2])
     if shape == 'mirrored':
         found[inner, 0] = 2.0 * middle[0] - found[inner, 0]
     return found, np.zeros_like(x)
@@ -97,10 +99,13 @@ def collapsed(shape: str, x):
 @hard('H8', 'a membrane collapsed')
 def membranes():
     """To a line, to a point, or mirrored: it spreads again."""
-    for shape in ('line', 'point', 'mirrored'):
+    for shape in ('line', 'nearly a line', 'point', 'nearly a point', 'mirrored'):
         for setting in (*FEW, replace(LINE, substeps=32)):
             yield Trial(setting, SHEET, 4.0, place=partial(collapsed, shape), recovers=0.05,
                         label=shape)
+            if 'nearly' in shape:
+                yield Trial(setting, STIFF, 4.0, place=partial(collapsed, shape), recovers=0.05,
+                            strain=2.0, label=f'{shape}, stiff')
 
 
 def body() -> str:
@@ -131,9 +136,9 @@ COLLAPSES = 'the energy of ``volume`` has a second minimum where a tetrahedron i
 
 
 def crushed(shape: str, x):
-    """Return a body inside out, flat, a line, or a point."""
+    """Return a body as it is, inside out, flat, or a point."""
     middle = x.mean(0)
-    scale = {'inside out': (1.0, 1.0, -1.0), 'flat': (1.0, 1.0, 0.0),
+    scale = {'at rest': (1.0, 1.0, 1.0), 'inside out': (1.0, 1.0, -1.0), 'flat': (1.0, 1.0, 0.0),
              'nearly a point': (1e-3, 1e-3, 1e-3), 'a point': (0.0, 0.0, 0.0)}[shape]
     return middle + (x - middle) * scale, np.zeros_like(x)
 
@@ -150,7 +155,7 @@ def bodies():
 
     scene = alone({'volume': {'young': 2e4, 'poisson': 0.3}}, mesh={'file': body()}, pins={},
                   gravity=0.0, density=200.0, damping=2.0, pose=FLAT)
-    for shape in ('inside out', 'flat', 'nearly a point', 'a point'):
+    for shape in ('at rest', 'inside out', 'flat', 'nearly a point', 'a point'):
         for setting in FEW:
             yield Trial(setting, scene, 3.0, place=partial(crushed, shape), also=whole,
                         recovers=0.05, label=shape, known=COLLAPSES if 'point' in shape else '')
@@ -177,4 +182,5 @@ def starts():
     """The sheet comes back to its lengths."""
     for setting in USUAL:
         yield Trial(setting, sheet(), 3.0, place=flattened, recovers=0.01, label='flattened')
-        yield Trial(setting, sheet(), 3.0, place=random, recovers=0.01, label='random')
+        yield Trial(setting, sheet(), 3.0, place=random, recovers=0.01, label='random',
+                    known=TURNED if setting.iterations > 1 else '')

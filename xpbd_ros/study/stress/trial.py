@@ -101,6 +101,9 @@ class Trial:
             text in said for said in ours.said)]
         if len(told) < len(self.tells):
             why.append(f'not told: {", ".join(set(self.tells) - set(told))}')
+        taken_back = ours.stats.get('frames_taken_back', 0)
+        if taken_back and 'frames_taken_back' not in self.tells:
+            why.append(f'{taken_back} frames taken back')
         book, book_why = None, ''
         if self.textbook:
             with np.errstate(all='ignore'):
