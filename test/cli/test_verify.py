@@ -10,12 +10,12 @@ def test_one_case_as_a_table_and_as_json(capsys, tmp_path):
     assert main(['verify', '--case', 'V13', '--json', str(tmp_path / 'v.json')]) == 0
     said = capsys.readouterr().out
     numbers = json.loads((tmp_path / 'v.json').read_text())
-    assert [row['id'] for row in numbers['cases']] == ['V13'] * 4
+    assert [row['id'] for row in numbers['cases']] == ['V13'] * 5
     assert {'name', 'expected', 'got', 'unit', 'error', 'tolerance', 'order_expected', 'order',
             'pass'} <= set(numbers['cases'][0])
     assert numbers['cases'][0]['order'] is None
-    assert (numbers['passed'], numbers['failed']) == (4, 0)
-    assert '4 passed, 0 failed' in said
+    assert (numbers['passed'], numbers['failed']) == (5, 0)
+    assert '5 passed, 0 failed' in said
     for row in numbers['cases']:
         assert row['name'] in said
 
@@ -27,6 +27,9 @@ def test_orders_and_pictures(capsys, tmp_path):
     assert numbers['pictures'] == [str(tmp_path / 'p' / 'verify_motion.png')]
     assert (tmp_path / 'p' / 'verify_motion.png').stat().st_size > 5000
     assert main(['verify', '--case', 'V1', '-o', str(tmp_path / 'p')]) == 2
+    row = (tmp_path / 'p' / 'verify.md').read_text().splitlines()[2]
+    assert row.startswith('| V1 | free fall | 3 | ')
+    assert row.endswith(' | 1.00, 2.00 | 1, 2 |')
 
 
 def test_controls_are_listed_with_their_case(capsys):

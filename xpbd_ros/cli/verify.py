@@ -68,7 +68,8 @@ def table(answers, wrong) -> list[str]:
     text = ['| Case | | Numbers | Largest error | Tolerance | Orders | Expected |',
             '|---|---|---|---|---|---|---|']
     for answer in merged(answers):
-        worst = max(answer.rows, key=lambda row: row.error / row.tolerance)
+        worst = max(answer.rows,
+                    key=lambda row: (not row.good, row.error / (row.tolerance or 1.0)))
         orders = [row for row in answer.rows if row.order is not None]
         text.append(f'| {answer.id} | {answer.title} | {len(answer.rows)} | '
                     f'{worst.error:.1e} {worst.norm} | {worst.tolerance:.0e} | '
