@@ -29,27 +29,10 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-PATIENCE = 240.0
-"""only a failure takes that long [s]; compiling may take a minute"""
+from xpbd_ros.live.node import PATIENCE, SCENE
+
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TOWEL = """
-cloths:
-  towel:
-    grid: {size: [0.4, 0.4], resolution: [9, 9]}
-    pose: {position: [-0.2, -0.2, 0.004]}
-    density: 0.25
-    effects:
-      stretch: {warp: 500.0, weft: 500.0}
-colliders:
-  table: {plane: {normal: [0, 0, 1]}, friction: 0.5}
-  ball: {sphere: {radius: 0.1}, position: [0.0, 1.0, 0.15], friction: 0.3}
-effects:
-  pin: {max_pins: 4}
-  contact: {thickness: 0.004}
-  friction: {}
-  damping: {rate: 2.0}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 20}
-"""
+TOWEL = SCENE.replace('SUBSTEPS', '20')
 """a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""

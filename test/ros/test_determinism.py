@@ -11,26 +11,10 @@ import pytest
 from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targets
 from visualization_msgs.msg import Marker, MarkerArray
 
+from xpbd_ros.live.node import SCENE
 from xpbd_ros.log.reader import LogReader
 
-AUTO = """
-cloths:
-  towel:
-    grid: {size: [0.4, 0.4], resolution: [9, 9]}
-    pose: {position: [-0.2, -0.2, 0.004]}
-    density: 0.25
-    effects:
-      stretch: {warp: 500.0, weft: 500.0}
-colliders:
-  table: {plane: {normal: [0, 0, 1]}, friction: 0.5}
-  ball: {sphere: {radius: 0.1}, position: [0.0, 1.0, 0.15], friction: 0.3}
-effects:
-  pin: {max_pins: 4}
-  contact: {thickness: 0.004, mesh_nodes: 50000}
-  friction: {}
-  damping: {rate: 2.0}
-solver: {method: gauss_seidel, integrator: backward_euler}
-"""
+AUTO = SCENE.replace(', substeps: SUBSTEPS', '').replace('0.004}', '0.004, mesh_nodes: 50000}')
 """its substeps follow from its stiffness"""
 STIFF = 'cloths.towel.effects.stretch.warp'
 
