@@ -10,6 +10,9 @@ overpressure [Pa], f ∇C the force. κ is 1.4 for air that keeps its heat, 1 fo
 give it away. Corners are taken from the first particle, and sums over triangles go by sixteens, in
 the same order whatever the width of a vector.
 
+A surface that floats and is taut would begin to turn, since the gas and what holds it are solved
+one after another; that turn is taken back (``sim.unturned``).
+
 Limits: the gas law's tangent at V*, so the overpressure is right within itself over the outside
 pressure (2 % at 2 kPa). The surface must be closed and in one piece. All particles move at once: a
 surface with little else to hold it may fold through itself.
@@ -29,8 +32,9 @@ from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import load_records, PACK, store_records
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
+from xpbd_ros.sim.stages import bound, prepare, project, project_back, react, stage, touch
+from xpbd_ros.sim.unturned import keep_places, turn_back
+from xpbd_ros.sim.update import at_the_end, divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import fma, lanes, load, splat, store
 
 AIR = 101325.0
@@ -71,6 +75,8 @@ class Pressure(NamedTuple):
     """∇C [m²], shape (3, slots)"""
     sums: np.ndarray
     """of 6 V, by lane, shape (PACK,)"""
+    before: np.ndarray
+    """where particles were before the constraints moved them [m], shape (3, slots)"""
 
 
 @stage(prepare, Pressure)
@@ -78,6 +84,23 @@ class Pressure(NamedTuple):
 def prepare_pressure(pressure, state, substep):
     """Zero the multiplier."""
     pressure.force[:] = 0.0
+    keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
+
+
+@stage(touch, Pressure)
+@jit
+def turn_surface_back(pressure, state, substep):
+    """Take back the turn that the constraints made."""
+    if at_the_end(state.apart):
+        turn_back(state.x, state.mobility, state.mass, pressure.slots[0], pressure.slots[1],
+                  pressure.before)
+
+
+@stage(bound, Pressure)
+@jit
+def begin_iteration(pressure, state, substep):
+    """Note where the next iteration begins."""
+    keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
 
 
 @jit
@@ -235,7 +258,7 @@ class BuiltPressure(Built):
         super().__init__()
         dtype, slots = world.state.x.dtype, world.slots
         here, slope = zeros((slots, 4), dtype), zeros((slots, 4), dtype)
-        gradient = zeros((3, slots), dtype)
+        gradient, before = zeros((3, slots), dtype), zeros((3, slots), dtype)
         parts, listed, volumes, compliance = [], [], [], []
         for cloth, chosen in parameters.items():
             volume = rest_volume(cloth.name, cloth.mesh) * chosen.amount**(1.0 / chosen.kappa)
@@ -246,7 +269,7 @@ class BuiltPressure(Built):
                 np.array([first, first + cloth.block.size]), triangles[0, :1].copy(),
                 padded(triangles, pack(triangles), slots - 1, np.int32).T.copy(),
                 np.array([volume], dtype), np.array([alpha], dtype), zeros(PACK, dtype),
-                here, slope, gradient, zeros(PACK, dtype)))
+                here, slope, gradient, zeros(PACK, dtype), before))
             listed.append(triangles)
             volumes.append(volume)
             compliance.append(alpha)

@@ -92,6 +92,10 @@ def moves(typing, apart):
     return move(apart), generate
 
 
+def at_the_end(apart):
+    """Tell whether forces are those where the substep ends."""
+
+
 def put(x, target, i, xi, step, d):
     """Move by step d from xi."""
 
@@ -126,6 +130,13 @@ def _divisor(apart, total, alpha):
     if _kind(apart) is Explicit:
         return lambda apart, total, alpha: alpha
     return lambda apart, total, alpha: total + alpha
+
+
+@inline(at_the_end)
+def _at_the_end(apart):
+    if _kind(apart) is Explicit:
+        return lambda apart: False
+    return lambda apart: True
 
 
 @inline(put)
