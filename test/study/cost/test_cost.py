@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from xpbd_ros.effects import EFFECTS
+from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.share import share_folder
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.cost import cost, measure
 from xpbd_ros.study.cost.clock import lap, lap_ns
@@ -78,6 +80,18 @@ DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,
 def test_the_clock_changes_no_bit(name, keys, method):
     """With every kind of stage and method; ``cost`` itself would fail where the runs part."""
     assert cost(load_scene(name, {**keys, 'solver.method': method}), 5, rounds=1).frames == 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', sorted(
+    file.stem for file in (share_folder() / 'scenes').glob('*.yaml')))
+def test_what_a_shipped_scene_does_not_name_is_listed_as_absent(name):
+    scene = load_scene(name)
+    found = cost(scene, 1, rounds=1).effects
+    assert [row.name for row in found] == list(EFFECTS)
+    assert {row.name for row in found if row.present} == set(compile_scene(scene).effects)
+    assert not any(row.kernels or row.bytes or row.constraints for row in found if not row.present)
+    assert all(row.kernels and row.bytes for row in found if row.present)
 
 
 def test_a_run_that_differs_is_not_believed(monkeypatch):
