@@ -45,7 +45,7 @@ from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, to_records
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import moves, release_forces, row
+from xpbd_ros.sim.update import release_forces, row
 
 
 @dataclass(frozen=True)
@@ -138,40 +138,32 @@ def prepare_bend(bend, state, substep):
     release_forces(bend)
 
 
-@stage(project, Curvature)
+@stage(project, Curvature, shared=True)
 @jit
 def project_curvature(bend, state, substep):
-    """One Gauss-Seidel pass, run after run; linear, so the axes know nothing of one another."""
-    for k in range(3):
-        straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                   state.apart, bend.runs, bend.compliance, False)
+    """One Gauss-Seidel pass, run after run."""
+    straighten(bend, state, False)
 
 
-@stage(project_back, Curvature)
+@stage(project_back, Curvature, shared=True)
 @jit
 def project_curvature_back(bend, state, substep):
     """Do the same pass in reverse."""
-    for k in range(3):
-        straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                   state.apart, bend.runs, bend.compliance, True)
+    straighten(bend, state, True)
 
 
-@stage(project, Twist)
+@stage(project, Twist, shared=True)
 @jit
 def project_twist(bend, state, substep):
     """One Gauss-Seidel pass, run after run."""
-    for k in range(3):
-        untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                state.apart, bend.runs, bend.compliance, False)
+    untwist(bend, state, False)
 
 
-@stage(project_back, Twist)
+@stage(project_back, Twist, shared=True)
 @jit
 def project_twist_back(bend, state, substep):
     """Do the same pass in reverse."""
-    for k in range(3):
-        untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
-                state.apart, bend.runs, bend.compliance, True)
+    untwist(bend, state, True)
 
 
 @stage(project, MeshBend)

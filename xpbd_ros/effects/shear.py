@@ -45,14 +45,14 @@ def prepare_shear(shear, state, substep):
     release_forces(shear.edges)
 
 
-@stage(project, Shear)
+@stage(project, Shear, shared=True)
 @jit
 def project_shear(shear, state, substep):
     """One pass over all diagonals."""
     distance.project_edges(shear.edges, state, False)
 
 
-@stage(project_back, Shear)
+@stage(project_back, Shear, shared=True)
 @jit
 def project_shear_back(shear, state, substep):
     """Do the same pass in reverse."""

@@ -68,7 +68,7 @@ def prepare_stretch(stretch, state, substep):
     release_forces(stretch.edges)
 
 
-@stage(project, Stretch)
+@stage(project, Stretch, shared=True)
 @jit
 def project_stretch(stretch, state, substep):
     """One pass over all edges."""
@@ -82,7 +82,7 @@ def project_mesh_stretch(stretch, state, substep):
     distance.project_packs(stretch.edges, state, False)
 
 
-@stage(project_back, Stretch)
+@stage(project_back, Stretch, shared=True)
 @jit
 def project_stretch_back(stretch, state, substep):
     """Do the same pass in reverse."""
@@ -96,7 +96,7 @@ def project_mesh_stretch_back(stretch, state, substep):
     distance.project_packs(stretch.edges, state, True)
 
 
-@stage(solve_lines, Stretch)
+@stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):
     """Solve every warp line, then every weft line."""
@@ -149,7 +149,7 @@ def _on_grids(cloths, world) -> Stretch:
                                 time=distance.times(time))
     return Stretch(edges, lines.grid_lines(
         [c.block for c in cloths], [c.mesh.spacing for c in cloths], line_alpha,
-        slots=world.slots, dtype=world.state.x.dtype))
+        slots=world.slots, dtype=world.state.x.dtype, threads=world.threads))
 
 
 def _on_meshes(cloths, world) -> MeshStretch:

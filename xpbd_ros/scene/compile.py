@@ -122,7 +122,8 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   solver.compliance_scale, before or {},
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
-                  or solver.method not in ONE_PASS, iterations=solver.iterations)
+                  or solver.method not in ONE_PASS, iterations=solver.iterations,
+                  threads=solver.threads)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]

@@ -20,7 +20,7 @@ class SolverKeys:
                                     doc='per frame; what auto chooses unless given')
     iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
     precision: str = quantity('float64', choices=('float64', 'float32'))
-    threads: int = quantity(1, minimum=1, maximum=1)
+    threads: int = quantity(1, minimum=1, maximum=64)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
     error_target: float | None = quantity(
         None, unit='m', above=0.0, doc='estimated error of a frame, RMS over the particles, that '

@@ -1,17 +1,28 @@
-"""Curvature of three particles in a row and twist of four of a cell, along one axis of space."""
+"""Curvature of three particles in a row and twist of four of a cell, axis by axis."""
 
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.runs import Shape
-from xpbd_ros.sim.update import divisor, keep, misfit, put, recall
+from xpbd_ros.sim.runs import PHASES, Shape, share_of
+from xpbd_ros.sim.team import wait
+from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import both, first, fma, lanes, load, select
 
 
 @jit
-def straighten(x, to, force, mobility, apart, runs, compliance, reverse):
-    """Project C = x1 - 2 x2 + x3 along one axis, run after run."""
+def straighten(bend, state, reverse):
+    """Project C = x1 - 2 x2 + x3, run after run; the axes know nothing of one another."""
+    for phase in range(PHASES):
+        begin, end = share_of(bend.runs, state.team, phase, reverse)
+        for k in range(3):
+            _straighten(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                        state.apart, bend.runs, bend.compliance, begin, end, reverse)
+        wait(state.team)
+
+
+@jit
+def _straighten(x, to, force, mobility, apart, runs, compliance, begin, end, reverse):
     places = compliance.shape[1]
-    for a in range(len(runs.start)):
-        r = len(runs.start) - 1 - a if reverse else a
+    for a in range(end - begin):
+        r = end - 1 - a if reverse else begin + a
         numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
         last = (runs.count[r] - 1) // lanes(x) * lanes(x)
         for b in range(runs.rows[r]):
@@ -35,11 +46,21 @@ def straighten(x, to, force, mobility, apart, runs, compliance, reverse):
 
 
 @jit
-def untwist(x, to, force, mobility, apart, runs, compliance, reverse):
-    """Project C = x00 - x01 - x10 + x11 along one axis, run after run."""
+def untwist(bend, state, reverse):
+    """Project C = x00 - x01 - x10 + x11, run after run; the axes know nothing of one another."""
+    for phase in range(PHASES):
+        begin, end = share_of(bend.runs, state.team, phase, reverse)
+        for k in range(3):
+            _untwist(state.x[k], row(moves(state.apart), k), row(bend.force, k), state.mobility,
+                     state.apart, bend.runs, bend.compliance, begin, end, reverse)
+        wait(state.team)
+
+
+@jit
+def _untwist(x, to, force, mobility, apart, runs, compliance, begin, end, reverse):
     places = compliance.shape[1]
-    for a in range(len(runs.start)):
-        r = len(runs.start) - 1 - a if reverse else a
+    for a in range(end - begin):
+        r = end - 1 - a if reverse else begin + a
         numbers, base = runs.shape[r] * places + runs.place[r], runs.base[r]
         last = (runs.count[r] - 1) // lanes(x) * lanes(x)
         for b in range(runs.rows[r]):

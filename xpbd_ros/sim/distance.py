@@ -35,7 +35,8 @@ from xpbd_ros.sim.relax import (
     records_before,
     shared,
 )
-from xpbd_ros.sim.runs import listed, Runs
+from xpbd_ros.sim.runs import listed, PHASES, Runs, share_of
+from xpbd_ros.sim.team import wait
 from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
 
@@ -260,18 +261,21 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
 @jit
 def project_edges(edges, state, reverse):
     """One Gauss-Seidel pass over all edges, run after run."""
-    _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
-             row(moves(state.apart), 0), row(moves(state.apart), 1), row(moves(state.apart), 2),
-             edges.runs, edges.rest_length, edges.compliance, edges.force, edges.axis,
-             edges.damping, reverse)
+    for phase in range(PHASES):
+        begin, end = share_of(edges.runs, state.team, phase, reverse)
+        _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
+                 row(moves(state.apart), 0), row(moves(state.apart), 1),
+                 row(moves(state.apart), 2), edges.runs, edges.rest_length, edges.compliance,
+                 edges.force, edges.axis, edges.damping, begin, end, reverse)
+        wait(state.team)
 
 
 @jit
 def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
-             damping, reverse):
-    runs_count, places = len(runs.start), compliance.shape[1]
-    for a in range(runs_count):
-        r = runs_count - 1 - a if reverse else a
+             damping, begin, end, reverse):
+    places = compliance.shape[1]
+    for a in range(end - begin):
+        r = end - 1 - a if reverse else begin + a
         shape = runs.shape[r]
         to_i, to_j, base = runs.offset[r, 0], runs.offset[r, 1], runs.base[r]
         ux, uy, uz = axis[shape, 0], axis[shape, 1], axis[shape, 2]

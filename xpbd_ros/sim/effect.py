@@ -140,6 +140,8 @@ class World:
 
     iterations: int = 1
     """of the solver"""
+    threads: int = 1
+    """of the solver"""
 
     @cached_property
     def records(self) -> np.ndarray:

@@ -27,6 +27,7 @@ import numpy as np
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block, zeros
+from xpbd_ros.sim.team import share, wait, worker
 from xpbd_ros.sim.vector import (
     after,
     any_lane,
@@ -74,13 +75,14 @@ class Lines(NamedTuple):
     tiny: float
     """smallest α, relative to the mobilities at its edge"""
     tile: np.ndarray
-    """scratch: transposed rows: x y z mobility f; shape (5, columns * lanes)"""
+    """scratch: transposed rows: x y z mobility f; shape (threads, 5, columns * lanes)"""
     work: np.ndarray
     """scratch of the elimination: u, off-diagonal / pivot, Δf, whether the line up to here is too
-    short; shape (6, edges * lanes)"""
+    short; shape (threads, 6, edges * lanes)"""
 
 
-def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -> Lines:
+def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
+               threads: int = 1) -> Lines:
     """
     Return the lines of some grids.
 
@@ -91,6 +93,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
     compliance : of each, of the warp edges by row and of the weft edges by column [m/N]
     slots : of all grids; warp edges are family 2 g of grid g, weft edges 2 g + 1
     dtype : of all numbers
+    threads : that will share the work
 
     """
     lanes_ = lane_count(dtype)
@@ -108,21 +111,23 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype) -
                  np.arange(2 * len(blocks)).reshape(-1, 2) * slots,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
-                 zeros((5, longest * lanes_), dtype), zeros((6, longest * lanes_), dtype))
+                 zeros((threads, 5, longest * lanes_), dtype),
+                 zeros((threads, 6, longest * lanes_), dtype))
 
 
 @jit
 def solve_edges(lines, force, state):
     """Solve every warp line, then every weft line; ``force`` holds the multipliers of both."""
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
-    work, tile = lines.work, lines.tile
+    work, tile = lines.work[worker(state.team)], lines.tile[worker(state.team)]
     count = lanes(x)
     for g in range(len(lines.first)):
         start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
         part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
         if columns > 1:
-            base = lines.force[g, 0]
-            for begin in range(0, rows, count):
+            base, tiles = lines.force[g, 0], max(1, rows // count)
+            one, other = share(state.team, tiles)
+            for begin in range(one * count, rows if other == tiles else other * count, count):
                 row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
                 top = start + row * stride
                 _gather(x, top, parts, part, stride, tile[0])
@@ -137,12 +142,15 @@ def solve_edges(lines, force, state):
                 _scatter(tile[1], y, top, parts, part, stride)
                 _scatter(tile[2], z, top, parts, part, stride)
                 _scatter(tile[4], force, base + top, parts, part, stride)
+            wait(state.team)
         if rows > 1:
-            for q in range(0, parts * part, count):
+            one, other = share(state.team, parts * part // count)
+            for q in range(one * count, other * count, count):
                 at = start + q
                 _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
                        lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
                        lines.tiny)
+            wait(state.team)
 
 
 @jit

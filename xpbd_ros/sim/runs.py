@@ -5,16 +5,24 @@ A run holds, for each of its rows, ``count`` constraints; the k-th of a row touc
 start + row stride + k + offset, one offset per particle of the constraint. Of so many neighbours
 as a vector has lanes no two share a particle, so the order among them does not matter; vectors,
 rows and runs follow one another as in any Gauss-Seidel sweep.
+
+A sweep takes a grid strip by strip: first every other strip, which no constraint joins to another
+one of them, then those in between. So several threads can share each of these two phases.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import Block
+from xpbd_ros.sim.team import share
 
 STRIP = 8
-"""rows that a sweep takes at a time, so that they stay in the cache"""
+"""rows that a sweep takes at a time, so that they stay in the cache; a constraint spans fewer"""
+PHASES = 2
+COLUMNS = 8
+"""arrays that tell of each run"""
 
 
 class Runs(NamedTuple):
@@ -36,6 +44,10 @@ class Runs(NamedTuple):
     """number of its shape, shape (runs,)"""
     place: np.ndarray
     """of the first anchor in its row of the grid: slots from the row's start, shape (runs,)"""
+    strip: np.ndarray
+    """number of each strip's first run, and how many there are; shape (strips + 1,)"""
+    phase: np.ndarray
+    """number of each phase's first strip, and how many there are; shape (phases + 1,)"""
     present: np.ndarray
     """whether a shape has a constraint at a place of a row, shape (shapes, places)"""
 
@@ -67,25 +79,29 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
     shapes_before : shapes of other grids that come before
 
     """
-    table = []
+    table, strip, phase = [], [0], [0]
     present = np.zeros((len(shapes), block.row_stride), bool)
     for number, shape in enumerate(shapes):
         present[number, [_place(block, c) for c in shape.columns]] = True
-    for top in range(0, block.rows, STRIP):
-        for number, shape in enumerate(shapes):
-            rows = [j for j in range(top, min(top + STRIP, block.rows)) if j in shape.rows]
-            if not rows:
-                continue
-            start = block.first + rows[0] * block.row_stride
-            for place, count, offset in _spans(block, shape):
-                table.append((start + place, count, len(rows),
-                              shape.rows.step * block.row_stride, *offset,
-                              (families + shape.family) * slots, shapes_before + number, place))
+    for first in range(PHASES):
+        for top in range(first * STRIP, block.rows, PHASES * STRIP):
+            for number, shape in enumerate(shapes):
+                rows = [j for j in range(top, min(top + STRIP, block.rows)) if j in shape.rows]
+                if not rows:
+                    continue
+                start = block.first + rows[0] * block.row_stride
+                for place, count, offset in _spans(block, shape):
+                    table.append((start + place, count, len(rows),
+                                  shape.rows.step * block.row_stride, *offset,
+                                  (families + shape.family) * slots, shapes_before + number,
+                                  place))
+            strip.append(len(table))
+        phase.append(len(strip) - 1)
     width = len(shapes[0].particles) if shapes else 0
     table = np.array(table, np.int64).reshape(-1, 7 + width)
     return Runs(*(np.ascontiguousarray(table[:, k]) for k in range(4)),
                 np.ascontiguousarray(table[:, 4:-3]), *(table[:, k].copy() for k in (-3, -2, -1)),
-                present)
+                np.array(strip), np.array(phase), present)
 
 
 def _place(block: Block, column: int) -> int:
@@ -120,9 +136,23 @@ def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]
 def join(runs: list[Runs]) -> Runs:
     """Return the runs of several grids, one after another."""
     places = max(r.present.shape[1] for r in runs)
-    *columns, present = zip(*runs)
-    return Runs(*(np.concatenate(column) for column in columns), np.concatenate(
-        [np.pad(p, ((0, 0), (0, places - p.shape[1]))) for p in present]))
+    strips = [(r, s) for h in range(PHASES) for r in runs for s in range(*r.phase[h:h + 2])]
+    taken = [(r, np.s_[r.strip[s]:r.strip[s + 1]]) for r, s in strips]
+    columns = [np.concatenate([r[k][these] for r, these in taken]) for k in range(COLUMNS)]
+    strip = np.cumsum([0, *(these.stop - these.start for _, these in taken)])
+    phase = np.sum([r.phase for r in runs], axis=0)
+    return Runs(*columns, strip, phase, np.concatenate(
+        [np.pad(r.present, ((0, 0), (0, places - r.present.shape[1]))) for r in runs]))
+
+
+@jit(inline=True)
+def share_of(runs, team, phase, reverse):
+    """Return the first run of a thread's share of a phase, and the one after its last."""
+    if reverse:
+        phase = PHASES - 1 - phase
+    begin = runs.phase[phase]
+    first, last = share(team, runs.phase[phase + 1] - begin)
+    return runs.strip[begin + first], runs.strip[begin + last]
 
 
 def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

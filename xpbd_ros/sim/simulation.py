@@ -16,6 +16,7 @@ from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.state import forget, places, State
 from xpbd_ros.sim.sweeps import METHODS
+from xpbd_ros.sim.team import Crew
 
 REACH = 1000.0
 """no particle goes further in a frame, in sizes of the cloths and ways of what may drive it"""
@@ -93,6 +94,7 @@ class Simulation:
         self._retune = retune
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
+        self._crew = Crew(solver.threads)
         self._tuple = ()
         self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
         self._last = LastGood(self)
@@ -166,7 +168,8 @@ class Simulation:
             text for built in self.effects.values() for text in built.news()))
 
     def _advance(self, substeps: int) -> None:
-        self._step(self._tuple, self.state, self._method(), self.frame_dt, substeps)
+        self._crew.run(self._step, self._tuple, self.state, self._method(), self.frame_dt,
+                       substeps)
 
     def _kept(self) -> Start:
         return Start(self._tuple, self.state, self._step, self._method(), self.frame_dt,
@@ -341,8 +344,9 @@ class ExplicitGuard:
     def redo(self, substeps: int) -> None:
         """Compute the frame with ``line``; it has no history, so with backward Euler."""
         simulation = self._simulation
-        simulation._step(simulation._tuple, simulation.state._replace(apart=None),
-                         self._rough(), simulation.frame_dt, substeps)
+        simulation._crew.run(simulation._step, simulation._tuple,
+                             simulation.state._replace(apart=None), self._rough(),
+                             simulation.frame_dt, substeps)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ trace in the machine code.
 """
 
 from collections.abc import Callable
+from itertools import groupby
 
 from numba import types
 from numba.extending import overload
 
 from xpbd_ros.sim.jit import INNER
+from xpbd_ros.sim.team import alone, wait
 
 
 def force(effects, state, substep):
@@ -61,12 +63,20 @@ def react(effects, state, substep):
 
 
 _KERNELS: dict[tuple[Callable, type], Callable] = {}
+_SHARED: set[Callable] = set()
 
 
-def stage(stub: Callable, kind: type) -> Callable:
-    """Register a compiled kernel as the given stage of one effect's type."""
+def stage(stub: Callable, kind: type, *, shared: bool = False) -> Callable:
+    """
+    Register a compiled kernel as the given stage of one effect's type.
+
+    One that is ``shared`` does this thread's part of the work and waits for the others
+    (``team``); what is not shared is done by one thread.
+    """
     def register(kernel):
         _KERNELS[stub, kind] = kernel
+        if shared:
+            _SHARED.add(kernel)
         return kernel
     return register
 
@@ -88,17 +98,27 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
         kernels = {k: choose(effect, state) for k, effect in enumerate(effects)}
         kernels = {f'kernel_{k}': kernel for k, kernel in kernels.items() if kernel is not None}
         names = list(kernels)[::-1] if backwards else list(kernels)
-        calls = [f'{name}(effects[{name[7:]}], state, substep)' for name in names] or ['pass']
-        exec('\n    '.join(['def compiled(effects, state, substep):', *calls]), kernels)
+        lines, call = [], '{}(effects[{}], state, substep)'
+        for shared, group in groupby(names, lambda name: kernels[name] in _SHARED):
+            calls = [call.format(name, name[7:]) for name in group]
+            if shared or _is_none(state, 'team'):
+                lines += calls
+            else:
+                lines += ['if alone(state.team):', *('    ' + each for each in calls),
+                          'wait(state.team)']
+        kernels.update(alone=alone, wait=wait)
+        exec('\n    '.join(['def compiled(effects, state, substep):', *(lines or ['pass'])]),
+             kernels)
         return kernels['compiled']
 
 
-def _asks_for_forces(state) -> bool:
-    """Tell whether a state, as Numba types it, has a place for forces."""
-    return not isinstance(state[state.fields.index('reaction')], types.NoneType)
+def _is_none(state, name: str) -> bool:
+    """Tell whether a state, as Numba types it, lacks a field."""
+    return isinstance(state[state.fields.index(name)], types.NoneType)
 
 
 for _stub in (force, prepare, project, touch, bound, finish, kick):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
-walk(react, lambda effect, state: kernel_of(react, effect) if _asks_for_forces(state) else None)
+walk(react, lambda effect, state: None if _is_none(state, 'reaction') else kernel_of(
+    react, effect))

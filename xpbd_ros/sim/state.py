@@ -18,6 +18,7 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.team import share, Team, wait
 from xpbd_ros.sim.update import Explicit, inline, Jacobi
 from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
 
@@ -57,6 +58,8 @@ class State(NamedTuple):
     """None with backward Euler"""
     apart: Jacobi | Explicit | None
     """where constraints add up their moves; None where each moves its particles at once"""
+    team: Team | None = None
+    """None where one thread does it all"""
 
 
 class Substep(NamedTuple):
@@ -160,10 +163,19 @@ def lose_history(history, i):
         history.fresh[i] = 2.0
 
 
+@jit(inline=True)
+def own(state):
+    """Return the first of this thread's slots, and the one after its last."""
+    count = lanes(state.inv_mass)
+    first, last = share(state.team, len(state.inv_mass) // count)
+    return first * count, last * count
+
+
 @jit
 def begin(state, substep):
     """x_prev = x_n;  v = v̄ + H g;  x = x̄ + H v;  mobility = w H²."""
     _begin(state, state.history, substep.h)
+    wait(state.team)
 
 
 @jit
@@ -177,7 +189,8 @@ def _begin(state, history, h):    # Numba prunes a branch on None where that is 
 @jit
 def _begin_euler(state, h):
     x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
         wq = load(w, q)
         free = wq > 0.0
         store(state.mobility, q, wq * (h * h))
@@ -193,7 +206,8 @@ def _begin_euler(state, h):
 @jit
 def _begin_bdf2(state, history, h):
     x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
         wq = load(w, q)
         free = wq > 0.0
         euler = load(history.fresh, q) > 0.5
@@ -241,6 +255,7 @@ def _velocity(v, now, start, step, plain):
 def update_velocity(state, substep):
     """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
     _update_velocity(state, state.history, substep.h)
+    wait(state.team)
 
 
 @jit
@@ -254,7 +269,8 @@ def _update_velocity(state, history, h):
 @jit
 def _update_euler(state, h):
     x, v, w, slots, per_h = state.x, state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
-    for q in range(0, slots, lanes(w)):
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q
@@ -266,7 +282,8 @@ def _update_euler(state, h):
 @jit
 def _update_bdf2(state, history, h):
     v, w, slots, per_h = state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
-    for q in range(0, slots, lanes(w)):
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
         fresh, free = load(history.fresh, q), load(w, q) > 0.0
         as_predicted, smooth = both(free, fresh < 1.5), both(free, fresh < 0.5)
         part = select(smooth, splat(w, 0.5), splat(w, 0.0))
@@ -287,22 +304,37 @@ def _update_bdf2(state, history, h):
 def at_start(state):
     """Return the state with the particles where the substep starts."""
     return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
-                 state.gravity, state.reaction, state.history, state.apart)
+                 state.gravity, state.reaction, state.history, state.apart, state.team)
 
 
 @jit
 def set_mobility(state, h):
     """Mobility = w h²."""
-    for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
         store(state.mobility, q, load(state.inv_mass, q) * (h * h))
+
+
+@jit
+def clear_moves(state):
+    """Begin to sum up moves."""
+    move, slots = state.apart.move, len(state.inv_mass)
+    first, last = own(state)
+    for k in range(3):
+        for i in range(k * slots + first, k * slots + last, lanes(move)):
+            store(move, i, 0.0)
+    wait(state.team)
 
 
 @jit
 def add_moves(state):
     """x += the moves that the constraints summed up."""
-    x, move = state.x, state.apart.move
-    for i in range(0, x.size, lanes(x)):
-        store(x, i, load(x, i) + load(move, i))
+    x, move, slots = state.x, state.apart.move, len(state.inv_mass)
+    first, last = own(state)
+    for k in range(3):
+        for i in range(k * slots + first, k * slots + last, lanes(x)):
+            store(x, i, load(x, i) + load(move, i))
+    wait(state.team)
 
 
 @jit(inline=True)
@@ -316,10 +348,12 @@ def stay(state, i, h):
 def half_kick(state, h, share):
     """v += share h a, with the moves h² F / m that were summed up; pinned particles keep v."""
     v, w, move, slots = state.v, state.inv_mass, state.apart.move, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q
             vi = load(v, i)
             change = share / h * load(move, i) + share * h * state.gravity[k]
             store(v, i, select(free, vi + change, vi))
+    wait(state.team)

@@ -18,7 +18,7 @@ from numba.extending import overload
 
 from xpbd_ros.sim.jit import INNER, jit
 from xpbd_ros.sim.stages import kernel_of, kick, project, project_back, solve_lines, walk
-from xpbd_ros.sim.state import add_moves, at_start, half_kick, set_mobility
+from xpbd_ros.sim.state import add_moves, at_start, clear_moves, half_kick, set_mobility
 
 
 class GaussSeidel(NamedTuple):
@@ -94,13 +94,13 @@ def _sweep(method, effects, state, substep):
         return symmetric
     if method.instance_class is Jacobi:
         def jacobi(method, effects, state, substep):
-            state.apart.move[:] = 0.0
+            clear_moves(state)
             project(effects, state, substep)
             add_moves(state)
         return jacobi
     if method.instance_class is Leapfrog:
         def leapfrog(method, effects, state, substep):
-            state.apart.move[:] = 0.0
+            clear_moves(state)
             project(effects, at_start(state), substep)
             add_moves(state)
         return leapfrog
@@ -138,7 +138,7 @@ def _leave(method, effects, state, substep):
 def _kick(effects, state, substep, share):
     """Move the velocities on by a share of a substep."""
     set_mobility(state, substep.h)
-    state.apart.move[:] = 0.0
+    clear_moves(state)
     project(effects, state, substep)
     kick(effects, state, substep)
     half_kick(state, substep.h, share)

@@ -1,0 +1,113 @@
+"""Threads: the same bits however many there are, and nobody is left waiting."""
+
+from numba import njit
+import numpy as np
+import pytest
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.team import alone, Crew, share, Team, wait
+
+STRETCH = {'warp': 2e3, 'weft': 1e3}
+ALL = {'stretch': STRETCH, 'shear': {'stiffness': 300.0}, 'bend': {'stiffness': 1e-4}}
+
+
+def hashes(threads: int, *, effects=None, cloths=None, frames=4, method='line',
+           precision='float64', **solver) -> list[int]:
+    """Return the hash after each of some frames of two sheets, one above the other."""
+    scene = {
+        'solver': {'method': method, 'substeps': 6, 'threads': threads, 'precision': precision,
+                   **solver},
+        'cloths': {'wide': {'grid': {'size': [0.5, 0.7], 'resolution': [19, 43]}, 'density': 0.2,
+                            'pose': {'position': [0, 0, 0.1]}, 'effects': effects or ALL},
+                   'small': {'grid': {'size': [0.1, 0.1], 'resolution': [3, 5]}, 'density': 0.3,
+                             'effects': {'stretch': STRETCH}}},
+        'pins': {'a': {'cloth': 'wide', 'at': 'corner_00'}},
+        'colliders': {'ball': {'sphere': {'radius': 0.1}, 'position': [0.2, 0.3, 0.0]}},
+        'effects': {'contact': {'thickness': 0.002}, 'friction': {}}}
+    if method in ('line', 'explicit'):
+        del scene['colliders'], scene['effects']
+    simulation = compile_scene(scene_from_mapping(scene, where='x', name='x'))
+    found = []
+    for _ in range(frames):
+        simulation.step()
+        found.append(simulation.hash())
+    assert np.isfinite(simulation.frame().x).all()
+    return found
+
+
+@pytest.mark.parametrize('method, options', [
+    ('line', {}),
+    pytest.param('gauss_seidel_symmetric', {'precision': 'float32'}, marks=pytest.mark.slow),
+    pytest.param('jacobi', {'iterations': 3}, marks=pytest.mark.slow),
+    pytest.param('explicit', {'substeps': 100}, marks=pytest.mark.slow)])
+def test_the_same_bits_with_any_number_of_threads(method, options):
+    one = hashes(1, method=method, **options)
+    for threads in (2, 3):
+        assert hashes(threads, method=method, **options) == one
+    assert len(set(one)) == len(one)
+
+
+@njit(nogil=True)
+def _in_step(team, seen, rounds):
+    """Count rounds; note where somebody is not exactly here."""
+    wrong = 0
+    for k in range(rounds):
+        seen[team.worker * 8] = k
+        wait(team)
+        for other in range(team.workers):
+            wrong += seen[other * 8] != k
+        wait(team)
+    return wrong
+
+
+def test_nobody_goes_on_before_all_are_here():
+    crew, seen, wrong = Crew(3), np.zeros(24, np.int64), []
+
+    def step(effects, state):
+        wrong.append(_in_step(state.team, seen, 300))
+
+    crew.run(step, (), _Stub())
+    crew.run(step, (), _Stub())
+    assert wrong == [0] * 6
+
+
+class _Stub:
+    """A state that knows of nothing but its team."""
+
+    team = None
+
+    def _replace(self, team):
+        stub = _Stub()
+        stub.team = team
+        return stub
+
+
+def test_what_is_broken_off_leaves_nobody_waiting():
+    crew, seen = Crew(3), np.zeros(24, np.int64)
+
+    def broken(effects, state):
+        if state.team.worker == 0:
+            raise KeyboardInterrupt
+        _in_step(state.team, seen, 1)
+
+    with pytest.raises(KeyboardInterrupt):
+        crew.run(broken, (), _Stub())
+    found = []
+    crew.run(lambda effects, state: found.append(_in_step(state.team, seen, 3)), (), _Stub())
+    assert found == [0, 0, 0]
+
+
+@njit
+def _share(team, count):
+    return share(team, count), alone(team)
+
+
+@pytest.mark.parametrize('count', [0, 1, 2, 5, 12, 100])
+@pytest.mark.parametrize('workers', [1, 2, 3, 7])
+def test_shares_are_whole_and_one_is_alone(count, workers):
+    gate = np.zeros(24, np.int64)
+    found = [_share(Team(k, workers, gate), count) for k in range(workers)]
+    assert [k for (begin, end), _ in found for k in range(begin, end)] == list(range(count))
+    assert [yes for _, yes in found] == [True] + [False] * (workers - 1)
+    assert _share(None, count) == ((0, count), True)
