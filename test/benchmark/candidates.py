@@ -31,6 +31,7 @@ from xpbd_ros.sim.stages import prepare, project
 from xpbd_ros.sim.state import new_state, places, Substep
 from xpbd_ros.sim.step import compiled
 from xpbd_ros.sim.sweeps import METHODS
+from xpbd_ros.sim.team import Crew
 from xpbd_ros.study.reference import Problem
 
 
@@ -54,8 +55,6 @@ STEPS = ('gauss_seidel',)
 
 def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Candidate:
     """Return whole frames of 10 × 1 on a list of edges: the rows ``grid`` and ``irregular``."""
-    if threads != 1:
-        raise NotAvailableError(f'{threads} threads')
     if work.kinds:
         sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision)
         shapes = [Shape((a, b), *(range(work.n - max(ends)) for ends in zip(a, b)), family)
@@ -68,13 +67,15 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
     else:
         sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision,
                        order=work.edges.particles)
+        if threads > 1:
+            raise NotAvailableError('threads share out grids only')
         effects = (MeshStretch(mesh_edges(sheet.slot[work.edges.particles],
                                           work.edges.rest_length, work.edges.compliance,
                                           world=sheet)),)
-    step, how = compiled(('stretch',)), METHODS[method](1)
+    step, how, crew = compiled(('stretch',)), METHODS[method](1), Crew(threads)
 
     def run(frames):
-        step(effects, sheet.state, how, frames * FRAME_DT, frames * SUBSTEPS)
+        crew.run(step, effects, sheet.state, how, frames * FRAME_DT, frames * SUBSTEPS)
 
     return Candidate(run, sheet.reset, sheet.positions)
 

@@ -121,13 +121,36 @@ def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids)
             assert last < (runs.base[r] // slots + 1) * slots
 
 
-def test_the_order_is_strip_after_strip():
-    runs = batches(cloths([(5, 2 * STRIP + 3)]), 'stretch')[0].runs
-    (block,), _ = blocks([(2 * STRIP + 3, 5)], 'float64')
-    row = (runs.start - block.first) // block.row_stride
-    assert (np.diff(row // STRIP) >= 0).all()
-    assert set(row // STRIP) == {0, 1, 2}
+def test_the_order_is_every_other_strip_and_then_those_in_between():
+    runs = batches(cloths([(5, 3 * STRIP + 3)]), 'stretch')[0].runs
+    (block,), _ = blocks([(3 * STRIP + 3, 5)], 'float64')
+    strip = (runs.start - block.first) // block.row_stride // STRIP
+    assert list(dict.fromkeys(strip)) == [0, 2, 1, 3]
+    assert list(strip[runs.strip[:-1]]) == [0, 2, 1, 3]
+    assert runs.strip[-1] == len(runs.start)
+    assert list(runs.phase) == [0, 2, 4]
     assert runs.rows.max() == STRIP
+
+
+@pytest.mark.parametrize('effect', EFFECTS)
+def test_strips_of_a_phase_share_no_particle(effect):
+    for batch in batches(cloths([(5, 3 * STRIP + 3), (9, 2), (2, 5 * STRIP)]), effect):
+        runs = batch.runs
+        parts = np.split(np.arange(len(runs.start)), runs.strip[1:-1])
+        assert len(parts) == runs.phase[-1]
+        for begin, end in zip(runs.phase[:-1], runs.phase[1:]):
+            seen = [set(touched(runs, part)) for part in parts[begin:end]]
+            assert sum(map(len, seen)) == len(set().union(*seen))
+
+
+def touched(runs, which) -> np.ndarray:
+    """Return the slots that some runs write to."""
+    found = [np.zeros(0, int)]
+    for r in which:
+        along = np.flatnonzero(runs.present[runs.shape[r], runs.place[r]:][:runs.count[r]])
+        anchor = runs.start[r] + np.arange(runs.rows[r])[:, None] * runs.stride[r] + along
+        found.append((anchor[..., None] + runs.offset[r]).ravel())
+    return np.concatenate(found)
 
 
 def test_a_grid_without_cells_has_no_twist():
