@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, simulate
+from sim.small import GRAVITY, hang, run, run_until_still, simulate
 
 INTEGRATORS = pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
 
@@ -57,6 +57,24 @@ def test_gravity_acts_in_full_on_what_is_damped(substeps):
 def test_the_terminal_speed_is_g_over_the_rate(integrator, substeps):
     simulation = falling(5.0, substeps, integrator=integrator)
     assert run(simulation, 600).v[0, 2] == pytest.approx(-GRAVITY / 5.0, rel=1e-10)
+
+
+def test_constraints_may_move_what_is_damped_by_less():
+    """
+    The mobility is w h² / (1 + h rate): seen in what one pass leaves undone.
+
+    Two edges, the upper one first: C = α T_1 - A_12 T_2, with A_12 = -mobility (NUMERICS 0.2).
+    """
+    rate, alpha = 40.0, 1e-3
+    simulation = hang(3, damping=rate, effects={'stretch': {'compliance': alpha}})
+    x, h = run_until_still(simulation, speed=1e-11).x[:, 2], simulation.frame_dt
+    mass = simulation.state.mass[simulation.slot]
+    upper, lower = (mass[1] + mass[2]) * GRAVITY, mass[2] * GRAVITY
+    extra = (x[:-1] - x[1:] - 0.5) - alpha * np.array([upper, lower])
+    mobility = h**2 / (1.0 + h * rate) / mass[1]
+    assert sorted(extra) == pytest.approx(
+        [0.0, mobility * lower], abs=1e-9) or sorted(extra) == pytest.approx(
+        [0.0, mobility * upper], abs=1e-9)
 
 
 @INTEGRATORS

@@ -8,14 +8,15 @@ from xpbd_ros.sim.commands import Grasp, Pose, Release
 
 SOFT = {'stretch': {'warp': 2.0, 'weft': 2.0}}
 """of 10 N/m² of cloth, 1 m long: a strain of several times its length"""
+UP = [0.0, -DOWN[1], 0.0, DOWN[3]]
 TOP = {'top': {'cloth': 'c', 'at': 'edge_x0'}}
 
 
 def hang(effects, *, pins=TOP, grid=(7, 3), **options):
     """Return a sheet of 1 m that hangs from its top edge."""
     return simulate(grid, (1.0, 0.4), effects={**SOFT, **effects}, pins=pins,
-                    pose={'orientation': DOWN}, scene_effects={'pin': {}, 'damping': {'rate': 5}},
-                    **{'substeps': 20, **options})
+                    scene_effects={'pin': {}, 'damping': {'rate': 5}},
+                    **{'substeps': 20, 'pose': {'orientation': DOWN}, **options})
 
 
 def strains(frame, shape=(3, 7)):
@@ -27,9 +28,11 @@ def strains(frame, shape=(3, 7)):
 @pytest.mark.parametrize('method', ['line', 'jacobi', 'explicit'])
 def test_no_edge_is_longer_than_its_limit(method):
     more = {'method': method, 'integrator': 'leapfrog' if method == 'explicit' else 'bdf2'}
-    frame = run(hang({'strain_limit': {'max': 0.2}}, **more), 60)
-    assert 0.15 < strains(frame).max() < 0.22
-    assert frame.pins['top'].force[2] == pytest.approx(-0.4 * GRAVITY, rel=0.05)
+    for turned in ({}, {'pose': {'orientation': UP}, 'pins': {
+            'top': {'cloth': 'c', 'at': 'edge_x1'}}}):
+        frame = run(hang({'strain_limit': {'max': 0.2}}, **more, **turned), 60)
+        assert 0.15 < strains(frame).max() < 0.22
+        assert frame.pins['top'].force[2] == pytest.approx(-0.4 * GRAVITY, rel=0.05)
 
 
 def test_without_a_limit_it_would_be():
@@ -52,6 +55,8 @@ def test_a_limit_keeps_momentum():
     frame = run(simulation, 20)
     np.testing.assert_allclose(m @ frame.v, before[0], atol=1e-13)
     assert strains(frame).max() < 0.1
+    across = np.linalg.norm(np.diff(frame.x.reshape(3, 7, 3), axis=0), axis=2)
+    assert across.max() < 1.1 * 0.2
 
 
 @pytest.mark.parametrize('method', ['line', 'jacobi', 'explicit'])
@@ -67,6 +72,9 @@ def test_no_particle_is_further_from_a_pin_than_the_cloth_reaches(method):
     assert fall.max() == pytest.approx(1.1, rel=1e-3)
     assert frame.pins['top'].force[2] == pytest.approx(-0.4 * GRAVITY, rel=0.05)
     assert simulation.stats()['tethers_taut'] >= 3
+    aslant = (2.0, -5.0, -8.0)
+    frame = run(hang({'tether': {'slack': 0.1}}, gravity=aslant, **more), 180)
+    np.testing.assert_allclose(frame.pins['top'].force, 0.4 * np.array(aslant), atol=0.2)
 
 
 def test_tethers_follow_grasps_and_releases():
