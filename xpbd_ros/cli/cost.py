@@ -4,6 +4,10 @@ What each effect of a scene costs on this machine: time, memory, code.
 The scene runs for its duration, five times over, with a clock between the effects' kernels; a
 second simulation without one runs in turn, and says what the whole takes. Effects that the scene
 does not name are listed as absent: they have no arrays and no machine code.
+
+Beside the time of a constraint stands the least that memory takes for it at this machine's
+bandwidth from cache, and how many operations would fit into its time at the machine's rate.
+All on one thread.
 """
 
 from pathlib import Path
@@ -48,8 +52,8 @@ def run(arguments) -> int:
     here, most = machine(), limits()
     numbers = {
         'machine': here, 'limits': most, 'scene': scene.where,
-        'effects': [numbers_of(row) for row in found.effects],
-        'others': [numbers_of(row) for row in found.others],
+        'effects': [numbers_of(row, most) for row in found.effects],
+        'others': [numbers_of(row, most) for row in found.others],
         'frame_ms': found.frame_ms, 'frame_ms_spread': found.frame_ms_spread,
         'frames': found.frames, 'substeps': found.substeps, 'particles': found.particles,
         'state_bytes': found.state_bytes,
@@ -65,9 +69,11 @@ def run(arguments) -> int:
     return 0
 
 
-def numbers_of(row) -> dict:
+def numbers_of(row, most: dict) -> dict:
     """Return a row as JSON has it."""
-    return {**vars(row), 'ns_per_constraint': row.ns_per_constraint}
+    return {**vars(row), 'ns_per_constraint': row.ns_per_constraint,
+            'least_ns': row.least_ns(most['cache_gb_s']),
+            'flops_in_time': row.flops_in_time(most['fma_gflop_s'])}
 
 
 def lines(name: str, found, machine: str, most: dict) -> list[str]:
@@ -76,21 +82,24 @@ def lines(name: str, found, machine: str, most: dict) -> list[str]:
             f'frames, {found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
             machine, '',
             f'  {"effect":<12} {"µs/substep":>15} {"share":>7} {"constraints":>11} '
-            f'{"ns each":>8} {"KiB":>8} {"kernels":>7}']
+            f'{"ns each":>8} {"least":>6} {"flops":>6} {"KiB":>8} {"kernels":>7}']
     for row in found.effects + found.others:
         if not row.present:
-            text.append(f'  {row.name:<12} {"absent":>15} {"0 %":>7} {0:>11} {"":>8} {0:>8} '
+            text.append(f'  {row.name:<12} {"absent":>15} {"0 %":>7} {0:>11} {"":>22} {0:>8} '
                         f'{0:>7}')
             continue
-        each = '' if row.ns_per_constraint is None else f'{row.ns_per_constraint:.2f}'
+        each = f'{"":>22}' if not row.constraints else (
+            f'{row.ns_per_constraint:>8.2f} {row.least_ns(most["cache_gb_s"]):>6.2f} '
+            f'{row.flops_in_time(most["fma_gflop_s"]):>6.0f}')
         if row in found.others:
             amounts = ''
         else:
-            amounts = (f' {row.constraints:>11} {each:>8} {row.bytes / 1024:>8.0f} '
+            amounts = (f' {row.constraints:>11} {each} {row.bytes / 1024:>8.0f} '
                        f'{row.kernels:>7}')
         text.append(f'  {row.name:<12} {row.us_per_substep:>8.2f} ± {row.us_spread:<4.2f} '
                     f'{100 * row.share:>5.1f} %{amounts}')
-    text += ['', f'  particles themselves: {found.state_bytes / 1024:.0f} KiB',
+    text += ['', '  least: ns that memory takes; flops: what fits into ns each; limits:',
+             f'  particles themselves: {found.state_bytes / 1024:.0f} KiB',
              f'  one core of this machine: {most["memory_gb_s"]:.0f} GB/s from memory, '
              f'{most["cache_gb_s"]:.0f} GB/s from its cache, {most["fma_gflop_s"]:.0f} Gflop/s']
     return text

@@ -50,6 +50,17 @@ def test_constraints_kernels_and_bytes_are_counted(found):
             1e3 * rows[name].us_per_substep / rows[name].constraints)
 
 
+def test_what_memory_takes_and_what_would_fit_follow_from_the_limits(found):
+    rows = {row.name: row for row in found.effects}
+    for name in ('shear', 'stretch'):    # every particle of the 81, there and back
+        assert rows[name].traffic == rows[name].bytes + 81 * 7 * 8
+        assert rows[name].least_ns(50.0) == pytest.approx(
+            rows[name].traffic / 50.0 / rows[name].constraints)
+        assert rows[name].flops_in_time(30.0) == pytest.approx(
+            30.0 * rows[name].ns_per_constraint)
+    assert rows['wind'].least_ns(50.0) is rows['wind'].flops_in_time(30.0) is None
+
+
 def test_the_rows_add_up_to_the_whole(found):
     """By definition of the last one: it says what the clock cannot tell apart."""
     rows = found.effects + found.others
@@ -126,7 +137,7 @@ def test_the_verb_prints_what_it_writes(tmp_path):
     numbers = json.loads((tmp_path / 'c.json').read_text())
     assert {'effects', 'frame_ms', 'particles', 'machine', 'limits'} <= set(numbers)
     assert {'name', 'present', 'constraints', 'us_per_substep', 'share',
-            'bytes'} <= set(numbers['effects'][0])
+            'bytes', 'least_ns', 'flops_in_time'} <= set(numbers['effects'][0])
     assert numbers['pictures'] == [str(tmp_path / 'c.png')]
     assert (tmp_path / 'c.png').stat().st_size > 5000
     for row in numbers['effects']:

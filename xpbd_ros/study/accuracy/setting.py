@@ -74,9 +74,10 @@ def with_solver(scene: Scene, keys: dict) -> Scene:
     """
     Return a scene with other keys in its ``solver`` section; None takes one out.
 
-    Its ``error_target`` is left out: what a setting gives is what a study asks.
+    Its ``error_target`` is left out: what a setting gives is what a study asks. So are its
+    ``threads``: runs share the cores as they are, and times are those of one.
     """
-    solver = {**(scene.raw.get('solver') or {}), 'error_target': None, **keys}
+    solver = {**(scene.raw.get('solver') or {}), 'error_target': None, 'threads': None, **keys}
     solver = {key: value for key, value in solver.items() if value is not None}
     return scene_from_mapping({**scene.raw, 'solver': solver}, where=scene.where, name=scene.name)
 

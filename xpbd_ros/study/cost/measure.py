@@ -8,7 +8,7 @@ between the sum of the rows and the whole is a row of its own.
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import sys
 from time import perf_counter_ns
 
@@ -36,6 +36,8 @@ class Row:
     """of its own in the machine code of this scene"""
     bytes: int = 0
     """of its arrays; what it shares with an effect before it counts there"""
+    traffic: int = 0
+    """bytes that one pass must move at least: its arrays, and its particles there and back"""
     us_per_substep: float = 0.0
     us_spread: float = 0.0
     """half of what the rounds differ"""
@@ -46,6 +48,14 @@ class Row:
     def ns_per_constraint(self) -> float | None:
         """Time of a substep by constraint; None where there are none."""
         return 1e3 * self.us_per_substep / self.constraints if self.constraints else None
+
+    def least_ns(self, gb_s: float) -> float | None:
+        """Return the time by constraint that memory alone would take, at this rate."""
+        return self.traffic / gb_s / self.constraints if self.constraints else None
+
+    def flops_in_time(self, gflop_s: float) -> float | None:
+        """Return how many operations by constraint would fit into its time, at this rate."""
+        return self.ns_per_constraint * gflop_s if self.constraints else None
 
 
 @dataclass(frozen=True)
@@ -68,7 +78,7 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
          rounds: int = ROUNDS, progress: Callable[[Iterable, str], Iterable] = lambda i, _: i
          ) -> Cost:
     """
-    Run a scene and return what its effects cost.
+    Run a scene on one thread and return what its effects cost.
 
     Parameters
     ----------
@@ -79,6 +89,7 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
 
     """
     commands = commands or {}
+    scene = replace(scene, top=replace(scene.top, solver=replace(scene.top.solver, threads=1)))
     plain, timed = compile_scene(scene), compile_scene(scene)
     count = len(timed._tuple)
     book = np.zeros((count + 2, 2), np.int64)
@@ -152,8 +163,9 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
             continue
         built = simulation.effects[name]
         mine, listed = np.array([one == name for one in owner]), built.constraints
-        effects.append(row(name, times[:-1][mine].sum(), spreads[:-1][mine].sum(),
-                           bytes=array_bytes(parts_of(built), seen),
+        own = array_bytes(parts_of(built), seen)
+        effects.append(row(name, times[:-1][mine].sum(), spreads[:-1][mine].sum(), bytes=own,
+                           traffic=own + _particle_bytes(simulation, listed),
                            constraints=0 if listed is None else len(listed.particles),
                            kernels=_in_code(name, text)))
     rest = inside - times.sum()
@@ -164,6 +176,12 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
                 1e-6 * frame, 1e-6 * total_spread * simulation.solver.substeps,
                 len(simulation.slot), whole.shape[1], simulation.solver.substeps,
                 array_bytes(simulation.state, seen))
+
+
+def _particle_bytes(simulation: Simulation, listed) -> int:
+    """Return the bytes of positions, there and back, and mobilities that constraints touch."""
+    touched = 0 if listed is None else len(np.unique(listed.particles))
+    return touched * (2 * 3 + 1) * simulation.state.x.itemsize
 
 
 def _mean(rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
