@@ -54,6 +54,14 @@ def test_warp_and_weft_may_bend_differently_and_cells_be_oblong(degrees, rigidit
         0.5 * rigidity * 1e-6 * 0.6 * inner, rel=1e-5)
 
 
+def test_a_mesh_bends_as_stiffly_along_weft_as_weft_says():
+    """Hinges along 0°, 60° and 120° that take B across their edges: 0.92 of 4, not 0.25."""
+    simulation = simulate(mesh=True, effects={'bend': {'warp': 1.0, 'weft': 4.0}})
+    along = [simulation.effects['bend'].constraints.energy(
+        on_a_cylinder(simulation.state.x, 1e-3, degrees)) for degrees in (0.0, 90.0)]
+    assert 1.5 < along[1] / along[0] < 2.5
+
+
 @pytest.mark.parametrize('rows', [1, 2, 3, 8])
 @pytest.mark.parametrize('n, error', [(11, 1e-2), (21, 2.6e-3), (41, 7e-4)])
 def test_a_cantilever_sags_as_a_beam_does_whatever_its_rows(rows, n, error):

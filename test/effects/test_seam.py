@@ -77,6 +77,21 @@ def test_a_seam_opens_by_its_compliance_for_each_newton(at):
     assert frame.pins['all'].force[2] == pytest.approx(-2.0 * weight, rel=1e-7)
 
 
+def test_the_second_side_of_a_seam_pulls_at_its_pins_too():
+    simulation = scene({'a': A, 'b': B}, {'hem': {'between': [
+        {'cloth': 'b', 'at': 'edge_x0'}, {'cloth': 'a', 'at': 'edge_x1'}],
+        'compliance': COMPLIANCE}}, pins={'all': {'cloth': 'a', 'at': list(range(12))}})
+    frame = run_until_still(simulation, speed=1e-11)
+    assert frame.pins['all'].force[2] == pytest.approx(-0.06 * GRAVITY, rel=1e-7)
+
+
+def test_numbers_are_matched_in_the_order_that_they_are_given():
+    simulation = scene({'a': A, 'b': B}, seam([2, 5, 8, 11], [9, 6, 3, 0]))
+    one, other = (cloth.slots for cloth in simulation.cloths)
+    np.testing.assert_array_equal(simulation.effects['seam'].data.first, one[[2, 5, 8, 11]])
+    np.testing.assert_array_equal(simulation.effects['seam'].data.second, other[[9, 6, 3, 0]])
+
+
 def test_a_seam_takes_a_live_compliance_and_the_scale():
     simulation = scene({'a': A, 'b': B}, seam(compliance=COMPLIANCE), scale=3.0,
                        pins={'all': {'cloth': 'a', 'at': list(range(12))}})
