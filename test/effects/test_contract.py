@@ -219,23 +219,36 @@ def test_the_rest_shape_stays_put_without_gravity(name, mesh):
 def test_the_kernel_moves_along_the_gradient_of_the_residual(name, mesh):
     """Δx = -M Jᵀ (J M Jᵀ + α)⁻¹ C with M = w h², J by finite differences of the definition."""
     for state, data, constraint in constraints(name, mesh):
-        before, particles = state.x.copy(), constraint.particles[0]
-        residual = constraint.residual(before).ravel()
-        jacobian = gradient(lambda x, its=constraint: its.residual(x).ravel(), before, particles)
-        alpha = (constraint.block[0] if hasattr(constraint, 'block') else
-                 constraint.compliance[0] * np.eye(len(residual)))
-        assert constraint.energy(before) == pytest.approx(
-            0.5 * residual @ np.linalg.solve(alpha, residual), rel=1e-12)
-        weighted = H**2 * jacobian * state.inv_mass[particles]
-        system = np.einsum('akp,bkp->ab', weighted, jacobian) + alpha
-        expected = -np.einsum('akp,a->kp', weighted, np.linalg.solve(system, residual))
-        apply(stages.prepare, data, state)
-        apply(stages.project, data, state)
-        np.testing.assert_allclose((state.x - before)[:, particles], expected, rtol=0.0,
-                                   atol=1e-8 * np.abs(expected).max())
-        others = np.setdiff1d(np.arange(before.shape[1]), particles)
-        np.testing.assert_array_equal(state.x[:, others], before[:, others])
-        state.x[:] = before
+        project_and_compare(state, data, constraint)
+
+
+def test_so_it_does_for_a_body_that_is_stretched_far():
+    """To twice its size, where C_D is not taken from the strain."""
+    simulation = cloth('volume', mesh=True)
+    simulation.state.x[:] *= 2.0
+    data, constraint = next(one_by_one(simulation.effects['volume']))
+    project_and_compare(crumple(simulation), data, constraint)
+
+
+def project_and_compare(state, data, constraint):
+    """Hold one projection of one constraint against its definition."""
+    before, particles = state.x.copy(), constraint.particles[0]
+    residual = constraint.residual(before).ravel()
+    jacobian = gradient(lambda x: constraint.residual(x).ravel(), before, particles)
+    alpha = (constraint.block[0] if hasattr(constraint, 'block') else
+             constraint.compliance[0] * np.eye(len(residual)))
+    assert constraint.energy(before) == pytest.approx(
+        0.5 * residual @ np.linalg.solve(alpha, residual), rel=1e-12)
+    weighted = H**2 * jacobian * state.inv_mass[particles]
+    system = np.einsum('akp,bkp->ab', weighted, jacobian) + alpha
+    expected = -np.einsum('akp,a->kp', weighted, np.linalg.solve(system, residual))
+    apply(stages.prepare, data, state)
+    apply(stages.project, data, state)
+    np.testing.assert_allclose((state.x - before)[:, particles], expected, rtol=0.0,
+                               atol=1e-8 * np.abs(expected).max())
+    others = np.setdiff1d(np.arange(before.shape[1]), particles)
+    np.testing.assert_array_equal(state.x[:, others], before[:, others])
+    state.x[:] = before
 
 
 @KINDS

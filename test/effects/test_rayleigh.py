@@ -8,6 +8,8 @@ from sim.small import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim import stages
+from xpbd_ros.sim.state import Substep
 
 TAU, K, H = 0.02, 30.0, 1.0 / 60.0
 
@@ -112,6 +114,19 @@ def test_a_sweep_is_equation_26_edge_after_edge(kind, tmp_path):
         x[:, j] -= m[1] * f * n
     simulation.step()
     np.testing.assert_allclose(state.x, x, rtol=0.0, atol=1e-14)
+
+
+def test_a_pin_has_the_velocity_that_it_goes_with():
+    """(x - x̄) / H is what it went in the substep over h, also for BDF2, whose H is 2 h / 3."""
+    simulation = simulate(effects={'stretch': {'compliance': 1e-3}, 'rayleigh': {'time': 0.01}},
+                          pins={'a': {'cloth': 'c', 'at': 'corner_00'}}, integrator='bdf2',
+                          method='gauss_seidel_symmetric')
+    state, data, h = simulation.state, simulation.effects['rayleigh'].data, 0.01
+    pinned = simulation.slot[0]
+    state.x_prev[:] = state.x
+    state.x[0, pinned] += 0.03
+    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(h, 0.0, 1.0))
+    assert (state.x - data.past.x)[0, pinned] * data.past.per_step[0] == pytest.approx(3.0)
 
 
 def test_no_time_is_no_damping():
