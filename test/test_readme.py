@@ -63,12 +63,20 @@ def test_shipped_scenes_are_named_and_have_a_picture():
             assert 3_000 < size < 60_000
 
 
-def test_every_hard_case_is_listed():
+def test_table_of_hard_cases_names_each_and_its_guards():
     from xpbd_ros.study.stress import all_hard
+    from xpbd_ros.study.stress.guards import GUARDS
     from xpbd_ros.study.stress.run import NODE_CASES
-    plain = ' '.join(text().split())
+    rows = {}
+    for line in re.findall(r'^\| H\d+ \|.*$', text(), re.M):
+        id_, *cells = (cell.strip() for cell in line.split('|')[1:-1])
+        rows[id_] = cells
     for id_, title in [*((one.id, one.title) for one in all_hard()), *NODE_CASES.items()]:
-        assert f'{id_} {title}' in plain
+        assert rows[id_][0] == title
+        passed, tried = map(int, rows[id_][1].split(' of '))
+        assert 0 < passed <= tried
+    for guard in GUARDS:
+        assert guard.what in rows[guard.case][3]
 
 
 def test_example_scene_runs():

@@ -70,6 +70,13 @@ def squeezed():
         yield Trial(setting, scene, 3.0, colliders=close, still=1e-3, strain=0.5, also=deep)
 
 
+def exactly(middle, x):
+    """Return places with the middle particle at this one."""
+    found = x.copy()
+    found[N * N // 2] = middle
+    return found, np.zeros_like(x)
+
+
 @hard('H17', 'where a normal is not defined')
 def no_normal():
     """Particles at centres, on edges and corners; shapes without extent."""
@@ -84,6 +91,9 @@ def no_normal():
         for setting in USUAL:
             yield Trial(setting, scene, 3.0, speed=4.0 * DEPENETRATION, strain=3.0,
                         label=name)
+            if 'sphere' in name:
+                yield Trial(setting, {**scene, 'gravity': [0.0, 0.0, 0.0]}, 1.0,
+                            place=partial(exactly, mid), strain=3.0, label=f'{name}, at rest')
     for shape, says in (({'sphere': {'radius': 0.0}}, 'radius: must be > 0 m (got 0.0)'),
                         ({'box': {'size': [0.1, 0.0, 0.1]}}, 'must be > 0 m (got 0.0)'),
                         ({'plane': {'normal': [0.0, 0.0, 0.0]}}, 'normal: must not be zero')):

@@ -178,4 +178,11 @@ def light():
             yield Trial(setting, scene, 3.0, also=normal, label=label,
                         recovers=0.01, place=patch)
 
+    def sways(x):
+        v = np.zeros_like(x)
+        v[:, 1] = 1e-300
+        return x, v
 
+    for setting in USUAL:
+        yield Trial(setting, sheet(gravity=0.0, damping=20.0), 1.5, also=normal, place=sways,
+                    textbook=False, label='a sway that dies away')

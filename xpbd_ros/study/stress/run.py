@@ -10,6 +10,7 @@ from xpbd_ros.study.chart import INK, page, save
 from xpbd_ros.study.stress import all_hard
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.guards import GUARDS
 from xpbd_ros.study.stress.trial import Trial
 
 NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
@@ -126,14 +127,15 @@ def draw(results: list[Result], file: Path) -> Path:
 
 
 def table(results: list[Result]) -> str:
-    """Return a Markdown table: how many attempts of each case passed, by ours and the textbook."""
-    rows = ['| Case | | Passed | Textbook |', '|---|---|---|---|']
+    """Return a Markdown table: how many attempts of a case passed, and what it needs for that."""
+    rows = ['| Case | | Passed | Textbook | Fails without |', '|---|---|---|---|---|']
     for result in results:
         tried = [each for each in result.outcomes if not each.skipped]
         book = [each.textbook for each in tried if each.textbook is not None]
         rows.append(f'| {result.id} | {result.title} | '
                     f'{sum(each.good for each in tried)} of {len(tried)} | '
-                    + (f'{sum(book)} of {len(book)} |' if book else '|'))
+                    + (f'{sum(book)} of {len(book)} | ' if book else '| ')
+                    + '; '.join(one.what for one in GUARDS if one.case == result.id) + ' |')
     return '\n'.join(rows)
 
 

@@ -1,0 +1,89 @@
+"""
+The guards in the solver: which case needs each, and what the code would be without it.
+
+``without`` runs a case on a copy of the package from which one guard was taken out; it must fail.
+"""
+
+from dataclasses import dataclass
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
+
+PACKAGE = Path(__file__).parents[2]
+RUN = """
+import sys
+from xpbd_ros.study.stress import all_hard
+case = next(one for one in all_hard() if one.id == sys.argv[1])
+attempt = next(each for each in case.attempts() if getattr(each, 'name', '') == sys.argv[2])
+print(attempt.outcome().why)
+"""
+
+
+@dataclass(frozen=True)
+class Guard:
+    """One guard."""
+
+    case: str
+    """the id of a case that fails without it"""
+    attempt: str
+    """of that case, as its row is named"""
+    what: str
+    """what it does"""
+    file: str
+    """where it is, in the package"""
+    code: str
+    """a piece of that file, there once"""
+    without: str
+    """what stands there instead where the guard is out"""
+
+
+GUARDS = (
+    Guard('H5', 'gauss_seidel backward_euler 8x1 all of them',
+          'edges without a direction part along an axis', 'sim/distance.py',
+          'select(apart_, dx, ux)', 'dx'),
+    Guard('H2', 'line bdf2 8x1 float32 1e+300 m/N',
+          'compliances end where their square would be infinite', 'sim/distance.py',
+          'float(np.sqrt(np.finfo(dtype).max))', 'np.inf'),
+    Guard('H8', 'line bdf2 8x1 nearly a line, stiff', 'what is squeezed flat is not thrown out',
+          'effects/membrane.py', 'squeezed = larger(0.5 * root(shortest) - shortest, 0.0)',
+          'squeezed = 0.0 * shortest'),
+    Guard('H13', 'line bdf2 8x1 both', 'targets are followed at a largest speed',
+          'sim/motion.py',
+          'slower = min(1.0, self.max_speed * dt / distance if distance > 0.0 else 1.0)',
+          'slower = 1.0'),
+    Guard('H15', 'line bdf2 8x1 appears half a radius deep',
+          'what is too deep comes out slowly', 'sim/contacts.py', 'DEPENETRATION = 1.0',
+          'DEPENETRATION = 1e9'),
+    Guard('H16', 'gauss_seidel backward_euler 8x1',
+          'between two colliders each gives half', 'effects/contact.py',
+          'if contact.contacts.count[3]:', 'if False:'),
+    Guard('H18', 'line bdf2 8x1 the cloth moves', 'what is fast is followed on its way',
+          'sim/contacts.py', 'if not contacts.crossed[k] and step', 'if False and step'),
+    Guard('H17', 'explicit leapfrog 100x1 centre of a sphere',
+          'a frame of explicit that was not calm is computed anew', 'sim/simulation.py',
+          'if was_calm(before', 'if True or was_calm(before'),
+    Guard('H32', 'jacobi backward_euler 8x1 relaxation too large',
+          'a frame that cannot be is taken back', 'sim/simulation.py',
+          'if far <= REACH * (self._size + drive) and fast < np.inf:', 'if True:'),
+)
+
+
+def without(guard: Guard) -> str:
+    """Return what the case misses on a copy of the package that lacks the guard."""
+    with tempfile.TemporaryDirectory(prefix='xpbd_ros_guard_') as folder:
+        copy = Path(folder) / 'xpbd_ros'
+        shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns('__pycache__'))
+        file = copy / guard.file
+        source = file.read_text(encoding='utf-8')
+        assert source.count(guard.code) == 1, (guard.file, guard.code)
+        file.write_text(source.replace(guard.code, guard.without), encoding='utf-8')
+        done = subprocess.run(
+            [sys.executable, '-c', RUN, guard.case, guard.attempt], cwd=folder, text=True,
+            env={**os.environ, 'PYTHONPATH': folder, 'NUMBA_CACHE_DIR': str(Path(folder) / 'c')},
+            capture_output=True, check=False)
+        if done.returncode:
+            raise RuntimeError(done.stderr)
+        return done.stdout.strip()
