@@ -106,7 +106,7 @@ def _share(team, count):
 @pytest.mark.parametrize('count', [0, 1, 2, 5, 12, 100])
 @pytest.mark.parametrize('workers', [1, 2, 3, 7])
 def test_shares_are_whole_and_one_is_alone(count, workers):
-    gate = np.zeros(24, np.int64)
+    gate = np.zeros(8, np.int64)
     found = [_share(Team(k, workers, gate), count) for k in range(workers)]
     assert [k for (begin, end), _ in found for k in range(begin, end)] == list(range(count))
     assert [yes for _, yes in found] == [True] + [False] * (workers - 1)

@@ -19,11 +19,10 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.update import inline
 
-CAME, ROUND, ENDED = 0, 8, 16
-"""places in a gate, on cache lines of their own: how many have come in this round, how many
-rounds there were, and whether a thread is missing for good"""
-PATIENCE = 4096
-"""looks at the gate before the core is offered to others"""
+APART = 8
+"""from one thread's number in a gate to the next: a cache line, so that nobody else writes to it"""
+EAGER, PATIENCE = 100, 4096
+"""looks at the gate before each is followed by a pause, and before the core is offered to others"""
 X86 = binding.get_process_triple().startswith('x86_64')
 
 
@@ -33,7 +32,8 @@ class Team(NamedTuple):
     worker: int
     workers: int
     gate: np.ndarray
-    """where they meet, shape (24,)"""
+    """where they meet: how often each thread has come, at APART times its number, and at the end
+    whether one is missing for good; shape (APART * (workers + 1),)"""
 
 
 def share(team, count):
@@ -78,7 +78,7 @@ def _worker(team):
 def _wait(team):
     if _none(team):
         return lambda team: None
-    return lambda team: _meet(team.gate, team.workers)
+    return lambda team: _meet(team.gate, team.worker, team.workers)
 
 
 def _place(context, builder, kind, gate, place):
@@ -87,30 +87,21 @@ def _place(context, builder, kind, gate, place):
 
 
 @intrinsic
-def _add_one(typing, gate, place):
-    """Add 1 where others do so too; return what was there."""
-    def generate(context, builder, signature, arguments):
-        return builder.atomic_rmw('add', _place(context, builder, signature.args[0], *arguments),
-                                  ir.IntType(64)(1), 'seq_cst')
-    return types.int64(gate, types.intp), generate
-
-
-@intrinsic
 def _read(typing, gate, place):
-    """Return what is there now, whoever wrote it."""
+    """Return what is there now, and see all that was done before it was written."""
     def generate(context, builder, signature, arguments):
         return builder.load_atomic(_place(context, builder, signature.args[0], *arguments),
-                                   'seq_cst', 8)
+                                   'acquire', 8)
     return types.int64(gate, types.intp), generate
 
 
 @intrinsic
 def _write(typing, gate, place, value):
-    """Write so that others see it."""
+    """Write, after all that was done before."""
     def generate(context, builder, signature, arguments):
         gate_, place_, value_ = arguments
         builder.store_atomic(value_, _place(context, builder, signature.args[0], gate_, place_),
-                             'seq_cst', 8)
+                             'release', 8)
         return context.get_dummy_value()
     return types.void(gate, types.intp, types.int64), generate
 
@@ -130,22 +121,20 @@ _offer = types.ExternalFunction('sched_yield', types.int32())
 
 
 @jit
-def _meet(gate, workers):
-    """Wait until so many threads are here."""
-    this = _read(gate, ROUND)
-    if _add_one(gate, CAME) == workers - 1:
-        _write(gate, CAME, 0)
-        _write(gate, ROUND, this + 1)
-        return
-    looks = 0
-    while _read(gate, ROUND) == this:
-        looks += 1
-        if looks < PATIENCE:
-            _breathe()
-        elif _read(gate, ENDED):
-            return
-        else:
-            _offer()
+def _meet(gate, worker, workers):
+    """Say that this thread is here, and wait until each of the others has come as often."""
+    times = gate[worker * APART] + 1
+    _write(gate, worker * APART, times)
+    for other in range(workers):
+        looks = 0
+        while _read(gate, other * APART) < times:
+            looks += 1
+            if looks > PATIENCE:
+                if _read(gate, workers * APART):
+                    return
+                _offer()
+            elif looks > EAGER:
+                _breathe()
 
 
 class Crew:
@@ -153,7 +142,7 @@ class Crew:
 
     def __init__(self, workers: int):
         self.workers = workers
-        self._gate = np.zeros(24, np.int64)
+        self._gate = np.zeros(APART * (workers + 1), np.int64)
         self._pool = ThreadPoolExecutor(workers - 1, 'xpbd_ros') if workers > 1 else None
         self._others: list[Future] = []
 
@@ -173,7 +162,7 @@ class Crew:
                     *arguments))
             step(effects, state._replace(team=Team(0, self.workers, self._gate)), *arguments)
         except BaseException:    # such as Ctrl-C, before this thread came to the others
-            self._gate[ENDED] = 1
+            self._gate[-APART] = 1
             raise
         for other in self._others:
             other.result()
