@@ -20,9 +20,9 @@ from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.update import inline
 
 APART = 8
-"""from one thread's number in a gate to the next: a cache line, so that nobody else writes to it"""
+"""from one thread's number in a gate to the next: a cache line, so that only it writes there"""
 EAGER, PATIENCE = 100, 4096
-"""looks at the gate before each is followed by a pause, and before the core is offered to others"""
+"""looks at the gate before the core pauses after each, and before it is offered to others"""
 X86 = binding.get_process_triple().startswith('x86_64')
 
 
