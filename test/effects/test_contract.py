@@ -106,7 +106,8 @@ def single(data, these, c):
     place = runs.place[r] + (anchor - runs.start[r]) % runs.stride[r]
     alone = batch._replace(runs=Runs(
         *(np.array([value]) for value in (anchor, 1, 1, 0)), runs.offset[r:r + 1],
-        *(np.array([value]) for value in (runs.base[r], runs.shape[r], place)), runs.present))
+        *(np.array([value]) for value in (runs.base[r], runs.shape[r], place)),
+        np.array([0, 1, 1]), np.array([0, 1, 2]), runs.present))
     return alone if batch is data else data._replace(edges=alone)
 
 
