@@ -31,7 +31,9 @@ def test_the_readme_lists_every_case():
         pytest.skip('the README is not installed')
     text = ' '.join(README.read_text(encoding='utf-8').split())
     for one in {one.id: one for one in reversed(EVERY)}.values():
-        assert f'{one.id} {one.title}' in text
+        assert f'| {one.id} | {one.title} | ' in text
+    for one in controls():
+        assert f'| {one.scheme} | {one.id} | ' in text
 
 
 def test_every_family_has_cases_with_ids_and_titles():
