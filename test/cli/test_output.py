@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from xpbd_ros.cli.output import write_json
+from xpbd_ros.cli.output import new_folder, write_json
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
@@ -23,6 +23,23 @@ def test_numpy_paths_and_numbers_that_are_not_finite_are_written(tmp_path, monke
 def test_nothing_is_written_where_nothing_was_asked_for(capsys):
     write_json(None, {})
     assert capsys.readouterr().out == ''
+
+
+def test_a_new_folder_is_made_before_the_work_and_goes_if_nothing_came_of_it(tmp_path):
+    with new_folder(None) as folder:
+        assert folder is None
+    with new_folder(str(tmp_path / 'a' / 'b')) as folder:
+        assert folder == tmp_path / 'a' / 'b'
+        assert folder.is_dir()
+    with pytest.raises(InputError, match='b: exists already'), new_folder(folder):
+        pass
+    with pytest.raises(InputError, match='unknown'), new_folder(tmp_path / 'c'):
+        raise InputError('unknown')
+    assert not (tmp_path / 'c').exists()
+    (tmp_path / 'file').touch()
+    with pytest.raises(InputError, match=r'd: cannot be made \(Not a directory\)'), new_folder(
+            tmp_path / 'file' / 'd'):
+        pass
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

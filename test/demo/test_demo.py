@@ -68,7 +68,7 @@ def test_it_leaves_a_picture_and_a_log(demo):
 def test_an_output_that_exists_is_refused(tmp_path, capsys):
     assert main(['demo', '--output', str(tmp_path)]) == 2
     assert capsys.readouterr() == (
-        '', f'xpbd_ros demo: {tmp_path}: exists already; name another folder\n')
+        '', f'xpbd_ros demo: {tmp_path}: exists already; name another, or move it away\n')
     assert list(tmp_path.iterdir()) == []
 
 

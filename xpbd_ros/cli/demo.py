@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -40,18 +40,12 @@ def run(arguments) -> int:
     if not 5.0 <= arguments.duration <= 600.0:
         raise InputError(f'--duration: must be from 5 to 600 s (got {arguments.duration:g})')
     refuse_existing(arguments.json)
-    folder = Path(arguments.output) if arguments.output else fresh_folder('demo')
-    try:
-        folder.mkdir(parents=True)
-    except FileExistsError:
-        raise InputError(f'{folder}: exists already; name another folder') from None
-    except OSError as error:
-        raise InputError(f'{folder}: cannot be made ({error.strerror})') from error
 
     def say(text: str) -> None:
         print(text, file=sys.stderr if arguments.json == '-' else sys.stdout, flush=True)
 
-    play(folder, arguments.duration, say)
+    with new_folder(arguments.output or fresh_folder('demo')) as folder:
+        play(folder, arguments.duration, say)
     say('drawing …')
     from xpbd_ros.demo import report
     numbers = report.make(folder, SCENE)

@@ -1,6 +1,8 @@
 """What every verb writes: its numbers as JSON."""
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 import json
 import os
 from pathlib import Path
@@ -26,7 +28,32 @@ def refuse_existing(destination: str | Path | None) -> None:
     For the start of a long verb, so that it does not end at a file that it may not write.
     """
     if destination is not None and str(destination) != STDOUT and os.path.lexists(destination):
-        raise InputError(f'{destination}: exists already; name another file, or move it away')
+        raise InputError(f'{destination}: exists already; name another, or move it away')
+
+
+@contextmanager
+def new_folder(destination: str | Path | None) -> Iterator[Path | None]:
+    """
+    Make a named folder for what a long verb will write; None names none.
+
+    Before the work, so that it does not end at a folder that cannot be made; what is left empty by
+    work that fails goes again.
+    """
+    if destination is None:
+        yield None
+        return
+    refuse_existing(destination)
+    folder = Path(destination)
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f'{folder}: cannot be made ({error.strerror})') from error
+    try:
+        yield folder
+    except BaseException:
+        with suppress(OSError):
+            folder.rmdir()
+        raise
 
 
 def write_json(destination: str | None, data: dict) -> None:

@@ -8,11 +8,10 @@ is 1 where a row fails or is skipped.
 """
 
 import json
-from pathlib import Path
 import subprocess
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
@@ -34,13 +33,12 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Run the cases and print what came of them."""
     from xpbd_ros.study.stress.run import draw, known_ids, stress, table
-    for output in (arguments.json, arguments.output):
-        refuse_existing(output)
-    results = []
-    live = live_cases(arguments.case) if not arguments.quick else []
-    if arguments.case in (None, *known_ids()) or not live:
-        results += stress(arguments.case, quick=arguments.quick, progress=progress)
-    results = sorted(results + live, key=lambda one: int(one.id[1:]))
+    refuse_existing(arguments.json)
+    with new_folder(arguments.output) as folder:
+        results = live = live_cases(arguments.case) if not arguments.quick else []
+        if arguments.case in (None, *known_ids()) or not live:
+            results = live + stress(arguments.case, quick=arguments.quick, progress=progress)
+    results = sorted(results, key=lambda one: int(one.id[1:]))
     rows = [(result, each) for result in results for each in result.outcomes]
     failed = sum(not each.good and not each.skipped for _, each in rows)
     missing = sum(each.skipped for _, each in rows)
@@ -50,9 +48,7 @@ def run(arguments) -> int:
         'seconds': {result.id: result.seconds for result in results},
         'passed': len(rows) - failed - missing, 'failed': failed, 'skipped': missing,
     }
-    if arguments.output:
-        folder = Path(arguments.output)
-        folder.mkdir(parents=True)
+    if folder:
         numbers['pictures'] = [draw(results, folder / 'stress.png')]
         (folder / 'stress.md').write_text(table(results) + '\n', encoding='utf-8')
     write_json(arguments.json, numbers)

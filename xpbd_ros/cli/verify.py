@@ -7,9 +7,8 @@ fail. The exit code is 1 where a case fails, or a control does not.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
 
 EXAMPLE = 'xpbd_ros verify --case V6'
@@ -29,9 +28,9 @@ def run(arguments) -> int:
     """Run the cases and print what came of them."""
     from xpbd_ros.study.cases.controls import controls
     from xpbd_ros.study.verify import draw, verify
-    for output in (arguments.json, arguments.output):
-        refuse_existing(output)
-    answers = verify(arguments.case, slow=not arguments.quick, progress=progress)
+    refuse_existing(arguments.json)
+    with new_folder(arguments.output) as folder:
+        answers = verify(arguments.case, slow=not arguments.quick, progress=progress)
     wrong = [one for one in controls() if arguments.case in (None, one.id)]
     rows = [row for answer in answers for row in answer.rows]
     failed = sum(not row.good for row in rows) + sum(not one.fails for one in wrong)
@@ -43,9 +42,7 @@ def run(arguments) -> int:
                       'tolerance': one.tolerance, 'fails': one.fails} for one in wrong],
         'passed': len(rows) + len(wrong) - failed, 'failed': failed,
     }
-    if arguments.output:
-        folder = Path(arguments.output)
-        folder.mkdir(parents=True)
+    if folder:
         numbers['pictures'] = draw(answers, folder)
         (folder / 'verify.md').write_text('\n'.join([*table(answers, wrong), '']))
     write_json(arguments.json, numbers)

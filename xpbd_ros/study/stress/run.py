@@ -50,7 +50,8 @@ def stress(chosen: str | None = None, *, quick: bool = False,
     """
     cases = [one for one in all_hard() if chosen in (None, one.id)]
     if not cases:
-        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known_ids())})")
+        known = sorted([*known_ids(), *NODE_CASES], key=lambda one: int(one[1:]))
+        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
     found = []
     for one in progress(cases, 'cases'):
         start = time.perf_counter()
