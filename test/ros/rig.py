@@ -142,6 +142,8 @@ class Peer:
         """Call a service and return its answer."""
         if (kind, service) not in self._clients:
             self._clients[kind, service] = self.node.create_client(kind, service)
+            self.until(self._clients[kind, service].service_is_ready, service)
+            self.spin(0.1)    # or the server may not know yet where to send its answer
         client = self._clients[kind, service]
         self.until(client.service_is_ready, service)
         future = client.call_async(kind.Request() if request is None else request)
