@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from sim.shapes import box, disc, file_of
 from sim.small import run, simulate
 
@@ -51,18 +52,37 @@ def settle(simulation, held, rounds, h=0.01):
     return simulation.frame().x, simulation.natural(state.reaction)
 
 
+def energy_of(f, mu, lame):
+    """Smith et al. 2018, eq 14, with the norm of F kept in place of their barrier."""
+    n, growth = np.sqrt((f * f).sum()), np.linalg.det(f) - 1.0
+    return (0.5 * mu * (n**2 - 3.0 - 2.0 * growth + 8.0 / 9.0 * growth**2 + (n - 3**0.5)**2 / 3.0)
+            + 0.5 * lame * growth**2)
+
+
 def test_the_energy_of_an_affine_patch_is_that_of_stable_neo_hookean():
-    """Smith et al. 2018, eq 14, for any F: inverted and flat ones too."""
+    """For any F: inverted and flat ones, and a point, too."""
     simulation = body(0.4)
     x, rng = simulation.frame().x, np.random.default_rng(3)
     mu, lame = YOUNG / 2.8, YOUNG * 0.4 / (1.4 * 0.2)
     for f in (*(np.eye(3) + s * rng.normal(size=(3, 3)) for s in (0.1, 0.5, 1.0, 4.0)),
               np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 0.0]), np.zeros((3, 3))):
         place(simulation, x @ f.T)
-        det, ratio = np.linalg.det(f), mu / (lame + mu)
-        expected = 0.012 * (0.5 * mu * ((f * f).sum() - 3.0)
-                            + 0.5 * (lame + mu) * ((det - 1.0 - ratio)**2 - ratio**2))
-        assert elastic_energy(simulation) == pytest.approx(expected, rel=1e-12, abs=1e-12)
+        assert elastic_energy(simulation) == pytest.approx(
+            0.012 * energy_of(f, mu, lame), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize('ratio', [0.0, 0.7, 1e3])
+def test_the_energy_has_one_minimum(ratio):
+    """From any F, a reflection or next to a point too, it falls on the way to a rotation."""
+    rng = np.random.default_rng(4)
+    for scale in (1e-6, 0.1, 0.3, 1.0, 3.0):
+        for _ in range(5):
+            found = scale * rng.normal(size=9)
+            best = minimize(lambda f: energy_of(f.reshape(3, 3), 1.0, ratio), found,
+                            method='BFGS', options={'gtol': 1e-9, 'maxiter': 2000})
+            f = best.x.reshape(3, 3)
+            np.testing.assert_allclose(f.T @ f, np.eye(3), atol=1e-4)
+            assert np.linalg.det(f) > 0.0
 
 
 def pulled(poisson, e):
@@ -121,7 +141,7 @@ def test_a_squashed_body_keeps_its_volume_as_poisson_nears_a_half():
     assert lost[2] < 0.002
 
 
-@pytest.mark.parametrize('what', ['flat', 'inside out', 'crumpled'])
+@pytest.mark.parametrize('what', ['flat', 'inside out', 'crumpled', 'in a point'])
 @pytest.mark.parametrize('young', [2e3, 2e9])
 def test_a_body_that_is_flat_or_inside_out_comes_back(what, young):
     """H14; the stiff one is what sqrt(tr FᵀF) for C_D blows up with."""
@@ -129,6 +149,7 @@ def test_a_body_that_is_flat_or_inside_out_comes_back(what, young):
                       scene_effects={'damping': {'rate': 4.0}, 'pin': {}})
     x, rng = simulation.frame().x, np.random.default_rng(2)
     place(simulation, {'flat': x * [1.0, 1.0, 0.0], 'inside out': x * [1.0, 1.0, -1.0],
+                       'in a point': 0.0 * x,
                        'crumpled': x + rng.normal(0.0, 0.5 * SIZE, x.shape)}[what])
     for _ in range(240):
         frame = simulation.step()

@@ -1,27 +1,35 @@
 """
 Volume: bodies of tetrahedra, stable neo-Hookean, as two coupled constraints of each.
 
-With the deformation gradient F = [f1 f2 f3] = [x1-x0, x2-x0, x3-x0] Dm⁻¹ and J = det F, the energy
-of Smith et al. 2018 (stable neo-Hookean, without their barrier) of a rest volume V0 is
+With the deformation gradient F = [f1 f2 f3] = [x1-x0, x2-x0, x3-x0] Dm⁻¹, n = sqrt(tr FᵀF) and
+J = det F, the energy of a rest volume V0 is V0 (μ/2 C_D² + λ/2 C_H²), that is, C_D² / (2 α_D) +
+C_H² / (2 α_H) with
 
-    V0 (μ/2 (tr FᵀF - 3) + (λ+μ)/2 (J - 1 - μ/(λ+μ))²) + const = C_D² / (2 α_D) + C_H² / (2 α_H),
+    C_D² = n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3,  α_D = 1 / (μ V0);
+    C_H = J - 1,                                               α_H = 1 / (λ V0),
 
-    C_D = sqrt(tr FᵀF + J² - 4 J),  α_D = 1 / (μ V0);    C_H = J - 1,  α_H = 1 / (λ V0),
+Lamé's λ and μ of the Young's modulus and Poisson's ratio asked for. It is that of Smith et al.
+2018 (stable neo-Hookean) with another barrier: theirs is -log(n² + 1), and here n is kept as the
+length of an edge is. Without one C_D is 0 in a point as well as at rest, and a tetrahedron that is
+crushed to one stays there; with theirs it leaves ever more slowly, the nearer it is. Here
+C_D² > 0 but at rest (by AM-GM n² ≥ 3 |J|^⅔, and the right side falls up to J = 1 and then rises),
+and what is crushed is pushed out with a force that does not vanish. In a point F / n is taken to
+be that of rest, turned as it is in the scene's file: the same in every run.
 
-with Lamé's λ and μ of the Young's modulus and Poisson's ratio asked for (C_D² ≥ 0 as means
-have it). In this split both constraints are 0 at rest. Macklin and Müller 2021 take sqrt(tr FᵀF)
+In this split both constraints are 0 at rest. Macklin and Müller 2021 take sqrt(tr FᵀF)
 and J - 1 - μ/(λ+μ), whose forces cancel at rest: a substep of more than about sqrt(ρ / E) times
 the size of a tetrahedron then blows up, which here it does not.
 The gradients are [∇1 ∇2 ∇3] = P Dm⁻ᵀ, ∇0 = -∇1 - ∇2 - ∇3, with
 
-    P_D = (F + (J - 2) cof F) / C_D,   P_H = cof F = [f2×f3, f3×f1, f1×f2].
+    P_D = (F - cof F + 8/9 (J - 1) cof F + (n - √3)/3 F/n) / C_D,
+    P_H = cof F = [f2×f3, f3×f1, f1×f2].
 
 Both are solved together: J M Jᵀ + α, 2 by 2, after C_H's gradient is made orthogonal to C_D's, so
 that nothing cancels however stiff the body. det F is a polynomial: a tetrahedron that is flat or
 inside out goes through and comes back.
 
 Limits: poisson from 0 up to, but not, 0.5; linear tetrahedra lock near it, and in bending where
-they are few. A tetrahedron that is crushed to a point stays there, as the energy has it.
+they are few.
 """
 
 from dataclasses import dataclass
@@ -44,6 +52,8 @@ from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
 
 SMALL = 8.0
 """tr FᵀF below which C_D is taken from the strain: at rest its terms cancel"""
+REST = 3.0**0.5
+"""n at rest"""
 
 
 @dataclass(frozen=True)
@@ -190,18 +200,29 @@ def strained(d1, d2, d3, b):
     wx, wy, wz = fy * gz - fz * gy, fz * gx - fx * gz, fx * gy - fy * gx
     j = mix(fx, ux, fy, uy, fz, uz) - 1.0
     # G = FᵀF - 1, its principal minors of order 2 and 3: tr G = 2 j + j² - minors - det
-    e11, e22, e33 = (mix(fx, fx, fy, fy, fz, fz) - 1.0, mix(gx, gx, gy, gy, gz, gz) - 1.0,
-                     mix(hx, hx, hy, hy, hz, hz) - 1.0)
+    ff, gg, hh = (mix(fx, fx, fy, fy, fz, fz), mix(gx, gx, gy, gy, gz, gz),
+                  mix(hx, hx, hy, hy, hz, hz))
+    e11, e22, e33 = ff - 1.0, gg - 1.0, hh - 1.0
     e12, e13, e23 = (mix(fx, gx, fy, gy, fz, gz), mix(fx, hx, fy, hy, fz, hz),
                      mix(gx, hx, gy, hy, gz, hz))
     m23, m13, m12 = e22 * e33 - e23 * e23, e11 * e33 - e13 * e13, e11 * e22 - e12 * e12
     det = e11 * m23 - e12 * (e12 * e33 - e13 * e23) + e13 * (e12 * e23 - e13 * e22)
-    trace = e11 + e22 + e33 + 3.0
-    square = select(trace < SMALL, 2.0 * j * j - (m12 + m13 + m23) - det,
-                    trace + (j + 1.0) * (j + 1.0) - 4.0 * (j + 1.0))
-    deviatoric = ((fma(j, ux, fx - ux), fma(j, uy, fy - uy), fma(j, uz, fz - uz)),
-                  (fma(j, vx, gx - vx), fma(j, vy, gy - vy), fma(j, vz, gz - vz)),
-                  (fma(j, wx, hx - wx), fma(j, wy, hy - wy), fma(j, wz, hz - wz)))
+    strain, trace = e11 + e22 + e33, ff + gg + hh
+    norm = root(trace)
+    longer = strain / (norm + REST)    # n - √3
+    square = (select(trace < SMALL, j * j - (m12 + m13 + m23) - det, strain - 2.0 * j)
+              + (8.0 / 9.0) * j * j + longer * longer / 3.0)
+    there = norm > 0.0
+    per = longer / (3.0 * select(there, norm, 1.0))
+    alone = select(there, 0.0, per / REST)    # of what is a point
+    more = (8.0 / 9.0) * j
+    deviatoric = (
+        (fma(more, ux, fma(per, fx, fx - ux)) + alone, fma(more, uy, fma(per, fy, fy - uy)),
+         fma(more, uz, fma(per, fz, fz - uz))),
+        (fma(more, vx, fma(per, gx, gx - vx)), fma(more, vy, fma(per, gy, gy - vy)) + alone,
+         fma(more, vz, fma(per, gz, gz - vz))),
+        (fma(more, wx, fma(per, hx, hx - wx)), fma(more, wy, fma(per, hy, hy - wy)),
+         fma(more, wz, fma(per, hz, hz - wz)) + alone))
     return square, j, deviatoric, ((ux, uy, uz), (vx, vy, vz), (wx, wy, wz))
 
 
@@ -273,7 +294,12 @@ def react_volume(volume, state, substep):
                 e[a, n] = (f[0, a] * f[0, n] + f[1, a] * f[1, n] + f[2, a] * f[2, n]
                            - (1.0 if a == n else 0.0))
         j = f[0, 0] * c[0, 0] + f[1, 0] * c[1, 0] + f[2, 0] * c[2, 0] - 1.0
-        square = 2.0 * j * j
+        norm = 0.0
+        for a in range(3):
+            norm += f[0, a] * f[0, a] + f[1, a] * f[1, a] + f[2, a] * f[2, a]
+        norm = np.sqrt(norm)
+        longer = (e[0, 0] + e[1, 1] + e[2, 2]) / (norm + REST)
+        square = 17.0 / 9.0 * j * j + longer * longer / 3.0
         for a in range(3):
             n, o = (a + 1) % 3, (a + 2) % 3
             minor = e[n, n] * e[o, o] - e[n, o] * e[n, o]
@@ -281,7 +307,9 @@ def react_volume(volume, state, substep):
         per = volume.force[0, index] / np.sqrt(square) if square > 0.0 else 0.0
         for a in range(3):
             for axis in range(3):
-                stress = (per * (f[axis, a] - c[axis, a] + j * c[axis, a])
+                turn = f[axis, a] / norm if norm > 0.0 else (axis == a) / REST
+                stress = (per * (f[axis, a] - c[axis, a] + 8.0 / 9.0 * j * c[axis, a]
+                                 + longer / 3.0 * turn)
                           + volume.force[1, index] * c[axis, a])
                 for i in range(3):
                     pull = part * stress * b[i, a]
@@ -321,9 +349,9 @@ class Tetrahedra:
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return C_D and C_H, shape (tetrahedra, 2), straight from the definition."""
         f = self.gradient(x)
-        det = np.linalg.det(f)
-        square = (f * f).sum((1, 2)) + det * det - 4.0 * det
-        return np.stack([np.sqrt(np.maximum(square, 0.0)), det - 1.0], 1)
+        growth, square = np.linalg.det(f) - 1.0, (f * f).sum((1, 2))
+        square += (8.0 / 9.0 * growth**2 - 3.0 - 2.0 * growth + (np.sqrt(square) - REST)**2 / 3.0)
+        return np.stack([np.sqrt(np.maximum(square, 0.0)), growth], 1)
 
     def energy(self, x: np.ndarray) -> float:
         """Return Σ C_D² / (2 α_D) + C_H² / (2 α_H) [J]."""

@@ -50,6 +50,8 @@ GUARDS = (
     Guard('H8', 'line bdf2 8x1 nearly a line, stiff', 'what is squeezed flat is not thrown out',
           'effects/membrane.py', 'squeezed = larger(0.5 * root(shortest) - shortest, 0.0)',
           'squeezed = 0.0 * shortest'),
+    Guard('H9', 'line bdf2 8x1 a point', 'a body in a point opens as its rest shape lies',
+          'effects/volume.py', 'alone = select(there, 0.0, per / REST)', 'alone = 0.0 * per'),
     Guard('H13', 'line bdf2 8x1 both', 'targets are followed at a largest speed',
           'sim/motion.py',
           'slower = min(1.0, self.max_speed * dt / distance if distance > 0.0 else 1.0)',
