@@ -43,18 +43,18 @@ def test_a_shipped_scene_keeps_within_its_budget(name):
     assert simulation.solver.substeps >= LEAST
 
 
-def test_it_takes_a_quarter_of_the_substeps_that_an_explicit_solver_needs():
-    """frame_dt √(Σ k / m) / 4, for the worst edge; and never fewer than four."""
+def test_it_takes_a_fifth_of_the_substeps_that_an_explicit_solver_needs():
+    """0.18 frame_dt √(Σ k / m), for the worst edge; and never fewer than four."""
     solver = resolved({'compliance': 1e-3})
     weight = 0.2 / 19**2    # of an inner particle; of a corner a quarter, at the rim half
     rate = (4.0 + 2.0) / weight / 2.0 / 1e-3
-    assert solver.substeps == ceil(sqrt(rate) / 60.0 / 4.0)
-    assert (solver.method, solver.integrator) == ('line', 'bdf2')
+    assert solver.substeps == ceil(0.18 * sqrt(rate) / 60.0)
+    assert (solver.method, solver.integrator) == ('line', 'ndf2')
     assert solver.reason.startswith(
-        f'auto: line, bdf2, {solver.substeps} substeps resolve the stretch, about ')
+        f'auto: line, ndf2, {solver.substeps} substeps resolve the stretch, about ')
     assert resolved({'compliance': 10.0}).substeps == LEAST == 4
     half = resolved({'compliance': 1e-3}, frame_rate=120.0)
-    assert half.substeps == ceil(sqrt(rate) / 120.0 / 4.0)
+    assert half.substeps == ceil(0.18 * sqrt(rate) / 120.0)
 
 
 def test_what_is_stiffer_gets_as_many_substeps_or_more_and_rigid_most_of_all():
@@ -107,18 +107,23 @@ def test_a_budget_for_nothing_buys_one_substep():
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('auto', 'bdf2'), ('line', 'bdf2'), ('gauss_seidel_symmetric', 'bdf2'),
+    ('auto', 'ndf2'), ('line', 'ndf2'), ('gauss_seidel_symmetric', 'bdf2'),
     ('gauss_seidel', 'backward_euler')])
 def test_the_integrator_goes_with_the_method_unless_given(method, integrator):
     assert resolved(solver={'method': method}).integrator == integrator
-    for given in ('backward_euler', 'bdf2'):
+    for given in ('backward_euler', 'bdf2', 'ndf2'):
         assert resolved(solver={'method': method, 'integrator': given}).integrator == given
+
+
+def test_too_few_substeps_for_ndf2_are_of_bdf2():
+    few, enough = (resolved({'compliance': 1e-3}, solver={'substeps': n}) for n in (6, 7))
+    assert (few.integrator, enough.integrator) == ('bdf2', 'ndf2')
 
 
 def test_what_is_given_is_taken():
     solver = resolved(solver={'substeps': 3, 'iterations': 2})
     assert (solver.method, solver.substeps, solver.iterations) == ('line', 3, 2)
-    assert solver.reason == 'line, bdf2, 3 substeps as given'
+    assert solver.reason == 'line, ndf2, 3 substeps as given'
     solver = resolved({'compliance': 0.0}, solver={'substeps': 5000, 'method': 'gauss_seidel',
                                                    'budget_ms': 1e-3})
     assert (solver.method, solver.substeps) == ('gauss_seidel', 5000)

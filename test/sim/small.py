@@ -48,7 +48,8 @@ SHAPES = {'volume': lambda: box((2, 1, 1), 0.2), 'pressure': lambda: ball(1)}
 OF_SHEETS = [name for name, scope in EFFECTS.items() if scope == 'cloth' and name not in SHAPES]
 SETTINGS = [*((method, integrator) for method in ('gauss_seidel', 'gauss_seidel_symmetric', 'line',
                                                   'jacobi')
-              for integrator in ('backward_euler', 'bdf2')), ('explicit', 'leapfrog')]
+              for integrator in ('backward_euler', 'bdf2')),
+            ('line', 'ndf2'), ('explicit', 'leapfrog')]
 """each method with each integrator that goes with it"""
 
 

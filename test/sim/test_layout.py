@@ -99,7 +99,7 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
     for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
         assert (array[..., padding] == 0.0).all()
     assert state.history is state.apart is None
-    state = solved_by(state, history=True, apart=None, constraints=[])
+    state = solved_by(state, integrator='bdf2', apart=None, constraints=[])
     assert (state.history.fresh == 1.0).all()
     state.history.fresh[:] = 0.0
     forget(state, slot[3])

@@ -42,7 +42,8 @@ def slope(errors: list[float]) -> float:
     return float(np.polyfit(np.arange(len(errors)), -np.log2(errors), 1)[0])
 
 
-@pytest.mark.parametrize(('integrator', 'order'), [('backward_euler', 1), ('bdf2', 2)])
+@pytest.mark.parametrize(('integrator', 'order'), [
+    ('backward_euler', 1), ('bdf2', 2), ('ndf2', 2)])
 @pytest.mark.parametrize('method', METHODS)
 def test_oscillation_converges_at_the_order_of_the_integrator(method, integrator, order):
     errors = []
@@ -59,7 +60,8 @@ def test_oscillation_converges_at_the_order_of_the_integrator(method, integrator
     assert slope(errors) == pytest.approx(order, abs=0.15)
 
 
-@pytest.mark.parametrize(('integrator', 'order'), [('backward_euler', 1), ('bdf2', 2)])
+@pytest.mark.parametrize(('integrator', 'order'), [
+    ('backward_euler', 1), ('bdf2', 2), ('ndf2', 2)])
 def test_spinning_pair_loses_momentum_at_the_order_of_the_integrator(integrator, order):
     errors = []
     for substeps in (32, 64, 128, 256):

@@ -17,8 +17,8 @@ import numpy as np
 
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.multistep import step_of
 from xpbd_ros.sim.stages import force, stage
-from xpbd_ros.sim.state import step_of
 from xpbd_ros.sim.vector import lanes, load, select, store
 
 

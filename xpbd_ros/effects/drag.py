@@ -32,10 +32,10 @@ from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.multistep import lose_history, step_at
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import load_records, new_records, store_records
 from xpbd_ros.sim.stages import force, react, stage
-from xpbd_ros.sim.state import lose_history
 from xpbd_ros.sim.vector import fma, lanes, larger, root, select
 
 RESOLVED = 0.5
@@ -82,14 +82,6 @@ def _air(wind, k):    # Numba prunes a branch on None where that is an argument
     return wind[k]
 
 
-@jit
-def _step(history, i, h):
-    """Return H of a particle [s]."""
-    if history is None:
-        return h
-    return h if history.fresh[i] > 0.5 else 2.0 / 3.0 * h
-
-
 @stage(force, Drag)
 @jit
 def drag_triangles(drag, state, substep):
@@ -98,7 +90,7 @@ def drag_triangles(drag, state, substep):
     x, v, gravity = state.x, state.v, state.gravity
     wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
     for i in range(first, last):
-        fall = _step(state.history, i, substep.h) if state.inv_mass[i] > 0.0 else 0.0
+        fall = step_at(state.history, i, substep.h) if state.inv_mass[i] > 0.0 else 0.0
         drag.x[i, 0], drag.x[i, 1], drag.x[i, 2] = x[0, i], x[1, i], x[2, i]
         drag.u[i, 0] = wx - (v[0, i] - fall * gravity[0])
         drag.u[i, 1] = wy - (v[1, i] - fall * gravity[1])
@@ -108,7 +100,7 @@ def drag_triangles(drag, state, substep):
             drag.across[i, k] = 0.0
     _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
     for i in range(first, last):
-        step = _step(state.history, i, substep.h)
+        step = step_at(state.history, i, substep.h)
         if _carry(drag, state, i, step) > RESOLVED:
             lose_history(state.history, i)
 

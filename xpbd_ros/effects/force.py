@@ -19,8 +19,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.multistep import step_of
 from xpbd_ros.sim.stages import force, kick, react, stage
-from xpbd_ros.sim.state import step_of
 from xpbd_ros.sim.vector import fma, lanes, load, select, store
 
 Vector = tuple[float, float, float]

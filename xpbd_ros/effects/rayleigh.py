@@ -7,7 +7,7 @@ at the rate ω² time / 2, fast ones before slow ones, and motion as a whole goe
 
 Limits: it acts on ``stretch`` and ``shear``; rigid edges (compliance 0) have nothing to damp. The
 methods ``line`` and ``explicit`` do without it and are refused; ``auto`` takes
-``gauss_seidel_symmetric``. In a BDF2 substep without a history it is 1.5 times as strong.
+``gauss_seidel_symmetric``. In a substep without a history it is stronger, by h / H.
 """
 
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from typing import NamedTuple
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.multistep import step_at, usual_step
 from xpbd_ros.sim.records import new_records
 from xpbd_ros.sim.relax import Past
 from xpbd_ros.sim.stages import prepare, stage
@@ -37,25 +38,17 @@ class Rayleigh(NamedTuple):
 @stage(prepare, Rayleigh)
 @jit
 def keep_past(rayleigh, state, substep):
-    """x̄ = x_n, or (4 x_n - x_{n-1}) / 3; what is pinned has the velocity that its pin gives it."""
-    _keep(rayleigh.past, state, state.history, substep.h)
-
-
-@jit
-def _keep(past, state, history, h):    # Numba prunes a branch on None where that is an argument
-    past.per_step[0] = 1.0 / h
-    if history is not None:
-        past.per_step[0] = 1.5 / h
+    """x̄ = x - H v as predicted; what is pinned has the velocity that its pin gives it."""
+    past, h = rayleigh.past, substep.h
+    usual = usual_step(state.history, h)
+    past.per_step[0] = 1.0 / usual
     for i in range(len(state.inv_mass)):
+        step = step_at(state.history, i, h)
         for k in range(3):
-            before = state.x_prev[k, i]
-            if history is not None:
-                if state.inv_mass[i] == 0.0:
-                    before = state.x[k, i] - (state.x[k, i] - before) * (2.0 / 3.0)
-                elif history.fresh[i] < 0.5:
-                    before += (before - history.x[k, i]) / 3.0
-            past.x[k, i] = before
-            past.records[i, k] = before
+            way = step * state.v[k, i]
+            if state.inv_mass[i] == 0.0:
+                way = (state.x[k, i] - state.x_prev[k, i]) * (usual / h)
+            past.x[k, i] = past.records[i, k] = state.x[k, i] - way
 
 
 class BuiltRayleigh(Built):

@@ -21,7 +21,8 @@ from xpbd_ros.sim.simulation import Frame, Simulation
 LATCHED = Qos(durability='transient_local', depth=1)
 STREAM = Qos(depth=5)
 STATE_FIELDS = 'x y z vx vy vz'
-HISTORY_FIELDS = ' x_before y_before z_before vx_before vy_before vz_before fresh'
+HISTORY_FIELDS = ' x_before y_before z_before vx_before vy_before vz_before'
+OLDER_FIELDS = ' x_older y_older z_older vx_older vy_older vz_older'
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,9 @@ class Outputs:
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
         several = len(simulation.cloths) > 1
-        fields = STATE_FIELDS + (HISTORY_FIELDS if simulation.state.history else '')
+        fields, history = STATE_FIELDS, simulation.state.history
+        if history is not None:
+            fields += HISTORY_FIELDS + OLDER_FIELDS * (history.older_x is not None) + ' fresh'
         for index, cloth in enumerate(simulation.cloths):
             base = f'cloth/{cloth.name}/' if several else ''
             self._add(Output(f'{base}particles', PointCloud2, STREAM))
@@ -82,8 +85,9 @@ class Outputs:
         """Return the state whole, in float64, with what the integrator remembers."""
         columns, history = [frame.x, frame.v], self.simulation.state.history
         if history is not None:
-            columns += [self.simulation.natural(history.x), self.simulation.natural(history.v),
-                        history.fresh[self.simulation.slot][:, None]]
+            columns += [self.simulation.natural(array) for array in history[:-1]
+                        if array is not None]
+            columns.append(history.fresh[self.simulation.slot][:, None])
         table = np.hstack(columns)
         return {topic: cloud.bytes(table[cloud.cloth.particles], time_ns)
                 for topic, cloud in self._states.items()}

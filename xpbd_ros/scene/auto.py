@@ -8,8 +8,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.model import SolverKeys
 from xpbd_ros.sim.simulation import Solver
 
-INTEGRATOR = {'auto': 'bdf2', 'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2',
-              'gauss_seidel': 'backward_euler', 'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
+INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
+              'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
 """what goes with each method: BDF2 wants a sweep that is symmetric"""
 NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
       'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 7.0},
@@ -19,10 +19,16 @@ NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
 MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
-RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'line': 0.25, 'jacobi': 1.0,
-           'explicit': 1.15}
+RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'jacobi': 1.0, 'explicit': 1.15}
 """substeps that a method wants, for each that an explicit one needs to be stable"""
+LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.18}
+"""the same for ``line``, for all edges; what lines do not take is swept, and wants all its own"""
 LEAST = 4
+
+
+def share(method: str, integrator: str) -> float:
+    """Return the substeps that a setting wants, for each that an explicit one needs."""
+    return LINE[integrator] if method == 'line' else RESOLVE[method]
 
 
 def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
@@ -40,9 +46,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
 
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
     the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
-    them for a millimetre on a metre (NUMERICS 5.8); Gauss-Seidel needs all, to be as stiff as
-    asked. ``explicit`` itself takes the bound of ``stability_limit``, and some more.
-    ``budget_ms`` bounds the substeps by the cost table above.
+    them for a millimetre on a metre (NUMERICS 5.8), with NDF2 a fifth; Gauss-Seidel needs all, to
+    be as stiff as asked, also for what lines leave to it. ``explicit`` itself takes the bound of
+    ``stability_limit``, and some more. ``budget_ms`` bounds the substeps by the cost table above.
     """
     barred = {method: name for name, built in effects.items() for method in built.not_with}
     method = keys.method
@@ -51,9 +57,14 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     if method in barred:
         raise InputError(f"solver.method: '{method}' does without {barred[method]}, which the "
                          'scene has; take gauss_seidel_symmetric, gauss_seidel or jacobi')
+    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
+    needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
+    if keys.integrator is None and method == 'line' and max(LINE['ndf2'] * needed, swept) <= (
+            keys.substeps or affordable):
+        integrator = 'ndf2'
     if (integrator == 'leapfrog') != (method == 'explicit'):
-        fitting = 'leapfrog' if method == 'explicit' else 'backward_euler or bdf2'
+        fitting = 'leapfrog' if method == 'explicit' else 'backward_euler, bdf2 or ndf2'
         raise InputError(f"solver.integrator: method '{method}' goes with {fitting} "
                          f"(got '{integrator}')")
     if method == 'explicit' and keys.iterations > 1:
@@ -61,19 +72,16 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
                          f'{keys.iterations}); give it more substeps')
     chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
               'precision': keys.precision, 'threads': keys.threads}
-    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
-    rate = sum(stretch_rate(name, built, state, method) for name, built in effects.items()
-               if built.constraints is not None and (built.constraints.particles.shape[1] < 4
-                                                     or hasattr(built.constraints, 'stretch')))
-    needed = frame_dt * sqrt(rate) if rate < 1e20 else inf
     if method == 'explicit':
         needed = frame_dt * stability_limit(effects, state)
-        chosen['rough_substeps'] = _bounded(RESOLVE['line'] * needed, max(1, int(
+        chosen['rough_substeps'] = _bounded(LINE['backward_euler'] * needed, max(1, int(
             keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state))))
     if keys.substeps is not None:
         return Solver(substeps=keys.substeps, reason=f'{method}, {integrator}, '
                       f'{keys.substeps} substeps as given', **chosen)
-    wanted = RESOLVE[method] * needed
+    wanted = share(method, integrator) * needed
+    if method == 'line':
+        wanted = max(wanted, swept)
     if method == 'explicit':
         if wanted > affordable:
             raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
@@ -134,15 +142,24 @@ def stability_limit(effects, state) -> float:
     return 0.5 * sqrt(rate.max(initial=0.0))
 
 
-def stretch_rate(name, built, state, method) -> float:
-    """
-    Return the largest k / m of edges, or what others have in its place [1/s²].
-
-    What has no lines wants all that an explicit method needs, whatever the method.
-    """
-    if built.constraints.particles.shape[1] == 2:
-        return largest_rate(built.constraints, state.mass)
-    return (stability_limit({name: built}, state) / min(1.0, RESOLVE[method]))**2
+def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
+    """Return the substeps that an explicit solver needs for all, and for what no line takes."""
+    on_lines, swept = 0.0, 0.0
+    for name, built in effects.items():
+        if built.constraints is None:
+            continue
+        size = built.constraints.particles.shape[1]
+        if size == 2:
+            for part, edges in zip(built.parts, built.by_part):
+                rate = largest_rate(edges, state.mass)
+                if hasattr(part, 'lines'):
+                    on_lines += rate
+                else:
+                    swept += rate
+        elif size < 4 or hasattr(built.constraints, 'stretch'):
+            swept += stability_limit({name: built}, state)**2
+    return tuple(frame_dt * sqrt(rate) if rate < 1e20 else inf
+                 for rate in (on_lines + swept, swept))
 
 
 def largest_rate(edges, mass) -> float:

@@ -59,7 +59,7 @@ def compile_scene(scene: Scene) -> Simulation:
     try:
         effects = _build(scene, tuple(cloths), state)
         solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
-        state = solved_by(state, history=solver.integrator == 'bdf2',
+        state = solved_by(state, integrator=solver.integrator,
                           apart=APART.get(solver.method),
                           constraints=[these.particles for built in effects.values()
                                        for these in built.by_part])

@@ -14,7 +14,7 @@ class SolverKeys:
 
     method: str = quantity('auto', choices=('auto', 'gauss_seidel', 'gauss_seidel_symmetric',
                                             'line', 'jacobi', 'explicit'))
-    integrator: str | None = quantity(None, choices=('backward_euler', 'bdf2', 'leapfrog'),
+    integrator: str | None = quantity(None, choices=('backward_euler', 'bdf2', 'ndf2', 'leapfrog'),
                                       doc='what goes with the method unless given')
     substeps: int | None = quantity(None, minimum=1, maximum=10_000, live=True,
                                     doc='per frame; what auto chooses unless given')

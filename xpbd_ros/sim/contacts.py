@@ -8,8 +8,8 @@ import numpy as np
 from xpbd_ros.sim.colliders import Colliders, signed_distance, to_local, to_world, write_pose
 from xpbd_ros.sim.crossing import look_back
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.multistep import lose_history
 from xpbd_ros.sim.rotation import rotate
-from xpbd_ros.sim.state import lose_history
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""

@@ -71,17 +71,24 @@ def refine(state: State, h: float, factor: int) -> None:
     """
     Let the history of substeps of h be one of substeps of h / factor.
 
-    x_{n-1} and v_{n-1} move up onto the cubic through x and v at both ends of the last substep,
-    which is of higher order than BDF2.
+    It moves up onto the cubic through x and v at both ends of the last substep, which is of higher
+    order than BDF2 and NDF2.
     """
-    if state.history is None or factor == 1:
+    history = state.history
+    if history is None or factor == 1:
         return
-    x0, v0 = state.history.x.copy(), state.history.v.copy()
-    x1, v1, s = state.x, state.v, 1.0 - 1.0 / factor
-    state.history.x[:] = ((1 + 2 * s) * (1 - s)**2 * x0 + s * (1 - s)**2 * h * v0
-                          + s**2 * (3 - 2 * s) * x1 - s**2 * (1 - s) * h * v1)
-    state.history.v[:] = (6 * s * (1 - s) * (x1 - x0) / h
-                          + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1)
+    last = history.x.copy(), history.v.copy(), state.x, state.v
+    history.x[:], history.v[:] = _cubic(*last, h, 1.0 - 1.0 / factor)
+    if history.older_x is not None:
+        history.older_x[:], history.older_v[:] = _cubic(*last, h, 1.0 - 2.0 / factor)
+
+
+def _cubic(x0, v0, x1, v1, h: float, s: float):
+    """Return position and velocity at the part s of a substep from its ends."""
+    return ((1 + 2 * s) * (1 - s)**2 * x0 + s * (1 - s)**2 * h * v0
+            + s**2 * (3 - 2 * s) * x1 - s**2 * (1 - s) * h * v1,
+            6 * s * (1 - s) * (x1 - x0) / h
+            + (1 - s) * (1 - 3 * s) * v0 + s * (3 * s - 2) * v1)
 
 
 def estimate(start: Start, end: np.ndarray, *, frame: int, slot: np.ndarray,

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.multistep import lose_history
 from xpbd_ros.sim.nearby import gone
-from xpbd_ros.sim.state import lose_history
 
 CLEAR = 0.05
 """of a pair's distance: how far before its plane a side stops"""

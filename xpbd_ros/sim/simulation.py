@@ -235,7 +235,7 @@ class Simulation:
         """Return 64 bits that change with any bit of the state."""
         digest = hashlib.blake2b(digest_size=8)
         state, history = self.state, self.state.history
-        remembered = () if history is None else (history.x, history.v, history.fresh)
+        remembered = [array for array in history or () if array is not None]
         for array in (state.x, state.v, state.inv_mass, *remembered):
             digest.update(np.ascontiguousarray(array[..., self.slot]))
         return int.from_bytes(digest.digest(), 'little')

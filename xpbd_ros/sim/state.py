@@ -1,15 +1,13 @@
 """
 Particle state, and the kernels that integrate it.
 
-Both integrators read (NUMERICS 2.14; Macklin et al. 2016, algorithm 1 for backward Euler)
+All integrators read (NUMERICS 2.14; Macklin et al. 2016, algorithm 1 for backward Euler)
 
     x = x̄ + H v,   v = v̄ + H (g + forces / m),   then projections with mobilities w H²
 
-    backward Euler   H = h       x̄ = x_n                      v̄ = v_n
-    BDF2             H = 2h/3    x̄ = (4 x_n - x_{n-1}) / 3    v̄ = (4 v_n - v_{n-1}) / 3
-
-and end with v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h). A particle without a history (at
-the start, after a contact, a grasp, a release or a reset) takes a backward Euler step.
+and end with v = (x - x̄) / H. Backward Euler has H = h, x̄ = x_n, v̄ = v_n; ``multistep`` has the
+others. A particle without a history (at the start, after a contact, a grasp, a release or a reset)
+takes a backward Euler step.
 """
 
 from typing import NamedTuple
@@ -18,20 +16,19 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
+from xpbd_ros.sim.multistep import (
+    aged,
+    History,
+    mean,
+    new_history,
+    NONE,
+    remember,
+    TOUCHED,
+    weights,
+)
 from xpbd_ros.sim.team import share, Team, wait
 from xpbd_ros.sim.update import Explicit, inline, Jacobi
 from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
-
-
-class History(NamedTuple):
-    """What BDF2 remembers of the substep before."""
-
-    x: np.ndarray
-    """x_{n-1} [m], shape (3, slots)"""
-    v: np.ndarray
-    """v_{n-1} [m/s], shape (3, slots)"""
-    fresh: np.ndarray
-    """0: has a history; 1: has none, this substep; 2: touched in it; shape (slots,)"""
 
 
 class State(NamedTuple):
@@ -105,29 +102,24 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     return state
 
 
-def solved_by(state: State, *, history: bool, apart: type | None, constraints) -> State:
+def solved_by(state: State, *, integrator: str, apart: type | None, constraints) -> State:
     """
     Return the same particles, with what their solver needs besides.
 
     Parameters
     ----------
     state : of ``new_state``
-    history : whether the integrator remembers a substep
+    integrator : says what is remembered of earlier substeps
     apart : Jacobi or Explicit, where moves are added up
     constraints : particles of all constraints, a list of (constraints, particles of one)
 
     """
     slots, dtype = state.x.shape[1], state.x.dtype
 
-    def vectors():
-        return zeros((3, slots), dtype)
-
-    if history:
-        state = state._replace(history=History(vectors(), vectors(), zeros(slots, dtype)))
-        forget(state)
+    state = state._replace(history=new_history(integrator, slots, dtype))
     if apart is not None:
         state = state._replace(apart=apart(
-            vectors(), zeros((slots, 4), dtype),
+            zeros((3, slots), dtype), zeros((slots, 4), dtype),
             *([np.full(1, _most_constraints(constraints, state.mass > 0.0), dtype)]
               * (apart is Jacobi))))
     return state
@@ -153,14 +145,7 @@ def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
 def forget(state: State, particles=slice(None)) -> None:
     """Let particles start anew: their next substep is one of backward Euler."""
     if state.history is not None:
-        state.history.fresh[particles] = 1.0
-
-
-@jit
-def lose_history(history, i):
-    """Mark a particle as touched in this substep: it ends it with backward Euler."""
-    if history is not None:
-        history.fresh[i] = 2.0
+        state.history.fresh[particles] = NONE
 
 
 @jit(inline=True)
@@ -183,7 +168,7 @@ def _begin(state, history, h):    # Numba prunes a branch on None where that is 
     if history is None:
         _begin_euler(state, h)
     else:
-        _begin_bdf2(state, history, h)
+        _begin_multistep(state, history, history.older_x, history.older_v, h)
 
 
 @jit
@@ -204,34 +189,23 @@ def _begin_euler(state, h):
 
 
 @jit
-def _begin_bdf2(state, history, h):
+def _begin_multistep(state, history, older_x, older_v, h):
     x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
     first, last = own(state)
     for q in range(first, last, lanes(w)):
         wq = load(w, q)
         free = wq > 0.0
-        euler = load(history.fresh, q) > 0.5
-        past = select(euler, splat(w, 0.0), splat(w, 1.0 / 3.0))
-        step = select(euler, splat(w, h), splat(w, 2.0 / 3.0 * h))
+        step, a, b = weights(older_x, w, load(history.fresh, q), h)
         store(state.mobility, q, wq * (step * step))
         for k in range(3):
             i = k * slots + q
             xi, vi = load(x, i), load(v, i)
-            x_mean = xi + past * (xi - load(history.x, i))
-            v_mean = vi + past * (vi - load(history.v, i))
-            moved = v_mean + step * state.gravity[k]
+            x_mean = mean(xi, history.x, older_x, i, a, b)
+            moved = mean(vi, history.v, older_v, i, a, b) + step * state.gravity[k]
             store(state.x_prev, i, xi)
-            store(history.v, i, vi)
+            remember(vi, history.v, older_v, i)
             store(v, i, select(free, moved, vi))
             store(x, i, select(free, x_mean + step * moved, xi))
-
-
-@jit
-def step_of(history, w, q, h):
-    """Return H of the particles from slot q on: a vector [s]."""
-    if history is None:
-        return splat(w, h)
-    return select(load(history.fresh, q) > 0.5, splat(w, h), splat(w, 2.0 / 3.0 * h))
 
 
 def velocity(v, now, start, step, plain):
@@ -253,7 +227,7 @@ def _velocity(v, now, start, step, plain):
 
 @jit
 def update_velocity(state, substep):
-    """v = (x - x_n) / h or (3 x - 4 x_n + x_{n-1}) / (2 h); what was touched has no history."""
+    """v = (x - x̄) / H; what was touched has no history."""
     _update_velocity(state, state.history, substep.h)
     wait(state.team)
 
@@ -263,7 +237,7 @@ def _update_velocity(state, history, h):
     if history is None:
         _update_euler(state, h)
     else:
-        _update_bdf2(state, history, h)
+        _update_multistep(state, history, history.older_x, h)
 
 
 @jit
@@ -280,24 +254,21 @@ def _update_euler(state, h):
 
 
 @jit
-def _update_bdf2(state, history, h):
-    v, w, slots, per_h = state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
+def _update_multistep(state, history, older_x, h):
+    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
     first, last = own(state)
     for q in range(first, last, lanes(w)):
-        fresh, free = load(history.fresh, q), load(w, q) > 0.0
-        as_predicted, smooth = both(free, fresh < 1.5), both(free, fresh < 0.5)
-        part = select(smooth, splat(w, 0.5), splat(w, 0.0))
-        past = select(smooth, splat(w, 1.0 / 3.0), splat(w, 0.0))
-        step = select(smooth, splat(w, 2.0 / 3.0 * h), splat(w, h))
-        store(history.fresh, q, select(fresh > 1.5, splat(w, 1.0), splat(w, 0.0)))
+        fresh = load(history.fresh, q)
+        as_predicted = both(load(w, q) > 0.0, fresh < TOUCHED)
+        step, a, b = weights(older_x, w, fresh, h)
+        store(history.fresh, q, aged(older_x, w, fresh))
         for k in range(3):
             i = k * slots + q
             xi, xp = load(state.x, i), load(state.x_prev, i)
-            now, before = xi - xp, xp - load(history.x, i)
-            plain = (now + part * (now - before)) * per_h
-            store(v, i, select(as_predicted, velocity(
-                load(v, i), xi, xp + past * before, step, plain), plain))
-            store(history.x, i, xp)
+            start = mean(xp, history.x, older_x, i, a, b)
+            plain = (xi - start) / step
+            store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, plain), plain))
+            remember(xp, history.x, older_x, i)
 
 
 @jit

@@ -15,7 +15,7 @@ import numpy as np
 
 from xpbd_ros.sim.contacts import shortened
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.state import lose_history
+from xpbd_ros.sim.multistep import lose_history
 
 
 class Rubbing(NamedTuple):

@@ -102,11 +102,14 @@ def test_numerical_damping_is_that_of_the_recurrences(angle):
     roots = np.roots([1.5 - 1j * angle, -2.0, 0.5])
     assert factor('bdf2', angle) == pytest.approx(np.abs(roots).max(), rel=1e-12)
     assert factor('bdf2', 0.01) == pytest.approx(1.0 - 0.01**4 / 4.0, abs=1e-11)
+    roots = np.roots([5.0 - 3j * angle, -7.5, 3.0, -0.5])
+    assert factor('ndf2', angle) == pytest.approx(np.abs(roots).max(), rel=1e-12)
+    assert factor('ndf2', angle) <= 1.0
 
 
 def test_decay_goes_with_the_integrator():
     slow, fast = (check(load_scene('swing', {'solver.substeps': 32, 'solver.integrator': name}))
-                  for name in ('bdf2', 'backward_euler'))
+                  for name in ('ndf2', 'backward_euler'))
     for a, b in zip(slow.decay, fast.decay):
         assert (a.mode, a.frequency_hz) == (b.mode, b.frequency_hz)
         assert 0.0 < a.lost_per_second < b.lost_per_second <= 1.0

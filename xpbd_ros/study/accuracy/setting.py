@@ -109,7 +109,8 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
     if scene_itself.method in methods:
         add(scene_itself)
     for method in methods:
-        integrators = (('leapfrog',) if method == 'explicit' else ('backward_euler', 'bdf2'))
+        integrators = (('leapfrog',) if method == 'explicit' else
+                       ('backward_euler', 'bdf2', 'ndf2'))
         try:
             keys = {'method': method, 'integrator': integrators[0], 'iterations': 1,
                     'substeps': None, 'precision': 'float64', 'budget_ms': UNBOUND_MS}

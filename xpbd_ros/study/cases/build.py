@@ -9,7 +9,7 @@ from xpbd_ros.sim.simulation import Frame, Simulation
 G = 9.80665
 DOWN = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
 """turns a cloth so that its warp points down"""
-BE, BDF2 = 'backward_euler', 'bdf2'
+BE, BDF2, NDF2 = 'backward_euler', 'bdf2', 'ndf2'
 
 
 def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0.0, 0.0, -G),

@@ -3,10 +3,20 @@
 import numpy as np
 from scipy.special import ellipk
 
-from xpbd_ros.study.cases.build import BDF2, BE, build, crossing, G, hold, place, run
+from xpbd_ros.study.cases.build import (
+    BDF2,
+    BE,
+    build,
+    crossing,
+    G,
+    hold,
+    NDF2,
+    place,
+    run,
+)
 from xpbd_ros.study.cases.case import case, order, value
 
-ORDERS = ((BE, 1.0), (BDF2, 2.0))
+ORDERS = ((BE, 1.0), (BDF2, 2.0), (NDF2, 2.0))
 
 
 @case('V1', 'free fall')

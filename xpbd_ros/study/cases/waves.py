@@ -4,7 +4,18 @@ import numpy as np
 from scipy.special import j0
 
 from xpbd_ros.sim import measure
-from xpbd_ros.study.cases.build import BDF2, BE, build, crossing, DOWN, G, hold, place, run
+from xpbd_ros.study.cases.build import (
+    BDF2,
+    BE,
+    build,
+    crossing,
+    DOWN,
+    G,
+    hold,
+    NDF2,
+    place,
+    run,
+)
 from xpbd_ros.study.cases.case import case, order, Row, value
 
 J0_ZERO = 2.404825557695773
@@ -75,7 +86,7 @@ def energies(simulation, frames: int) -> tuple[np.ndarray, float]:
 
 
 EVERY = [(method, integrator) for method in ('gauss_seidel', 'gauss_seidel_symmetric', 'line')
-         for integrator in (BE, BDF2)]
+         for integrator in (BE, BDF2, NDF2)]
 
 
 def energy_rows(settings, n, substeps, seconds, modulus):
@@ -91,11 +102,12 @@ def energy_rows(settings, n, substeps, seconds, modulus):
 @case('V27', 'energy of a swing of 2 s')
 def energy():
     """It never rises above that of the start, where the setting resolves the wave."""
-    usual = [('gauss_seidel', BE), ('gauss_seidel_symmetric', BDF2), ('line', BDF2)]
+    usual = [('gauss_seidel', BE), ('gauss_seidel_symmetric', BDF2), ('line', BDF2),
+             ('line', NDF2)]
     yield from energy_rows(usual, 9, 12, 2.0, 200.0)
 
 
 @case('V27', 'energy of a swing of 10 s, 21 x 21', slow=True)
 def energy_for_long():
-    """Likewise for 10 s and 5 kN/m, by every method with both integrators."""
+    """Likewise for 10 s and 5 kN/m, by every method with every integrator."""
     yield from energy_rows(EVERY, 21, 64, 10.0, 5000.0)

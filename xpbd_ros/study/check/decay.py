@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from math import pi, sqrt
 
+import numpy as np
+
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
 
@@ -23,12 +25,15 @@ def factor(integrator: str, angle: float) -> float:
     Return |z| of one step for x'' = -ω² x, angle = ω h.
 
     Backward Euler: 1 / (1 - i angle). BDF2: the root near 1 of (3/2 - i angle) z² - 2 z + 1/2.
-    Leapfrog, where it is stable: 1.
+    NDF2: the largest root of (5/3 - i angle) z³ - (5/2) z² + z - 1/6. Leapfrog, where it is
+    stable: 1.
     """
     if integrator == 'leapfrog':
         return 1.0
     if integrator == 'bdf2':
         return abs((2.0 + (1.0 + 2j * angle)**0.5) / (3.0 - 2j * angle))
+    if integrator == 'ndf2':
+        return float(abs(np.roots([5.0 / 3.0 - 1j * angle, -2.5, 1.0, -1.0 / 6.0])).max())
     return 1.0 / sqrt(1.0 + angle * angle)
 
 

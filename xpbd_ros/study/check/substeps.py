@@ -2,15 +2,15 @@
 How many substeps a setting needs.
 
 Two things ask for them. The edges must be as stiff as asked (``stiffness``): the error falls as
-1 / N². And BDF2 must follow the waves: the sweeps that it goes with are within about a
-millimetre on a metre with ``RESOLVE`` of the substeps that an explicit solver would need, and an
+1 / N². And BDF2 or NDF2 must follow the waves: the sweeps that they go with are within about a
+millimetre on a metre with a ``share`` of the substeps that an explicit solver would need, and an
 error of second order allows √10 fewer for each digit less (NUMERICS 5.8).
 """
 
 from dataclasses import replace
 from math import ceil, inf, sqrt
 
-from xpbd_ros.scene.auto import largest_rate, RESOLVE
+from xpbd_ros.scene.auto import largest_rate, share
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.study.check.stiffness import Row, stiffness
@@ -18,7 +18,7 @@ from xpbd_ros.study.check.stiffness import Row, stiffness
 MOST = 10_000
 """the most that a scene may ask for"""
 RESOLVED = 1e-3
-"""relative error that RESOLVE stands for"""
+"""relative error that ``share`` stands for"""
 SWEEPS = 6
 """corrections of a first guess"""
 
@@ -49,7 +49,7 @@ def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
                for name, built in simulation.effects.items() if name in ('shear', 'stretch'))
     if rate == inf:
         return 1.0
-    wanted = RESOLVE[solver.method] * simulation.frame_dt * sqrt(rate)
+    wanted = share(solver.method, solver.integrator) * simulation.frame_dt * sqrt(rate)
     if solver.method == 'explicit':    # stable or not
         return wanted
     return wanted * min(1.0, sqrt(RESOLVED / error))

@@ -1,0 +1,96 @@
+"""
+Rough starts: 720 of them, after NUMERICS 5.8. What a sweep may make of a cloth that nobody solved.
+
+Particles with velocities of 3 m/s each, jittered by 5 % of an edge, crumpled to half the size, or
+anywhere in a box; a pin that teleports; pins let go. The energy that a run reaches is compared
+with plain Gauss-Seidel's at the same number of substeps, as growth
+
+    1 + max (E(t) - E(0) - W) / S
+
+where W is what the teleporting pin puts in and S what there is to spend: kinetic and elastic
+energy at the start, W, and the weight falling by 1 m.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim import measure
+from xpbd_ros.sim.commands import Release
+from xpbd_ros.sim.state import forget
+
+KINDS = ('velocities', 'jitter', 'crumpled', 'box', 'teleport', 'release')
+SUBSTEPS = (1, 2, 4, 8, 16, 32)
+G = 9.80665
+
+
+def swing(method: str, integrator: str, substeps: int, n: int, stiffness: float):
+    """Return the swing: a sheet of n x n particles, 1 m wide, at rest, held at two corners."""
+    return compile_scene(load_scene('swing', {
+        'cloths.sheet.grid.resolution': [n, n],
+        'cloths.sheet.effects.stretch': {'warp': stiffness, 'weft': stiffness},
+        'solver.method': method, 'solver.integrator': integrator, 'solver.substeps': substeps}))
+
+
+def start(sheet, kind: str, random) -> None:
+    """Put the particles where no solver left them."""
+    x, v = sheet.state.x, sheet.state.v
+    free = sheet.slot[sheet.state.inv_mass[sheet.slot] > 0]
+    edge, shape = float(sheet.cloths[0].mesh.spacing[0]), (3, len(free))
+    middle = x[:, sheet.slot].mean(1, keepdims=True)
+    if kind == 'velocities':
+        v[:, free] = random.normal(0.0, 3.0, shape)
+    elif kind == 'jitter':
+        x[:, free] += random.normal(0.0, 0.05 * edge, shape)
+    elif kind == 'crumpled':
+        squeeze = np.array([[0.5], [0.5], [1.0]])
+        x[:, free] = (middle + squeeze * (x[:, free] - middle)
+                      + random.normal(0.0, 0.5 * edge, shape))
+    elif kind == 'box':
+        x[:, free] = middle + random.uniform(-0.5, 0.5, shape)
+    else:
+        v[:, free] = random.normal(0.0, 0.05, shape)
+    forget(sheet.state)
+
+
+def teleport(sheet, away) -> None:
+    """Put a pin elsewhere between two frames, past its speed limit."""
+    held = sheet.effects['pin'].held['left']
+    sheet.state.x[:, held.particles] += away[:, None]
+    pose = held.motion.pose
+    held.motion.pose = replace(pose, position=tuple(pose.position + away))
+    held.motion.stop()
+
+
+def energies(sheet) -> tuple[float, float, float]:
+    """Return kinetic, elastic and potential energy [J]."""
+    return (measure.kinetic_energy(sheet.state), measure.elastic_energy(sheet),
+            measure.potential_energy(sheet.state))
+
+
+def growth(sheet, kind: str, seed: int, *, frames: int = 120, step=None) -> float:
+    """Return how far energy grows beyond what was there; inf where it is no number."""
+    random = np.random.default_rng(seed)
+    start(sheet, kind, random)
+    away = random.normal(size=3)
+    away *= 0.3 / np.sqrt((away**2).sum())
+    first = energies(sheet)
+    spend, put, most = first[0] + first[1] + G * sheet.state.mass.sum(), 0.0, 0.0
+    for frame in range(frames):
+        commands = []
+        if kind == 'teleport' and frame == 30:
+            before = energies(sheet)[1]
+            teleport(sheet, away)
+            put = energies(sheet)[1] - before
+            spend += max(put, 0.0)
+        if kind == 'release' and frame in (30, 60):
+            commands = [Release('left' if frame == 30 else 'right')]
+        with np.errstate(all='ignore'):
+            (step or sheet.step)(commands)
+            now = sum(energies(sheet))
+        if not np.isfinite(now) or now > 1e30:
+            return np.inf
+        most = max(most, (now - sum(first) - put) / spend)
+    return 1.0 + most
