@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xpbd_ros.study import reference
+
 FRAME_DT = 1 / 60
 """[s]"""
 SUBSTEPS = 10
@@ -193,15 +195,16 @@ def scene_work(problem, n: int) -> Work:
     Bending comes first, then the diagonals, then warp and weft (what is projected last holds
     best); within each kind the constraints are sorted by their first particle.
     """
-    first, second = np.sort(problem.edges, axis=1).T
+    ends, rest_length, stiffness = problem.all_of(reference.Edges)
+    first, second = np.sort(ends, axis=1).T
     kind = np.select([second - first == d for d in (n + 1, n - 1, 1, n)], range(4), 4)
     order = np.lexsort((first, kind))
-    edges = Edges(problem.edges, problem.rest_length, 1.0 / problem.stiffness).ordered(order)
+    edges = Edges(ends, rest_length, 1.0 / stiffness).ordered(order)
     hinges = None
-    if len(problem.bends):
-        order = np.argsort(problem.bends[:, 0], kind='stable')
-        hinges = Hinges(problem.bends[order], problem.weight[order],
-                        1.0 / problem.bend_stiffness[order])
+    if bends := problem.all_of(reference.Sums):
+        particles, weight, stiffness = bends
+        order = np.argsort(particles[:, 0], kind='stable')
+        hinges = Hinges(particles[order], weight[order], 1.0 / stiffness[order])
     return Work(n, problem.x, np.where(problem.pinned, 0.0, 1.0 / problem.mass),
                 tuple(problem.gravity), edges, hinges)
 

@@ -18,13 +18,33 @@ from types import MappingProxyType
 from numba import njit
 import numpy as np
 
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.setting import Setting
-from xpbd_ros.study.reference import problem_of
+from xpbd_ros.study.reference import Edges, problem_of, Sums
 
 SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}
 KEPT = 0.95
 """of the last multipliers, where they decay"""
+KNOWN = ('stretch', 'shear', 'bend', 'pin', 'damping')
+"""effects that they have, pins without a compliance"""
+
+
+def refusal(scene: Scene) -> str | None:
+    """Return why baselines cannot do a scene; None: they can."""
+    simulation = compile_scene(scene)
+    for name in simulation.effects:
+        if name not in KNOWN:
+            return f'effects.{name}: baselines do without it (they know: {", ".join(KNOWN)})'
+    try:
+        problem = problem_of(simulation)
+    except InputError as error:
+        return str(error)
+    if len(problem.x) > len(simulation.slot):
+        return 'pins: baselines hold rigidly; leave out compliance'
+    return None
 
 
 @dataclass(eq=False)
@@ -47,17 +67,19 @@ class Baseline:
         self._x, self._v = problem.x.copy(), problem.v.copy()
         self._w = np.where(problem.pinned, 0.0, 1.0 / problem.mass)
         self._pinned = np.flatnonzero(problem.pinned)
-        self._multiplier = np.zeros(len(problem.edges))
-        self._moment = np.zeros((len(problem.bends), 3))
+        self._edges = problem.all_of(Edges) or (np.zeros((0, 2), np.int64), *np.zeros((2, 0)))
+        self._bends = problem.all_of(Sums) or (
+            np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0))
+        self._multiplier = np.zeros(len(self._edges[0]))
+        self._moment = np.zeros((len(self._bends[0]), 3))
         self.effects = MappingProxyType(simulation.effects)
 
     @property
     def bytes(self) -> int:
         """Of all arrays that it computes with."""
-        p = self._problem
         return sum(array.nbytes for array in (
-            self._x, self._v, self._w, self._multiplier, self._moment, p.edges, p.rest_length,
-            p.stiffness, p.bends, p.weight, p.bend_stiffness))
+            self._x, self._v, self._w, self._multiplier, self._moment, *self._edges,
+            *self._bends))
 
     def frame(self) -> BaselineFrame:
         """Return the present positions."""
@@ -91,9 +113,9 @@ class Baseline:
         if len(self._pinned):
             for n in range(substeps):
                 path[n] = p.at(self.index * self.frame_dt + (n + 1) * h)
-        _advance(SCHEMES[s.method], self._x, self._v, self._w, p.gravity, p.damping, p.edges,
-                 p.rest_length, p.stiffness, p.bends, p.weight, p.bend_stiffness,
-                 self._multiplier, self._moment, self._pinned, path, h, substeps, s.iterations)
+        _advance(SCHEMES[s.method], self._x, self._v, self._w, p.gravity, p.damping,
+                 *self._edges, *self._bends, self._multiplier, self._moment, self._pinned, path,
+                 h, substeps, s.iterations)
 
 
 @njit(nogil=True, error_model='numpy')

@@ -12,6 +12,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.jit import CACHE_FOLDER
+from xpbd_ros.study.accuracy.baselines import refusal
 from xpbd_ros.study.accuracy.book import Book
 from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors, errors
@@ -196,7 +197,7 @@ def remarks(scene: Scene, truth: Truth, frames: int, dt: float) -> list[str]:
 
 def _without_baselines(settings: list[Setting], scene: Scene, commands
                        ) -> tuple[list[Setting], list[Refused]]:
-    why_not = 'take no inputs' if commands else independent(scene)
+    why_not = 'take no inputs' if commands else refusal(scene)
     if why_not is None:
         return settings, []
     return ([one for one in settings if not one.is_baseline],

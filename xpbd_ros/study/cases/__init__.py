@@ -9,7 +9,7 @@ import importlib
 
 from xpbd_ros.study.cases.case import Case, CASES, Row
 
-FAMILIES = ('motion', 'elastic', 'bending', 'friction', 'waves', 'bodies', 'laws')
+FAMILIES = ('motion', 'elastic', 'bending', 'friction', 'waves', 'bodies', 'energies', 'laws')
 
 
 def all_cases() -> dict[str, list[Case]]:

@@ -13,23 +13,27 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import Pose
-from xpbd_ros.study import reference
 from xpbd_ros.study.reference import (
+    Edges,
     elastic,
     equilibrium,
     explicit,
     gradient,
     highest_frequency,
+    highest_frequency_bound,
     kinetic,
+    leapfrog,
     limit,
     newton,
     potential,
     Problem,
     problem_of,
+    richardson,
     rms,
     StepTooLongError,
+    Stiffness,
+    Sums,
 )
-from xpbd_ros.study.reference_problem import highest_frequency_bound, Stiffness
 
 METHODS = ('backward_euler', 'bdf2', 'explicit')
 G = 9.81
@@ -68,17 +72,22 @@ def tangle(seed=3):
     rng = np.random.default_rng(seed)
     problem = problem_of(sheet(5, stretch=300.0, shear=40.0, bend=0.01, damping=0.7))
     x = problem.x + 0.1 * rng.standard_normal(problem.x.shape)
-    assert len(problem.bends)
-    stretched = np.linalg.norm(np.diff(x[problem.edges], axis=1)[:, 0], axis=1)
-    assert (stretched < problem.rest_length).any()
-    assert (stretched > problem.rest_length).any()
+    assert len(problem.all_of(Sums)[0])
+    ends, rest, _ = problem.all_of(Edges)
+    stretched = np.linalg.norm(np.diff(x[ends], axis=1)[:, 0], axis=1)
+    assert (stretched < rest).any()
+    assert (stretched > rest).any()
     return problem, x
+
+
+def edges(particles, rest_length, stiffness):
+    return (Edges(particles=particles, rest_length=rest_length, stiffness=stiffness),)
 
 
 def oscillator(**options):
     """Return Macklin's oscillator: compliance 1e-3 m/N, 1 kg, drawn out from 1 m to 1.5 m."""
-    return Problem(x=[[0, 0, 0], [1.5, 0, 0]], mass=[1, 1], pinned=[True, False], edges=[[0, 1]],
-                   rest_length=[1], stiffness=[1000], **options)
+    return Problem(x=[[0, 0, 0], [1.5, 0, 0]], mass=[1, 1], pinned=[True, False],
+                   elements=edges([[0, 1]], [1], [1000]), **options)
 
 
 OMEGA = np.sqrt(1000.0)
@@ -90,7 +99,7 @@ def spinning(stiffness=4000.0, omega=2.0 * np.pi):
     rest = 1.0 - omega**2 * half / stiffness
     speed = omega * half
     return Problem(x=[[half, 0, 0], [-half, 0, 0]], v=[[0, speed, 0], [0, -speed, 0]],
-                   mass=[1, 1], edges=[[0, 1]], rest_length=[rest], stiffness=[stiffness])
+                   mass=[1, 1], elements=edges([[0, 1]], [rest], [stiffness]))
 
 
 def spin(problem, x, v):
@@ -100,10 +109,9 @@ def spin(problem, x, v):
 def chain(x, rest, stiffness, mass, pinned, **options):
     """Return edges from each particle to the next."""
     n = len(x)
-    return Problem(x=x, mass=mass, pinned=pinned, edges=np.stack([np.arange(n - 1),
-                                                                 np.arange(1, n)], 1),
-                   rest_length=np.full(n - 1, rest), stiffness=np.full(n - 1, stiffness),
-                   gravity=[0, 0, -G], **options)
+    return Problem(x=x, mass=mass, pinned=pinned, gravity=[0, 0, -G], elements=edges(
+        np.stack([np.arange(n - 1), np.arange(1, n)], 1), np.full(n - 1, rest),
+        np.full(n - 1, stiffness)), **options)
 
 
 # The energy and its derivatives
@@ -144,8 +152,8 @@ def test_clamped_it_is_never_negative_and_the_same_where_nothing_is_compressed()
     assert not stiffness.stable(x)
     drawn = 1.5 * problem.x
     assert stiffness.stable(drawn)
-    np.testing.assert_array_equal(stiffness.matrix(drawn).toarray(),
-                                  stiffness.matrix(drawn, clamp=True).toarray())
+    np.testing.assert_allclose(stiffness.matrix(drawn).toarray(),
+                               stiffness.matrix(drawn, clamp=True).toarray(), atol=1e-11)
 
 
 def test_leapfrog_and_newton_see_the_same_forces():
@@ -209,15 +217,14 @@ def test_what_the_reference_does_not_know_is_named():
     with pytest.raises(InputError, match='effects.contact: ') as error:
         problem_of(sheet(3, pins=False, effects={'contact': {'thickness': 0.01}},
                          colliders={'floor': {'plane': {'normal': [0, 0, 1]}}}))
-    assert 'knows: stretch, shear, bend, pin, damping' in str(error.value)
+    assert 'has no energy to compare with, being an inequality' in str(error.value)
 
 
-def test_a_pin_that_gives_way_or_slips_is_refused():
-    for key in ('compliance', 'slip'):
-        simulation = sheet(3)
-        setattr(simulation.effects['pin'].held['left'], key, 1.0)
-        with pytest.raises(InputError, match='pins.left: the reference solver holds rigidly'):
-            problem_of(simulation)
+def test_a_pin_that_slips_is_refused():
+    simulation = sheet(3)
+    simulation.effects['pin'].held['left'].slip = 1.0
+    with pytest.raises(InputError, match='pins.left: the reference solver does not let go'):
+        problem_of(simulation)
 
 
 def test_a_pin_that_turns_is_refused():
@@ -238,9 +245,7 @@ def test_rigid_edges_are_refused():
 @pytest.mark.parametrize('change, message', [
     ({'mass': [1.0, 0.0]}, 'mass: must be > 0'),
     ({'mass': [1.0]}, r'mass: must have shape \(2,\)'),
-    ({'stiffness': [np.inf]}, 'stiffness: must be finite'),
-    ({'edges': [[0, 2]]}, 'edges: particles must be from 0 to 1'),
-    ({'edges': [[1, 1]]}, 'edges: an edge must join two'),
+    ({'elements': edges([[0, 2]], [1], [1])}, 'edges: particles must be from 0 to 1'),
     ({'pinned': [True, True]}, 'no particle is free'),
     ({'damping': -1.0}, 'damping: must be >= 0'),
     ({'motion': lambda t: np.zeros((2, 3))}, r'motion: must give shape \(1, 3\)'),
@@ -366,8 +371,8 @@ def test_a_pendulum_on_a_stiff_edge_swings_with_the_known_period(degrees, ratio)
 def test_a_moving_pin_drives_the_oscillator():
     """Towed at a constant speed from rest: z = u t - (u / ω) sin ω t behind it."""
     u, t = 0.3, 0.2
-    problem = Problem(x=[[0, 0, 0], [1, 0, 0]], mass=[1, 1], pinned=[True, False], edges=[[0, 1]],
-                      rest_length=[1], stiffness=[1000], motion=lambda t: [[u * t, 0, 0]])
+    problem = Problem(x=[[0, 0, 0], [1, 0, 0]], mass=[1, 1], pinned=[True, False],
+                      elements=edges([[0, 1]], [1], [1000]), motion=lambda t: [[u * t, 0, 0]])
     expected = 1.0 + u * t - u / OMEGA * np.sin(OMEGA * t)
     for method, levels, worst in (('explicit', 9, 1e-9), ('bdf2', 5, 1e-6)):
         found = limit(problem, t, 1e-9, method=method, dt=1.0 / 120.0, levels=levels)
@@ -420,9 +425,10 @@ def beam(n, gravity, stiffness=1e6, mass=1.0):
     return Problem(
         x=np.stack([np.arange(-1, n + 1) * h, np.zeros(n + 2), np.zeros(n + 2)], 1),
         mass=mass * h * np.r_[np.ones(n + 1), 0.5], pinned=np.arange(n + 2) < 2,
-        gravity=[0, 0, -gravity], edges=np.stack([i + 1, i + 2], 1), rest_length=np.full(n, h),
-        stiffness=np.full(n, stiffness * n), bends=np.stack([i, i + 1, i + 1, i + 2], 1),
-        weight=np.tile([1, -1, -1, 1], (n, 1)) / h**1.5, bend_stiffness=1.0 + (i == 0))
+        gravity=[0, 0, -gravity], elements=(
+            *edges(np.stack([i + 1, i + 2], 1), np.full(n, h), np.full(n, stiffness * n)),
+            Sums(particles=np.stack([i, i + 1, i + 2], 1), stiffness=1.0 + (i == 0),
+                 weight=np.tile([1, -2, 1], (n, 1)) / h**1.5)))
 
 
 @pytest.mark.parametrize('load, reach, drop', [(1, .99125, .12347), (10, .65635, .70020),
@@ -508,7 +514,7 @@ def test_leapfrog_refuses_a_step_that_is_too_long_and_no_other(monkeypatch):
         explicit(problem, 1.001 * longest, 10)
     x, v = explicit(problem, 0.97 * longest, 3000)
     assert rms(v) < 1.0
-    monkeypatch.setattr(reference, '_check_stable', lambda *_: None)
+    monkeypatch.setattr(leapfrog, '_check_stable', lambda *_: None)
     with pytest.raises(StepTooLongError, match='blew up'):
         explicit(problem, 1.03 * longest, 3000)
 
@@ -516,8 +522,8 @@ def test_leapfrog_refuses_a_step_that_is_too_long_and_no_other(monkeypatch):
 def test_leapfrog_notices_that_its_step_became_too_long():
     """An edge that is squeezed stiffens across: here two, between pins that close in."""
     problem = Problem(x=[[-1, 0, 0], [0, 0, 0], [1, 0, 0]], mass=[1, 1, 1],
-                      pinned=[True, False, True], edges=[[0, 1], [1, 2]], rest_length=[1, 1],
-                      stiffness=[100, 100],
+                      pinned=[True, False, True],
+                      elements=edges([[0, 1], [1, 2]], [1, 1], [100, 100]),
                       motion=lambda t: [[-1 + 0.1 * t, 0, 0], [1 - 0.1 * t, 0, 0]])
     explicit(problem, 0.1, 66)    # up to there 200 (L / l - 1) dt² < 4
     with pytest.raises(StepTooLongError, match=r'after (6[7-9]|7\d) steps'):
@@ -533,10 +539,10 @@ def slopes(method, problem, time, counts, exact):
 
 
 @pytest.mark.parametrize('method, order, counts', [
-    ('explicit', 2, (192, 384, 768)), ('bdf2', 2, (192, 384, 768)),
-    ('backward_euler', 1, (384, 768, 1536))])
+    ('explicit', 2, (192, 384, 768)), ('bdf2', 2, (192, 384)),
+    ('backward_euler', 1, (192, 384))])
 def test_orders_of_convergence(method, order, counts):
-    """On a small cloth with all effects, whose one pin is carried about; three steps each."""
+    """On a small cloth with all effects, whose one pin is carried about."""
     problem = problem_of(sheet(5, stretch=100.0, shear=10.0, bend=0.01, damping=1.0,
                                motion=SWAY))
     exact = limit(problem, 0.2, 1e-10)
@@ -558,8 +564,8 @@ def test_one_backward_step_keeps_bdf2_second_order_from_a_moving_start():
 def test_the_uncertainty_of_a_sum_that_converges_slowly_holds_what_is_left():
     """With changes that shrink by r each time, r / (1 - r) times the last is still to come."""
     for r in (0.01, 0.1, 0.3, 0.6, 0.85):
-        assert reference._uncertainty(1.0, r, 4) >= (1.0 - 1e-12) * r * r / (1.0 - r)
-    assert reference._uncertainty(1.0, 0.0, 4) == 1.0 / 16.0    # a change that is 0 by accident
+        assert richardson._uncertainty(1.0, r, 4) >= (1.0 - 1e-12) * r * r / (1.0 - r)
+    assert richardson._uncertainty(1.0, 0.0, 4) == 1.0 / 16.0    # a change that is 0 by accident
 
 
 def test_both_methods_agree_within_their_uncertainties():
@@ -597,7 +603,8 @@ def test_the_limit_of_leapfrog_is_within_its_uncertainty_on_the_swing():
 
 
 @pytest.mark.parametrize('method, integrator, order, worst', [
-    ('gauss_seidel', 'backward_euler', 1, 2e-4), ('line', 'bdf2', 2, 1e-6)])
+    pytest.param('gauss_seidel', 'backward_euler', 1, 2e-4, marks=pytest.mark.slow),
+    ('line', 'bdf2', 2, 1e-6)])
 def test_the_simulation_converges_to_the_reference(method, integrator, order, worst):
     """At the order of its integrator, and with no floor in sight."""
     errors, exact = [], None
@@ -619,7 +626,7 @@ def test_the_simulation_converges_to_the_reference(method, integrator, order, wo
 def test_what_is_in_the_cache_is_not_computed_again(tmp_path, monkeypatch):
     problem = problem_of(sheet(3, stretch=50.0, motion=SWAY))
     first = limit(problem, 0.1, 1e-6, cache=tmp_path / 'cache')
-    monkeypatch.setattr(reference, '_run', None)
+    monkeypatch.setattr(richardson, '_run', None)
     again = limit(problem, 0.1, 1e-6, cache=tmp_path / 'cache')
     np.testing.assert_array_equal(again.x, first.x)
     np.testing.assert_array_equal(again.v, first.v)
@@ -633,8 +640,9 @@ def test_what_is_in_the_cache_is_not_computed_again(tmp_path, monkeypatch):
 def test_more_accuracy_goes_on_from_what_is_in_the_cache(tmp_path, monkeypatch):
     problem = problem_of(sheet(3, stretch=50.0))
     few = limit(problem, 0.1, 1.0, cache=tmp_path)
-    run, taken = reference._run, []
-    monkeypatch.setattr(reference, '_run', lambda p, m, dt, n: taken.append(n) or run(p, m, dt, n))
+    run, taken = richardson._run, []
+    monkeypatch.setattr(richardson, '_run',
+                        lambda p, m, dt, n: taken.append(n) or run(p, m, dt, n))
     more = limit(problem, 0.1, few.uncertainty / 30.0, cache=tmp_path)
     assert more.uncertainty < few.uncertainty / 30.0
     assert more.ladder[0][0] == few.ladder[0][0]

@@ -1,0 +1,294 @@
+"""
+What stores energy: each kind of element with its energy, as NUMERICS 2 writes it down.
+
+The energy of an element is a function of a few vectors that are linear in its particles' places,
+z = Σ w_i (x_i - x_0): an edge, two sides of a triangle, the columns of a deformation gradient. Its
+gradient and its Hessian follow from the formula alone (``derivatives``), exactly. Clamped, that is
+with its negative eigenvalues left out, a Hessian in z is positive semidefinite, and so it is in x.
+
+Nothing here is shared with the simulation: it is judged by this.
+"""
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from xpbd_ros.study.reference.derivatives import angle, cross, dot, Jet, root, variables, wrapped
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Elements:
+    """Elements of one kind; arrays are checked, copied and made read-only; all in SI units."""
+
+    particles: Array
+    """shape (m, k)"""
+
+    def __post_init__(self):
+        """Refuse what has no meaning, and keep copies that nobody writes to."""
+        for entry in fields(self):
+            kind = np.int64 if entry.name == 'particles' else float
+            array = np.array(getattr(self, entry.name), kind, order='C')
+            if not np.isfinite(array).all():
+                raise ValueError(f'{self.name}.{entry.name}: must be finite')
+            if entry.name != 'particles' and array.ndim and len(array) != len(self.particles):
+                raise ValueError(f'{self.name}.{entry.name}: must have {len(self.particles)} '
+                                 f'rows (got {len(array)})')
+            if entry.name.endswith('stiffness') and array.ndim == 1 and (array <= 0.0).any():
+                raise ValueError(f'{self.name}.{entry.name}: must be > 0 (got {array.min():g})')
+            array.setflags(write=False)
+            object.__setattr__(self, entry.name, array)
+        if self.particles.ndim != 2:
+            raise ValueError(f'{self.name}.particles: must have shape (m, k) '
+                             f'(got {self.particles.shape})')
+        if self.particles.shape[1] == 2 and (self.particles[:, 0] == self.particles[:, 1]).any():
+            raise ValueError(f'{self.name}.particles: must join two')
+
+    @property
+    def name(self) -> str:
+        """What they are called in messages."""
+        return type(self).__name__.lower()
+
+    @property
+    def parameters(self) -> tuple[Array, ...]:
+        """All fields but the particles."""
+        return tuple(getattr(self, entry.name) for entry in fields(self)[1:])
+
+    @property
+    def weights(self) -> Array:
+        """The w of the vectors, without that of particle 0; shape (1 or m, vectors, k - 1)."""
+        return np.eye(self.particles.shape[1] - 1)[None]
+
+    @cached_property
+    def shares(self) -> Array:
+        """The w of all particles, of sum 0; shape (1 or m, vectors, k)."""
+        return np.concatenate([-self.weights.sum(2, keepdims=True), self.weights], 2)
+
+    def energies(self, z: list) -> Array | Jet:
+        """Return what each stores [J], of vectors each x, y, z."""
+        raise NotImplementedError
+
+    def vectors(self, x: Array) -> Array:
+        """Return z, shape (m, vectors, 3)."""
+        corners = x[self.particles]
+        return self.weights @ (corners[:, 1:] - corners[:, :1])
+
+    def evaluated(self, x: Array, order: int) -> Array | Jet:
+        """Return ``energies``, and so many derivatives by all components of z in turn."""
+        columns = variables(self.vectors(x).reshape(len(self.particles), -1), order)
+        return self.energies([columns[k:k + 3] for k in range(0, len(columns), 3)])
+
+    def energy(self, x: Array) -> float:
+        """Return what they store [J]."""
+        return float(self.evaluated(x, 0).sum())
+
+    def slope(self, x: Array) -> Array:
+        """Return the gradient of each by its particles [N], shape (m, k, 3)."""
+        first = self.evaluated(x, 1).first
+        return self.shares.swapaxes(1, 2) @ first.reshape(len(first), -1, 3)
+
+    def curvature(self, x: Array) -> Array:
+        """Return the Hessian of each by z [N/m], shape (m, 3 vectors, 3 vectors)."""
+        jet = self.evaluated(x, 2)
+        count = jet.first.shape[1]
+        return np.broadcast_to(jet.second, (len(self.particles), count, count))
+
+    def blocks(self, x: Array, *, clamp: bool = False) -> Array:
+        """Return the Hessian of each by its particles [N/m], shape (m, k, k, 3, 3)."""
+        found = self.curvature(x)
+        if clamp:
+            values, modes = np.linalg.eigh(found)
+            found = (modes * np.maximum(values, 0.0)[:, None, :]) @ modes.swapaxes(1, 2)
+        q = found.shape[1] // 3
+        found = found.reshape(-1, q, 3, q, 3).transpose(0, 2, 4, 1, 3)
+        shares = self.shares[:, None, None]
+        return (shares.swapaxes(3, 4) @ found @ shares).transpose(0, 3, 4, 1, 2)
+
+    def bound(self, x: Array) -> Array:
+        """
+        Return, by particle of each, what adds up to a bound of the Hessian's rows [N/m], (m, k).
+
+        With κ the largest eigenvalue by z, in magnitude, zᵀ H z ≤ κ (Σ |w_i| |x_i|)²
+        ≤ κ Σ|w_j| Σ |w_i| |x_i|².
+        """
+        kappa = np.abs(np.linalg.eigvalsh(self.curvature(x))).max(1, initial=0.0)
+        w = np.sqrt(np.square(self.shares).sum(1))
+        return kappa[:, None] * w * w.sum(1, keepdims=True)
+
+    def outer(self, x: Array) -> tuple[Array, float] | None:
+        """Return u (n, 3) and a so that u uᵀ / a is to be added to the Hessian; None: nothing."""
+        return None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Edges(Elements):
+    """E = k (|x1 - x0| - L)² / 2 (NUMERICS 2.1)."""
+
+    rest_length: Array
+    """L [m], shape (m,)"""
+    stiffness: Array
+    """k [N/m], shape (m,)"""
+
+    def energies(self, z):
+        stretch = root(dot(z[0], z[0])) - self.rest_length
+        return 0.5 * self.stiffness * (stretch * stretch)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sums(Elements):
+    """
+    E = B |Σ w_i x_i|² / 2, the w of sum 0.
+
+    Isometric hinges (NUMERICS 2.5), and springs that are nothing long, such as seams.
+    """
+
+    weight: Array
+    """w of all particles, shape (m, k)"""
+    stiffness: Array
+    """B, shape (m,)"""
+
+    @property
+    def weights(self):
+        return self.weight[:, None, 1:]
+
+    def energies(self, z):
+        return 0.5 * self.stiffness * dot(z[0], z[0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Membranes(Elements):
+    """
+    E = Cᵀ K C / 2 of Green's strain C = (E11, E22, γ12) (NUMERICS 2.6).
+
+    F = (f1, f2) = (x1 - x0, x2 - x0) D⁻¹,  E11 = (f1·f1 - 1) / 2,  γ12 = f1·f2.
+    """
+
+    inverse: Array
+    """D⁻¹ [1/m], shape (m, 2, 2)"""
+    moduli: Array
+    """K, the area in it [N m], shape (m, 3, 3)"""
+
+    @property
+    def weights(self):
+        return self.inverse.swapaxes(1, 2)
+
+    def energies(self, z):
+        f, g = z
+        strain = (0.5 * (dot(f, f) - 1.0), 0.5 * (dot(g, g) - 1.0), dot(f, g))
+        return 0.5 * sum(self.moduli[:, a, b] * (strain[a] * strain[b])
+                         for a in range(3) for b in range(3))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Hinges(Elements):
+    """
+    E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite (NUMERICS 2.4).
+
+    Of the angles that differ by whole turns that nearest to θ0.
+    """
+
+    rest_angle: Array
+    """θ0 [rad], shape (m,)"""
+    stiffness: Array
+    """k [N m], shape (m,)"""
+
+    def energies(self, z):
+        e, a, b = z
+        n, o = cross(e, a), cross(b, e)
+        # (n × o)·e = -|e|² n·b
+        turn = wrapped(angle(-(root(dot(e, e)) * dot(n, b)), dot(n, o)) - self.rest_angle)
+        return 0.5 * self.stiffness * (turn * turn)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Areas(Elements):
+    """E = K (A - A0)² / 2 of a triangle."""
+
+    rest_area: Array
+    """A0 [m²], shape (m,)"""
+    stiffness: Array
+    """K [N/m³], shape (m,)"""
+
+    def energies(self, z):
+        n = cross(*z)
+        more = 0.5 * root(dot(n, n)) - self.rest_area
+        return 0.5 * self.stiffness * (more * more)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Tetrahedra(Elements):
+    """
+    Stable neo-Hookean (NUMERICS 2.8), 0 at rest: with J = det F,
+
+    E = μ (tr FᵀF - 3) / 2 + (λ + μ) (J - 1)² / 2 - μ (J - 1),   F = (x_i - x_0) Dm⁻¹.
+    """
+
+    inverse: Array
+    """Dm⁻¹ [1/m], shape (m, 3, 3)"""
+    shear: Array
+    """μ, the rest volume in it [J], shape (m,)"""
+    bulk: Array
+    """λ, likewise [J], shape (m,)"""
+
+    @property
+    def weights(self):
+        return self.inverse.swapaxes(1, 2)
+
+    def energies(self, z):
+        f, g, h = z
+        more = dot(f, cross(g, h)) - 1.0
+        return (0.5 * self.shear * (dot(f, f) + dot(g, g) + dot(h, h) - 3.0)
+                + 0.5 * (self.bulk + self.shear) * (more * more) - self.shear * more)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Gas(Elements):
+    """
+    E = (V - V*)² / (2 α) of what closed triangles hold, V = Σ x0·(x1×x2) / 6 (NUMERICS 2.9).
+
+    One energy for all: its Hessian is p ∇²V + ∇V ∇Vᵀ / α, with p = (V - V*) / α. Corners are
+    counted from the mean of all, which changes no volume and no derivative.
+    """
+
+    rest_volume: Array
+    """V* [m³], shape ()"""
+    compliance: Array
+    """α [m³/Pa], shape ()"""
+
+    @cached_property
+    def shares(self):
+        return np.eye(3)[None]
+
+    def vectors(self, x):
+        corners = x[self.particles]
+        return corners - corners.mean((0, 1))
+
+    def energies(self, z):
+        return dot(z[0], cross(z[1], z[2])) * (1.0 / 6.0)
+
+    def pressure(self, x: Array) -> float:
+        """Return minus what it has more than outside [Pa]."""
+        return float((super().energy(x) - self.rest_volume) / self.compliance)
+
+    def energy(self, x):
+        return 0.5 * float(self.compliance) * self.pressure(x)**2
+
+    def slope(self, x):
+        return self.pressure(x) * super().slope(x)
+
+    def curvature(self, x):
+        return self.pressure(x) * super().curvature(x)
+
+    def outer(self, x):
+        u = np.zeros_like(x)
+        np.add.at(u, self.particles, super().slope(x))
+        return u, float(self.compliance)
+
+    def bound(self, x):
+        u, a = self.outer(x)
+        slopes = np.sqrt(np.square(u).sum(1))
+        often = np.bincount(self.particles.ravel(), minlength=len(x))[self.particles]
+        return super().bound(x) + (slopes * slopes.sum() / a)[self.particles] / often

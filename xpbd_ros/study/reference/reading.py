@@ -1,0 +1,169 @@
+"""
+What a compiled simulation should compute, as plain arrays.
+
+The only place that knows how the simulation stores its particles and constraints; numbers are read
+from it, and no code of it is called but for the ways that pins take.
+"""
+
+import copy
+import math
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.study.reference.elements import (
+    Areas,
+    Edges,
+    Elements,
+    Gas,
+    Hinges,
+    Membranes,
+    Sums,
+    Tetrahedra,
+)
+from xpbd_ros.study.reference.problem import Array, Problem
+
+NO_ENERGY = {
+    'contact': 'an inequality', 'self_collision': 'an inequality', 'friction': 'dissipation',
+    'tether': 'an inequality', 'strain_limit': 'an inequality', 'drag': 'dissipation',
+    'wind': 'dissipation', 'rayleigh': 'dissipation'}
+"""effects, and what they are instead"""
+
+
+def problem_of(simulation: Any) -> Problem:
+    """
+    Return what a compiled simulation should compute from here on.
+
+    The masses, constraints and pins are those of the simulation, numbers only. Pins go on as they
+    would without further commands: straight from frame to frame. Where a pin with a compliance
+    wants each of its particles is a pinned particle more, after those of the simulation.
+
+    Raises
+    ------
+    InputError : naming an effect that the reference does not know
+
+    """
+    for name in simulation.effects:
+        if name in NO_ENERGY:
+            raise InputError(f'effects.{name}: has no energy to compare with, being '
+                             f'{NO_ENERGY[name]}')
+    numbers = _numbers(simulation)
+    elements = []
+    for name, built in simulation.effects.items():
+        elements += _elements(name, built, numbers)
+    frame = simulation.frame()
+    slot, state = simulation.slot, simulation.state
+    pin = simulation.effects.get('pin')
+    x, v, mass, pinned = frame.x, frame.v, state.mass[slot], frame.inv_mass == 0.0
+    rows, moving = np.cumsum(pinned) - 1, []
+    for name, held in (pin.held if pin else {}).items():
+        if held.slip is not None:
+            raise InputError(f'pins.{name}: the reference solver does not let go; leave out slip')
+        if held.motion.target.orientation != held.motion.pose.orientation:
+            raise InputError(f'pins.{name}: the reference solver cannot turn a pin')
+        mine = numbers[held.particles]
+        if held.compliance:
+            places = held.motion.pose.position + Rotation.from_quat(
+                held.motion.pose.orientation).apply(held.offsets)
+            ghosts = len(x) + np.arange(len(mine))
+            elements.append(_springs(mine, ghosts, np.full(
+                len(mine), len(mine) * held.compliance * pin.scale)))
+            x, v = np.concatenate([x, places]), np.concatenate([v, 0.0 * places])
+            mass = np.concatenate([mass, np.ones(len(mine))])
+            pinned = np.concatenate([pinned, np.ones(len(mine), bool)])
+            rows, mine = np.cumsum(pinned) - 1, ghosts
+        motion = held.motion
+        if motion.keyframes is not None or motion.target != motion.pose:
+            moving.append((rows[mine], copy.deepcopy(motion)))
+    path = _Path(simulation, x[pinned], moving) if moving else None
+    damping, force = simulation.effects.get('damping'), simulation.effects.get('force')
+    push = np.zeros(x.shape)
+    if force is not None:
+        push[:len(slot)] = force.data.f[:, slot].T
+    return Problem(
+        x=x, v=v, mass=mass, pinned=pinned, gravity=state.gravity, motion=path,
+        interval=simulation.frame_dt if path else None, force=push,
+        damping=float(damping.data.rate[0]) if damping is not None else 0.0,
+        elements=tuple(elements))
+
+
+def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
+    """Return what an effect stores energy in, if it does."""
+    if name == 'seam':
+        return [_springs(numbers[data.first], numbers[data.second], data.compliance)
+                for data in built.parts]
+    if name in ('pin', 'damping', 'force'):
+        return []
+    found = built.constraints
+    if name == 'pressure':
+        return [Gas(particles=numbers[triangles], rest_volume=volume, compliance=alpha)
+                for triangles, volume, alpha in zip(found.triangles, found.rest_volume,
+                                                    found.compliance)]
+    particles = numbers[found.particles]
+    if name in ('stretch', 'shear', 'cross_bend'):
+        return [Edges(particles=particles, rest_length=found.rest_length,
+                      stiffness=_inverse(name, found.compliance))]
+    if name == 'bend':
+        return [Sums(particles=particles, weight=found.weight,
+                     stiffness=1.0 / found.compliance)]
+    if name == 'membrane':
+        return [Membranes(particles=particles, inverse=found.inverse.reshape(-1, 2, 2),
+                          moduli=np.linalg.inv(found.block))]
+    if name == 'hinge':
+        return [Hinges(particles=particles, rest_angle=found.rest_angle,
+                       stiffness=1.0 / found.compliance)]
+    if name == 'area':
+        return [Areas(particles=particles, rest_area=found.rest_area,
+                      stiffness=1.0 / found.compliance)]
+    if name == 'volume':
+        shear, bulk = (1.0 / found.compliance).T
+        return [Tetrahedra(particles=particles, inverse=found.inverse, shear=shear, bulk=bulk)]
+    raise InputError(f'effects.{name}: the reference solver does not know it')
+
+
+def _springs(one: Array, other: Array, compliance: Array) -> Sums:
+    """Return springs that are nothing long between pairs."""
+    return Sums(particles=np.stack([one, other], 1), weight=np.tile([1.0, -1.0], (len(one), 1)),
+                stiffness=_inverse('seam', compliance))
+
+
+def _inverse(name: str, compliance: Array) -> Array:
+    if (compliance == 0.0).any():
+        raise InputError(f'effects.{name}: the reference solver cannot take what is rigid; its '
+                         'compliance must be > 0 m/N (got 0)')
+    return 1.0 / compliance
+
+
+def _numbers(simulation: Any) -> Array:
+    """Return the natural number of the particle in each slot, -1 in the padding."""
+    numbers = np.full(len(simulation.state.mass), -1)
+    numbers[simulation.slot] = np.arange(len(simulation.slot))
+    return numbers
+
+
+class _Path:
+    """Pinned particles that move with their pins, straight from frame to frame."""
+
+    def __init__(self, simulation: Any, x: Array, moving: list):
+        self._knots = [x]
+        self._moving = moving
+        self._index = simulation.index
+        self._dt = simulation.frame_dt
+        self._time_ns = simulation.time_ns
+
+    def __call__(self, t: float) -> Array:
+        """Return positions [m], shape (p, 3), at a time since the start [s]."""
+        frame = max(0, math.ceil(t / self._dt - 1e-9) - 1)
+        while len(self._knots) < frame + 2:
+            self._advance()
+        a, b = self._knots[frame], self._knots[frame + 1]
+        return a + (t / self._dt - frame) * (b - a)
+
+    def _advance(self) -> None:
+        knot = self._knots[-1].copy()
+        for rows, motion in self._moving:
+            motion.advance(self._time_ns(self._index + len(self._knots)), self._dt)
+            knot[rows] += np.subtract(motion.pose.position, motion.start.position)
+        self._knots.append(knot)
