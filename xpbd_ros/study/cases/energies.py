@@ -9,8 +9,9 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.cases.bodies import sphere
 from xpbd_ros.study.cases.build import BDF2, G, run
-from xpbd_ros.study.cases.case import case, order
-from xpbd_ros.study.reference import limit, problem_of, rms
+from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.cases.elastic import still
+from xpbd_ros.study.reference import equilibrium, limit, problem_of, rms
 
 _FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_')
 FRAMES = 6
@@ -33,7 +34,8 @@ def block() -> Path:
     return file
 
 
-def scene(substeps: int, names: tuple[str, ...] | None = None) -> Simulation:
+def scene(substeps: int, names: tuple[str, ...] | None = None, *, damping: float = 0.5
+          ) -> Simulation:
     """Return one cloth per effect, each held somewhere and let fall."""
     grid = {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 1.0}
     cloths = {
@@ -60,7 +62,7 @@ def scene(substeps: int, names: tuple[str, ...] | None = None) -> Simulation:
                       'substeps': substeps},
            'pins': {name: {'cloth': name, **at.get(name, {'at': 'edge_0x'})} for name in chosen
                     if at.get(name, {}) is not None},
-           'effects': {'force': {'per_mass': [1.0, -2.0, 0.5]}, 'damping': {'rate': 0.5}},
+           'effects': {'force': {'per_mass': [1.0, -2.0, 0.5]}, 'damping': {'rate': damping}},
            **({'seams': seams} if 'seam' in chosen else {})}
     return compile_scene(scene_from_mapping(raw, where='a case', name='case'))
 
@@ -80,3 +82,14 @@ def energies():
     for name, got in errors.items():
         yield order(name, 0.0, [1 / 60 / count for count in counts], got, 'm', 2.0, 1e-6,
                     step='substep [s]')
+
+
+@case('V30', 'every effect with an energy, at rest', slow=True)
+def rest():
+    """Hanging still; RMS over the particles against where all forces vanish."""
+    simulation = scene(64, damping=20.0)
+    x = still(simulation, 1e-11, 1500).x
+    exact = equilibrium(problem_of(simulation))
+    for cloth in simulation.cloths:
+        yield value(cloth.name, 0.0, rms(x[cloth.particles] - exact[cloth.particles]), 'm', 1e-5,
+                    absolute=True)
