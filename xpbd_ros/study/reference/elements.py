@@ -221,9 +221,10 @@ class Areas(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tetrahedra(Elements):
     """
-    Stable neo-Hookean (NUMERICS 2.8), 0 at rest: with J = det F,
+    Neo-Hookean (NUMERICS 2.8), with a barrier that opens a point: J = det F, n² = tr FᵀF,
 
-    E = μ (tr FᵀF - 3) / 2 + (λ + μ) (J - 1)² / 2 - μ (J - 1),   F = (x_i - x_0) Dm⁻¹.
+    E = μ (n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3) / 2 + λ (J - 1)² / 2.
+    F = (x_i - x_0) Dm⁻¹.
     """
 
     inverse: Array
@@ -239,9 +240,10 @@ class Tetrahedra(Elements):
 
     def energies(self, z):
         f, g, h = z
-        more = dot(f, cross(g, h)) - 1.0
-        return (0.5 * self.shear * (dot(f, f) + dot(g, g) + dot(h, h) - 3.0)
-                + 0.5 * (self.bulk + self.shear) * (more * more) - self.shear * more)
+        square, more = dot(f, f) + dot(g, g) + dot(h, h), dot(f, cross(g, h)) - 1.0
+        longer = root(square) - 3.0**0.5
+        return 0.5 * (self.shear * (square - 3.0 - 2.0 * more + (longer * longer) * (1.0 / 3.0))
+                      + (self.bulk + 8.0 / 9.0 * self.shear) * (more * more))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -144,10 +144,14 @@ def pull_tetrahedra(x, low, f, particles, inverse, shear, bulk):
              a[1] * m[0, 2] + b[1] * m[1, 2] + c[1] * m[2, 2],
              a[2] * m[0, 2] + b[2] * m[1, 2] + c[2] * m[2, 2])
         vw, wu, uv = _cross(v, w), _cross(w, u), _cross(u, v)
-        swell = (bulk[t] + shear[t]) * (_dot(u, vw) - 1.0) - shear[t]
+        swell = (bulk[t] + 8.0 / 9.0 * shear[t]) * (_dot(u, vw) - 1.0) - shear[t]
+        norm = sqrt(_dot(u, u) + _dot(v, v) + _dot(w, w))
+        draw = shear[t]
+        if norm > 0.0:
+            draw *= 1.0 + (1.0 - sqrt(3.0) / norm) / 3.0
         for k in range(3):
-            p, q, r = (shear[t] * u[k] + swell * vw[k], shear[t] * v[k] + swell * wu[k],
-                       shear[t] * w[k] + swell * uv[k])
+            p, q, r = (draw * u[k] + swell * vw[k], draw * v[k] + swell * wu[k],
+                       draw * w[k] + swell * uv[k])
             one = p * m[0, 0] + q * m[0, 1] + r * m[0, 2]
             two = p * m[1, 0] + q * m[1, 1] + r * m[1, 2]
             three = p * m[2, 0] + q * m[2, 1] + r * m[2, 2]
