@@ -32,7 +32,7 @@ from xpbd_ros.sim.state import new_state, places, Substep
 from xpbd_ros.sim.step import compiled
 from xpbd_ros.sim.sweeps import METHODS
 from xpbd_ros.sim.team import Crew
-from xpbd_ros.study.reference import Edges, Problem
+from xpbd_ros.study.reference import Problem
 
 
 @dataclass
@@ -217,5 +217,4 @@ def problem_of(simulation: Simulation) -> Problem:
                                for name in ('particles', 'rest_length', 'compliance'))
     return Problem(x=simulation.frame().x, mass=state.mass[slot],
                    pinned=state.inv_mass[slot] == 0.0, gravity=state.gravity,
-                   elements=(Edges(particles=number[edges], rest_length=rest,
-                                   stiffness=1.0 / compliance),))
+                   edges=number[edges], rest_length=rest, stiffness=1.0 / compliance)

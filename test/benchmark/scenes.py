@@ -11,7 +11,7 @@ from report import Report
 from timing import interleave, Timed
 from works import FRAME_DT, grid_work, scene_work, SUBSTEPS
 
-from xpbd_ros.study.reference import limit
+from xpbd_ros.study.reference import limit, problem_of
 
 STIFFNESSES = (5e3, 5e4)
 """[N/m]"""
@@ -82,7 +82,7 @@ def swing(report: Report, n: int) -> None:
 
 
 def _reference(report: Report, n: int, stiffness: float):
-    problem = candidates.problem_of(candidates.swing(
+    problem = problem_of(candidates.swing(
         n, stiffness, method='gauss_seidel', integrator='backward_euler', substeps=1))
     reference = limit(problem, FRAMES * FRAME_DT, SURE)
     report.say(f'  reference: {reference.method}, {len(reference.ladder)} rungs, known to '
@@ -184,7 +184,7 @@ def scaling(report: Report, sizes: Iterable[int]) -> None:
 
 def _plain_frames(n: int, native: Native) -> Timed:
     native.need('textbook')
-    problem = candidates.problem_of(candidates.swing(
+    problem = problem_of(candidates.swing(
         n, STIFFNESSES[0], method='gauss_seidel', integrator='backward_euler', substeps=SUBSTEPS))
     return Timed(Plain(native, scene_work(problem, n), SUBSTEPS).run)
 
