@@ -154,7 +154,7 @@ def test_frames_that_are_not_calm_are_done_again_with_lines_and_counted():
 
 def test_without_its_guard_it_explodes(monkeypatch):
     monkeypatch.setattr('xpbd_ros.sim.simulation.was_calm', lambda *_, **__: True)
-    monkeypatch.setattr('xpbd_ros.sim.simulation.REACH', np.inf)    # which would take it back
+    monkeypatch.setattr('xpbd_ros.sim.last_good.REACH', np.inf)    # which would take it back
     wild = sheet(2, effects=STIFF)
     with np.errstate(all='ignore'):
         assert not np.abs(run(wild, 40).x).max() < 1e3

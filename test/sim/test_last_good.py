@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sim.small import run, with_effects
 
-from xpbd_ros.sim.simulation import REACH
+from xpbd_ros.sim.last_good import REACH
 
 
 @pytest.fixture(scope='module')

@@ -25,9 +25,7 @@ What a pin with a compliance holds counts as free: colliders push it and tethers
 there. Cloth does not slide in a pin: it is held or let go.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +34,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import cross, length
+from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.pins import chosen, Held, PinState
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
@@ -159,13 +157,46 @@ def kick_springs(spring, state, substep):
 
 @stage(finish, Spring)
 @jit
-def weigh_springs(spring, state, substep):
+def stretch_springs(spring, state, substep):
     """Add up what the springs are pulled with: (x - p - R q) / (n α)."""
     pin, part = spring.pin, substep.end - substep.begin
     for k in range(pin.count[0]):
         i, per = pin.particle[k], part / spring.compliance[k]
         for a in range(3):
             spring.force[k, a] += per * (state.x[a, i] - spring.place[k, a])
+
+
+@jit
+def weigh_pinned(pin, state, v_before, dt, wrench):
+    """Add Σ f + Σ m (g - a) and its torque for each pin, of shape (max_pins, 6) [N, N m]."""
+    f, m, v, g = state.reaction, state.mass, state.v, state.gravity
+    for k in range(pin.count[0]):
+        i = pin.particle[k]
+        add_wrench(pin, state.x, k, (
+            f[0, i] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
+            f[1, i] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
+            f[2, i] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
+
+
+@jit
+def weigh_springs(spring, state, wrench):
+    """Add the forces of the springs and their torque for each pin."""
+    for k in range(spring.pin.count[0]):
+        f = spring.force[k]
+        add_wrench(spring.pin, state.x, k, (f[0], f[1], f[2]), wrench)
+
+
+@jit(inline=True)
+def add_wrench(pin, x, k, f, wrench):
+    """Add a force at a held particle, and its torque about the pin's pose at the frame's end."""
+    i, total, p = pin.particle[k], wrench[pin.slot[k]], pin.goal[pin.slot[k]]
+    rx, ry, rz = x[0, i] - p[0], x[1, i] - p[1], x[2, i] - p[2]
+    total[0] += f[0]
+    total[1] += f[1]
+    total[2] += f[2]
+    total[3] += ry * f[2] - rz * f[1]
+    total[4] += rz * f[0] - rx * f[2]
+    total[5] += rx * f[1] - ry * f[0]
 
 
 class BuiltPin(Built):
@@ -198,7 +229,8 @@ class BuiltPin(Built):
         """whether the pinned set is new since somebody last looked"""
         self.slipped = 0
         """how many pins have let go by themselves since the start"""
-        self._v_before = np.zeros((0, 3))
+        self._v_before = np.zeros((3, 0))
+        self._wrench = np.zeros((slots, 6))
         self._news: list[str] = []
         self.commands = self._commands()
 
@@ -334,7 +366,7 @@ class BuiltPin(Built):
             self.data.goal[held.slot] = (*pose.position, *pose.orientation)
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
-        self._v_before = places(state.v, pinned)
+        self._v_before = state.v[:, pinned]
         self.again()
 
     def again(self):
@@ -342,15 +374,17 @@ class BuiltPin(Built):
             spring.force[:] = 0.0
 
     def end(self, clock, state):
+        self._wrench[:] = 0.0
+        weigh_pinned(self.data, state, self._v_before, clock.dt, self._wrench)
+        for spring in self.also:
+            weigh_springs(spring, state, self._wrench)
         self.states = {}
-        for held, force in chain(self._on_pinned(clock, state), self._on_springs()):
-            motion, i = held.motion, held.particles
-            arm = places(state.x, i) - motion.pose.position
-            linear = np.subtract(motion.pose.position, motion.start.position) / clock.dt
-            self.states[held.name] = PinState(motion.pose, linear, force.sum(0),
-                                              cross(arm, force).sum(0), self.number[i],
-                                              motion.limited)
-        self.states = {name: self.states[name] for name in self.held}
+        for held in self.held.values():
+            motion, wrench = held.motion, self._wrench[held.slot].copy()
+            linear = np.array([(b - a) / clock.dt for a, b in zip(motion.start.position,
+                                                                  motion.pose.position)])
+            self.states[held.name] = PinState(motion.pose, linear, wrench[:3], wrench[3:],
+                                              self.number[held.particles], motion.limited)
         for name, pin in self.states.items():
             slip, force = self.held[name].slip, float(length(pin.force))
             if slip is not None and force > slip:
@@ -358,25 +392,6 @@ class BuiltPin(Built):
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
                                   f'and it holds {slip:g} N')
-
-    def _on_pinned(self, clock, state) -> Iterator[tuple[Held, np.ndarray]]:
-        """Yield what pulls at the pins' own particles [N], shape (particles, 3)."""
-        k = 0
-        for held in self._pinned:
-            i = held.particles
-            acceleration = (places(state.v, i) - self._v_before[k:k + len(i)]) / clock.dt
-            k += len(i)
-            yield held, (places(state.reaction, i)
-                         + state.mass[i, None] * (state.gravity - acceleration))
-
-    def _on_springs(self) -> Iterator[tuple[Held, np.ndarray]]:
-        """Yield what pulls at the springs [N], shape (particles, 3)."""
-        for spring in self.also:
-            k = 0
-            for held in self._sprung:
-                n = len(held.particles)
-                yield held, spring.force[k:k + n].copy()
-                k += n
 
     def news(self):
         self._news, news = [], self._news

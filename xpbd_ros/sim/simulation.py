@@ -14,14 +14,10 @@ from xpbd_ros.sim.calm import Calm, look, was_calm
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
-from xpbd_ros.sim.state import forget, places, State
+from xpbd_ros.sim.last_good import LastGood
+from xpbd_ros.sim.state import forget, gather, State
 from xpbd_ros.sim.sweeps import METHODS
 from xpbd_ros.sim.team import Crew
-
-REACH = 1000.0
-"""no particle goes further in a frame, in sizes of the cloths and ways of what may drive it"""
-DRIVE = 1.0
-"""a speed of pins and colliders, and of what comes out of them [m/s]"""
 
 
 @dataclass(frozen=True)
@@ -188,7 +184,9 @@ class Simulation:
 
     def natural(self, array: np.ndarray) -> np.ndarray:
         """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
-        return places(array, self.slot)
+        found = np.empty((len(self.slot), 3))
+        gather(array, self.slot, found)
+        return found
 
     def _apply(self, command: Command, clock: Clock) -> str | None:
         if isinstance(command, Reset):
@@ -248,48 +246,6 @@ class Simulation:
         if self._guard is not None:
             found['explicit_redone'] = self._guard.redone
         return found
-
-
-class LastGood:
-    """
-    Takes back a frame that cannot be: what follows from it would be lost.
-
-    It has numbers that are not finite, or a particle that went REACH times the size of all cloths
-    and the way that gravity and DRIVE make in a frame. The particles are put where the frame
-    began, at rest; only what is asked for can lead there.
-    """
-
-    def __init__(self, simulation: Simulation):
-        self.taken_back = 0
-        """frames so far"""
-        self._simulation = simulation
-        state = simulation.state
-        self._x, self._way = state.x.copy(), np.zeros_like(state.x)
-        self._size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0))) or 1.0
-                         for cloth in simulation.cloths)
-
-    def keep(self) -> None:
-        """Remember where the particles are."""
-        self._x[:] = self._simulation.state.x
-
-    def look(self) -> None:
-        """Judge the frame, and take it back if it cannot be."""
-        simulation, state, way = self._simulation, self._simulation.state, self._way
-        with np.errstate(all='ignore'):
-            np.subtract(state.x, self._x, out=way)
-            far = np.abs(way, out=way).max(initial=0.0)
-            fast = np.abs(state.v, out=way).max(initial=0.0)
-        dt = simulation.frame_dt
-        drive = dt * (DRIVE + dt * float(np.linalg.norm(state.gravity)))
-        if far <= REACH * (self._size + drive) and fast < np.inf:    # not a number is neither
-            return
-        state.x[:], state.v[:] = self._x, 0.0
-        forget(state)
-        if state.reaction is not None:
-            state.reaction[:] = 0.0
-        for built in simulation.effects.values():
-            built.again()
-        self.taken_back += 1
 
 
 class ExplicitGuard:

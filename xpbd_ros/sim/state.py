@@ -28,7 +28,7 @@ from xpbd_ros.sim.multistep import (
 )
 from xpbd_ros.sim.team import share, Team, wait
 from xpbd_ros.sim.update import Explicit, inline, Jacobi
-from xpbd_ros.sim.vector import both, lanes, load, select, splat, store
+from xpbd_ros.sim.vector import lanes, load, select, splat, store
 
 
 class State(NamedTuple):
@@ -140,6 +140,14 @@ def _most_constraints(constraints, there: np.ndarray) -> float:
 def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
     """Return rows x, y, z of some slots, in float64; shape (slots, 3)."""
     return array[:, slots].T.astype(float)
+
+
+@jit
+def gather(array, slots, found):
+    """Write rows x, y, z of some slots, in float64, into ``found``, shape (slots, 3)."""
+    for i in range(len(slots)):
+        for k in range(3):
+            found[i, k] = array[k, slots[i]]
 
 
 def forget(state: State, particles=slice(None)) -> None:
@@ -259,9 +267,10 @@ def _update_multistep(state, history, older_x, h):
     first, last = own(state)
     for q in range(first, last, lanes(w)):
         fresh = load(history.fresh, q)
-        as_predicted = both(load(w, q) > 0.0, fresh < TOUCHED)
-        step, a, b = weights(older_x, w, fresh, h)
         store(history.fresh, q, aged(older_x, w, fresh))
+        fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
+        as_predicted = fresh < TOUCHED
+        step, a, b = weights(older_x, w, fresh, h)
         for k in range(3):
             i = k * slots + q
             xi, xp = load(state.x, i), load(state.x_prev, i)

@@ -68,8 +68,8 @@ GUARDS = (
           'a frame of explicit that was not calm is computed anew', 'sim/simulation.py',
           'if was_calm(before', 'if True or was_calm(before'),
     Guard('H32', 'jacobi backward_euler 8x1 relaxation too large',
-          'a frame that cannot be is taken back', 'sim/simulation.py',
-          'if far <= REACH * (self._size + drive) and fast < np.inf:', 'if True:'),
+          'a frame that cannot be is taken back', 'sim/last_good.py',
+          'if can_be(state, self._x, REACH * (self._size + drive)):', 'if True:'),
 )
 
 
