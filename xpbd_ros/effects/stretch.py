@@ -11,6 +11,8 @@ of length l, at an angle θ from warp, k = (warp cos²θ + weft sin²θ) A / l²
 isotropic lattice it is where warp = weft). Instead of moduli, ``compliance`` [m/N] sets every edge
 alike; 0 is rigid.
 
+A rigid line between two pins further apart than it is long is straight and even (``sim.taut``).
+
 Limits: a lattice, so Poisson's ratio is not free: 0 on a grid, about 1/3 on other meshes. Fewer
 substeps than the wave needs to cross an edge make it softer than asked.
 """
@@ -20,7 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim import distance, lines
+from xpbd_ros.sim import distance, lines, taut
 from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
 from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
@@ -52,6 +54,8 @@ class Stretch(NamedTuple):
 
     edges: distance.GridEdges
     lines: lines.Lines
+    taut: taut.Taut | None
+    """None in a scene without pins"""
 
 
 class MeshStretch(NamedTuple):
@@ -61,9 +65,16 @@ class MeshStretch(NamedTuple):
 
 
 @stage(prepare, Stretch)
-@stage(prepare, MeshStretch)
 @jit
 def prepare_stretch(stretch, state, substep):
+    """Zero the multipliers, but for lines that cannot be."""
+    release_forces(stretch.edges)
+    taut.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
+
+
+@stage(prepare, MeshStretch)
+@jit
+def prepare_mesh_stretch(stretch, state, substep):
     """Zero the multipliers."""
     release_forces(stretch.edges)
 
@@ -147,9 +158,11 @@ def _on_grids(cloths, world) -> Stretch:
     cloths = [cloth for cloth, _ in cloths]
     edges = distance.grid_edges(join(runs), family, rest, alpha, world=world,
                                 time=distance.times(time))
+    blocks = [c.block for c in cloths]
     return Stretch(edges, lines.grid_lines(
-        [c.block for c in cloths], [c.mesh.spacing for c in cloths], line_alpha,
-        slots=world.slots, dtype=world.state.x.dtype, threads=world.threads))
+        blocks, [c.mesh.spacing for c in cloths], line_alpha, slots=world.slots,
+        dtype=world.state.x.dtype, threads=world.threads),
+        taut.room_for(blocks) if world.pins else None)
 
 
 def _on_meshes(cloths, world) -> MeshStretch:
@@ -185,12 +198,15 @@ class BuiltStretch(Built):
             if cloths:
                 parts.append(make(cloths, world))
         self.data, *self.also = parts
+        self._blocks = [cloth.block for cloth in parameters if cloth.mesh.grid is not None]
         self.lists = [distance.Edges.of(part.edges) for part in parts]
         self.constraints = distance.Edges.joined(self.lists)
 
     def hold(self, inv_mass):
         for part, edges in zip(self.parts, self.lists):
             hold(part.edges.held, edges, inv_mass)
+        if self._blocks:
+            taut.hold(self.data.taut, self._blocks, inv_mass)
 
 
 EFFECT = Effect('stretch', Parameters, BuiltStretch)

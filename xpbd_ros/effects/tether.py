@@ -72,7 +72,7 @@ def pull_back(tether, state, substep):
         i, a, most = tether.particle[t], tether.pinned[t], tether.longest[t]
         dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
         square = dx * dx + dy * dy + dz * dz
-        if square > most * most:
+        if square > most * most and state.mobility[i] > 0.0:
             l = np.sqrt(square)
             back = (most - l) / l
             x[0, i] += back * dx

@@ -10,10 +10,7 @@ one back substitution (Thomas). The matrix is positive semi-definite for any sha
 off-diagonal is at most m_k; only a rigid straight line between two pins is singular. Hence α
 counts as at least TINY of the mobilities, which is nothing beside what a Gauss-Seidel pass adds.
 
-A rigid line between two pins that are further apart than it is long cannot be. Solved, it would
-pull with its strain over TINY, and from f > l / (m_k + m_{k+1}) on a pull throws what it holds
-about across its direction. So where the strain is more than TINY it is left as it is, to the pass
-edge by edge that closes the sweep.
+A rigid line between two pins that are further apart than it is long cannot be: ``sim.taut``.
 
 Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
 rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
@@ -30,7 +27,6 @@ from xpbd_ros.sim.layout import Block, zeros
 from xpbd_ros.sim.team import share, wait, worker
 from xpbd_ros.sim.vector import (
     after,
-    any_lane,
     both,
     fma,
     lane_count,
@@ -77,8 +73,7 @@ class Lines(NamedTuple):
     tile: np.ndarray
     """scratch: transposed rows: x y z mobility f; shape (threads, 5, columns * lanes)"""
     work: np.ndarray
-    """scratch of the elimination: u, off-diagonal / pivot, Δf, whether the line up to here is too
-    short; shape (threads, 6, edges * lanes)"""
+    """scratch of the elimination: u, off-diagonal / pivot, Δf; (threads, 5, edges * lanes)"""
 
 
 def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
@@ -112,7 +107,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
                  zeros((threads, 5, longest * lanes_), dtype),
-                 zeros((threads, 6, longest * lanes_), dtype))
+                 zeros((threads, 5, longest * lanes_), dtype))
 
 
 @jit
@@ -182,11 +177,10 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
     at edge + k stride.
     """
     n = lanes(x)
-    ux, uy, uz, ratio, step, mark = work[0], work[1], work[2], work[3], work[4], work[5]
+    ux, uy, uz, ratio, step = work[0], work[1], work[2], work[3], work[4]
     zero, there = splat(x, 0.0), after(x, done)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
-    px, py, pz, longest = xa, ya, za, select(ma > 0.0, splat(x, np.inf), 0.0)    # from a pin on
     for k in range(nodes - 1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
@@ -200,14 +194,6 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         dz = select(apart, dz * inverse, axis[2])
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
-        longest = longest + (1.0 + tiny) * rest
-        if any_lane(mb <= 0.0):
-            free = mb > 0.0
-            rx, ry, rz = xb - px, yb - py, zb - pz
-            far = fma(rx, rx, fma(ry, ry, rz * rz)) > longest * longest
-            store(mark, o, select(both(far, alpha < tiny * total), 1.0, zero))
-            px, py, pz = select(free, px, xb), select(free, py, yb), select(free, pz, zb)
-            longest = select(free, longest, 0.0)
         link = off * pivot
         bottom = fma(-link, off, total + larger(alpha, tiny * total))
         solvable = both(bottom > 0.0, there)
@@ -221,13 +207,11 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         vx, vy, vz = dx, dy, dz
         xa, ya, za, ma = xb, yb, zb, mb
     # right is now Δf of the last edge; going back, Δf_k = right_k - (off_{k+1} pivot_k) Δf_{k+1}
-    df, above, wx, wy, wz, short = zero, zero, zero, zero, zero, zero
+    df, above, wx, wy, wz = zero, zero, zero, zero, zero
     for k in range(nodes - 2, -1, -1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         mb = load(m, i)
-        if any_lane(mb <= 0.0):
-            short = select(mb > 0.0, short, load(mark, o))
-        df = select(short > 0.0, 0.0, load(step, o) - above * df)
+        df = load(step, o) - above * df
         store(force, c, load(force, c) + df)
         gx, gy, gz = df * load(ux, o), df * load(uy, o), df * load(uz, o)
         store(x, i, fma(mb, gx - wx, load(x, i)))
