@@ -10,7 +10,7 @@ import numpy as np
 from xpbd_ros.study.stress.case import hard, Setting
 from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, TURNED, USUAL
+from xpbd_ros.study.stress.worlds import alone, FEW, FIRM, FLAT, LINE, N, sheet, SIZE, USUAL
 
 FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_stress_')
 SQUARE = '0 0 0', '1 0 0', '1 1 0', '0 1 0'
@@ -180,6 +180,6 @@ def random(x):
 def starts():
     """The sheet comes back to its lengths."""
     for setting in USUAL:
-        yield Trial(setting, sheet(), 3.0, place=flattened, recovers=0.01, label='flattened')
-        yield Trial(setting, sheet(), 3.0, place=random, recovers=0.01, label='random',
-                    known=TURNED if setting.iterations > 1 else '')
+        for place in (flattened, random):
+            yield Trial(setting, sheet(FIRM), 3.0, place=place, recovers=0.01,
+                        label=place.__name__)
