@@ -12,15 +12,23 @@ energy at the start, W, and the weight falling by 1 m.
 """
 
 from dataclasses import replace
+from functools import cache
+from itertools import product
 
 import numpy as np
+import pytest
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import Release
-from xpbd_ros.sim.state import forget
+from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.stages import prepare, touch
+from xpbd_ros.sim.state import begin, forget, Substep, update_velocity
+from xpbd_ros.sim.sweeps import forth
 
+HERE = 1.01
+"""how far a method may be above Gauss-Seidel: rounding, and what a mean over a frame hides"""
 KINDS = ('velocities', 'jitter', 'crumpled', 'box', 'teleport', 'release')
 SUBSTEPS = (1, 2, 4, 8, 16, 32)
 G = 9.80665
@@ -94,3 +102,71 @@ def growth(sheet, kind: str, seed: int, *, frames: int = 120, step=None) -> floa
             return np.inf
         most = max(most, (now - sum(first) - put) / spend)
     return 1.0 + most
+
+
+@cache
+def worst(method: str, integrator: str | None, substeps: int, n: int, stiffness: float, kinds,
+          seeds, **options) -> dict[tuple[str, int], float]:
+    """Return the growth of each start."""
+    sheet = swing(method, integrator, substeps, n, stiffness)
+    found = {}
+    for kind, seed in product(kinds, seeds):
+        sheet._reset()
+        found[kind, seed] = growth(sheet, kind, seed, **options)
+    return found
+
+
+@pytest.mark.parametrize('substeps', [1, 4, 16])
+def test_lines_are_finite_and_never_wilder_than_gauss_seidel(substeps):
+    plain, lines = (worst(*setting, substeps, 21, 5e3, KINDS, range(1), frames=60) for setting in (
+        ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')))
+    for key, most in lines.items():
+        assert most <= HERE * plain[key], key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('stiffness', [5e3, 5e4])
+@pytest.mark.parametrize('n', [21, 41])
+@pytest.mark.parametrize(('method', 'integrator'), [
+    ('auto', None), ('line', 'bdf2'), ('line', 'ndf2'), ('explicit', None)])
+def test_all_720_are_finite_and_no_wilder_than_gauss_seidel(method, integrator, n, stiffness):
+    """4 times 180: 6 kinds, 5 seeds, 6 numbers of substeps."""
+    for substeps in SUBSTEPS:
+        plain = worst('gauss_seidel', 'backward_euler', substeps, n, stiffness, KINDS, range(5))
+        found = worst(method, integrator, substeps, n, stiffness, KINDS, range(5))
+        for key, most in found.items():
+            assert most <= HERE * plain[key], (substeps, key)
+
+
+@jit(cache_name='test')
+def advance_one_sweep(effects, state, frame_dt, substeps):
+    """Do what the line method does without its way back and its closing pass."""
+    h = frame_dt / substeps
+    for k in range(substeps):
+        substep = Substep(h, k / substeps, (k + 1) / substeps)
+        begin(state, substep)
+        prepare(effects, state, substep)
+        forth(effects, state, substep)
+        touch(effects, state, substep)
+        update_velocity(state, substep)
+
+
+@pytest.mark.parametrize(('kinds', 'substeps'), [
+    (('velocities', 'jitter'), 4), pytest.param(KINDS, 4, marks=pytest.mark.slow),
+    pytest.param(KINDS, 16, marks=pytest.mark.slow)])
+def test_one_plain_sweep_of_lines_with_bdf2_is_wilder(kinds, substeps):
+    """So that the tests above can fail: its two cures, taken away, are missed."""
+    wild = 0
+    for stiffness in (5e3, 5e4):
+        plain = worst('gauss_seidel', 'backward_euler', substeps, 21, stiffness, kinds, range(2))
+        sheet = swing('line', 'bdf2', substeps, 21, stiffness)
+
+        def bare(commands, sheet=sheet):
+            for command in commands:
+                sheet._apply(command, None)
+            advance_one_sweep(sheet._tuple, sheet.state, sheet.frame_dt, substeps)
+        for key, most in plain.items():
+            sheet._reset()
+            sheet._hold()
+            wild += growth(sheet, *key, step=bare) > HERE * most
+    assert wild >= 2

@@ -21,7 +21,7 @@ MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
 RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'jacobi': 1.0, 'explicit': 1.15}
 """substeps that a method wants, for each that an explicit one needs to be stable"""
-LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.18}
+LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.175}
 """the same for ``line``, for all edges; what lines do not take is swept, and wants all its own"""
 LEAST = 4
 
