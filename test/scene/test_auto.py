@@ -5,9 +5,10 @@ from math import ceil, sqrt
 import pytest
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import LEAST, NS
+from xpbd_ros.scene.auto import largest_rate, LEAST, NS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.study.check.stiffness import stiffness
 
 
 def resolved(stretch=None, n=20, solver=None, **keys):
@@ -55,6 +56,21 @@ def test_it_takes_a_fifth_of_the_substeps_that_an_explicit_solver_needs():
     assert resolved({'compliance': 10.0}).substeps == LEAST == 4
     half = resolved({'compliance': 1e-3}, frame_rate=120.0)
     assert half.substeps == ceil(0.175 * sqrt(rate) / 120.0)
+
+
+def test_gas_that_is_stiffer_than_its_skin_wants_substeps_of_its_own():
+    """And has nearly the overpressure that it should, by the law that ``check`` goes by."""
+    for outside, more in ((1e3, False), (1e6, True)):
+        scene = load_scene('balloon', {'cloths.balloon.effects.pressure.outside': outside,
+                                       'cloths.balloon.effects.pressure.amount': 1.01})
+        scene.raw['solver'] = {}
+        simulation = compile_scene(scene_from_mapping(scene.raw, where=scene.where, name='x'))
+        pressure = next(row for row in stiffness(scene, simulation, simulation.solver)
+                        if row.effect == 'pressure')
+        assert abs(pressure.error) < 0.1
+        skin = ceil(simulation.frame_dt * sqrt(largest_rate(
+            simulation.effects['stretch'].constraints, simulation.state.mass)))
+        assert (simulation.solver.substeps > 1.5 * skin) == more
 
 
 def test_what_is_stiffer_gets_as_many_substeps_or_more_and_rigid_most_of_all():

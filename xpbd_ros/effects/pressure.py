@@ -185,6 +185,9 @@ def react_pressure(pressure, state, substep):
 class Gas:
     """The same constraints one by one, in sweep order, as people and NumPy want them."""
 
+    stretch = True
+    """what the substeps have to resolve, unlike bending"""
+
     def __init__(self, particles, index, triangles, rest_volume, compliance):
         self.particles = particles
         """slots of each surface, those of small ones filled up with the last, which is empty"""

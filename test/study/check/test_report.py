@@ -44,6 +44,21 @@ def test_too_few_substeps_are_said_with_the_way_out():
     assert check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 16})).ok
 
 
+def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
+    """As measured: 241 Pa of 1100 (test_stiffness)."""
+    found = check(load_scene('balloon', {'solver.substeps': 22}))
+    (text,) = [text for text in found.warnings if 'Pa' in text]
+    assert text == ('balloon at 22 substeps has 248 Pa more than outside, not 1175; '
+                    f"{found.substeps_for['0.1']} substeps would do")
+    cured = check(load_scene('balloon', {'solver.substeps': found.substeps_for['0.1']}))
+    assert cured.ok, cured.warnings
+
+
+def test_what_nothing_is_predicted_of_is_said():
+    (note,) = check(load_scene('softbox')).notes
+    assert note.startswith('volume: no stiffness is predicted: its constraints have no direction')
+
+
 def test_the_substeps_asked_for_are_the_fewest_that_do():
     scene = load_scene('swing', {**SOFT, 'cloths.sheet.grid.resolution': [9, 9]})
     simulation = compile_scene(scene)

@@ -10,7 +10,8 @@ exactly this back: -T = (I - G^K) f∞ with (A + α) f∞ = -(C + A T). Hence
 
 per constraint and for any sweep, linearised about where the cloth is. One Gauss-Seidel pass makes
 of it C_j = α_j T_j - Σ A_jk T_k over the k that are swept after j (NUMERICS 0.2): a constraint
-gives what later ones take from it. Lines, solved whole, take nothing from one another.
+gives what later ones take from it. Lines, solved whole, take nothing from one another. What a
+triangle has three of is solved together: T and C are vectors, and α is their block.
 """
 
 from dataclasses import dataclass, field
@@ -33,8 +34,8 @@ class Law:
 
     jacobian: sparse.csr_matrix
     """J, rows in sweep order; shape (constraints, 3 particles)"""
-    compliance: np.ndarray
-    """α [m/N], shape (constraints,)"""
+    compliance: np.ndarray | sparse.csr_matrix
+    """α [m/N], shape (constraints,); a matrix where several are coupled"""
     mobility: np.ndarray
     """w H² of each particle [m/N], shape (particles,)"""
     passes: tuple[tuple[str, np.ndarray], ...]
@@ -43,6 +44,8 @@ class Law:
     iterations: int = 1
     relaxation: float = 1.0
     """ω of APART"""
+    block: np.ndarray | None = None
+    """which block each row is solved in, rising; None: each in its own"""
     coupling: sparse.csr_matrix = field(init=False)
     """A [m/N], shape (constraints, constraints)"""
 
@@ -51,17 +54,21 @@ class Law:
         m = sparse.diags(np.repeat(self.mobility, 3))
         coupling = (self.jacobian @ m @ self.jacobian.T).tocsr()
         object.__setattr__(self, 'coupling', coupling)
+        if not sparse.issparse(self.compliance):
+            object.__setattr__(self, 'compliance', sparse.diags(self.compliance).tocsr())
+        if self.block is None:
+            object.__setattr__(self, 'block', np.arange(coupling.shape[0]))
 
     def stretches(self, tension: np.ndarray) -> np.ndarray:
         """Return C of each constraint [m] under these tensions [N]."""
         alpha, A = self.compliance, self.coupling
         if not self.passes:
-            return alpha * tension
+            return alpha @ tension
         if self.iterations == 1 and len(self.passes) == 1 and self.passes[0][0] == FORTH:
-            return alpha * tension - sparse.triu(A, 1) @ tension
-        system = (A + sparse.diags(alpha)).tocsr()
-        factors = [(rows, system[rows],
-                    _factor(kind, A[rows][:, rows], alpha[rows], self.relaxation))
+            return alpha @ tension - (A - _kept(A, self.block, FORTH)) @ tension
+        system = (A + alpha).tocsr()
+        factors = [(rows, system[rows], _factor(kind, A[rows][:, rows], alpha[rows][:, rows],
+                                                self.block[rows], self.relaxation))
                    for kind, rows in self.passes if len(rows)]
 
         def left(e):
@@ -75,17 +82,25 @@ class Law:
         y = np.zeros_like(tension)
         for _ in range(REFINEMENTS):    # scipy's names for a tolerance change; its default stays
             y += gmres(operator, tension - (y - left(y)), restart=60, maxiter=20)[0]
-        return alpha * y + A @ left(y)
+        return alpha @ y + A @ left(y)
 
 
-def _factor(kind: str, A, alpha, relaxation):
+def _kept(A, block: np.ndarray, kind: str):
+    """Return the entries of rows that a pass solves before (FORTH), after (BACK) or with them."""
+    A = A.tocoo()
+    i, j = block[A.row], block[A.col]
+    kept = {FORTH: i >= j, BACK: i <= j, APART: i == j}[kind]
+    return sparse.csr_matrix((A.data[kept], (A.row[kept], A.col[kept])), A.shape)
+
+
+def _factor(kind: str, A, alpha, block: np.ndarray, relaxation: float):
     """Return the factors of what one pass solves exactly; what cannot move does nothing."""
-    A = A + sparse.diags((A.diagonal() + alpha == 0.0).astype(float))
+    A = A + sparse.diags((A.diagonal() + alpha.diagonal() == 0.0).astype(float))
     if kind == WHOLE:
-        split = A + sparse.diags(np.maximum(alpha, TINY * A.diagonal()))
+        split = A + sparse.diags(np.maximum(alpha.diagonal(), TINY * A.diagonal()))
         return splu(split.tocsc())
+    split = _kept(A + alpha, block, kind)
     if kind == APART:
-        return splu(sparse.diags((A.diagonal() + alpha) / relaxation).tocsc())
-    split = (sparse.tril if kind == FORTH else sparse.triu)(A + sparse.diags(alpha))
+        return splu((split / relaxation).tocsc())
     return splu(split.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,
                 options={'SymmetricMode': True})

@@ -1,8 +1,10 @@
 """
 Even loads on a cloth, and the tensions that they ask for: what its stiffness is measured by.
 
-``stretch``: the cloth hangs flat from one whole side, warp down and then weft down; from the side
-nearest to its pins where the scene has some. ``shear``: sheared evenly. ``bend``: rolled evenly.
+``stretch`` and ``membrane``: the cloth hangs flat from one whole side, warp down and then weft
+down; from the side nearest to its pins where the scene has some. Full of gas, it is blown up
+instead. ``shear``: sheared evenly. ``bend``: rolled evenly. ``hinge`` and ``area``: each hinge
+folded by as much, each triangle grown by as large a part.
 """
 
 from dataclasses import dataclass
@@ -11,10 +13,13 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from xpbd_ros.sim.mesh import Mesh
 from xpbd_ros.sim.simulation import Simulation
 
 SOFT = 1e-9
 """of the mean stiffness: holds what no constraint holds"""
+CAP = 0.05
+"""part of its length by which a mesh is hung: it has no row at its end"""
 STIFF = 1e-12
 """compliance of a rigid edge while tensions are sought, relative to the softest"""
 
@@ -25,7 +30,7 @@ class Sheet:
 
     name: str
     rest: np.ndarray
-    """[m], shape (particles, 3)"""
+    """along warp, across it, and the third way [m], shape (particles, 3)"""
     inv_mass: np.ndarray
     """[1/kg], all free; shape (particles,)"""
     held: np.ndarray
@@ -33,22 +38,44 @@ class Sheet:
     effects: dict[str, 'Part']
     crowd: int
     """most constraints at a particle, of the whole scene"""
+    is_grid: bool
+    excess: float = 0.0
+    """volume that its gas would fill, beyond its own [m³]"""
 
 
 @dataclass(frozen=True)
 class Part:
     """One effect's constraints on a cloth, in sweep order."""
 
-    particles: np.ndarray
-    """shape (constraints, 2 or 4)"""
     jacobian: sparse.csr_matrix
-    compliance: np.ndarray
+    """shape (rows, 3 particles)"""
+    blocks: np.ndarray
+    """α of each constraint, of b rows: shape (constraints, b, b)"""
     along: np.ndarray
     """0: nearer to warp, 1: nearer to weft; shape (constraints,)"""
 
+    @property
+    def compliance(self) -> sparse.csr_matrix:
+        """α of all rows."""
+        return _diagonal(self.blocks)
+
+    @property
+    def stiffness(self) -> sparse.csr_matrix:
+        """Its inverse; of what is rigid nearly so."""
+        least = STIFF * max(self.blocks.max(initial=0.0), 1e-12)
+        return _diagonal(np.linalg.inv(self.blocks + least * np.eye(self.blocks.shape[1])))
+
+
+def _diagonal(blocks: np.ndarray) -> sparse.csr_matrix:
+    count, b, _ = blocks.shape
+    first, place = b * np.arange(count)[:, None, None], np.arange(b)
+    rows, columns = (np.broadcast_to(first + k, blocks.shape)
+                     for k in (place[:, None], place[None]))
+    return sparse.csr_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), [b * count] * 2)
+
 
 def sheets(simulation: Simulation) -> list[Sheet]:
-    """Return the grids of a simulation, with the constraints of their stretch, shear and bend."""
+    """Return the cloths of a simulation, with the constraints that are linear about rest."""
     number = np.full(simulation.state.x.shape[1], -1)
     number[simulation.slot] = np.arange(len(simulation.slot))
     count = np.zeros(simulation.state.x.shape[1], int)
@@ -57,39 +84,106 @@ def sheets(simulation: Simulation) -> list[Sheet]:
             np.add.at(count, built.constraints.particles, 1)
     found = []
     for cloth in simulation.cloths:
-        if cloth.mesh.grid is None:
-            continue
-        rest, first = cloth.mesh.positions, cloth.particles.start
+        rest, first = in_axes(cloth.mesh), cloth.particles.start
         slots = simulation.slot[cloth.particles]
-        effects = {}
-        for name in ('bend', 'shear', 'stretch'):
-            if name not in simulation.effects:
-                continue
-            listed = simulation.effects[name].constraints
-            particles = number[listed.particles] - first
-            here = ((particles >= 0) & (particles < len(rest))).all(1)
-            if here.any():
-                effects[name] = _part(rest, particles[here], listed, here)
+        places = np.zeros((simulation.state.x.shape[1], 3))
+        places[slots] = rest
+        effects, excess = {}, 0.0
+        for name, slopes in SLOPES.items():
+            if name in simulation.effects:
+                listed = simulation.effects[name].constraints
+                particles = number[listed.particles] - first
+                here = ((particles >= 0) & (particles < len(rest))).all(1)
+                if here.any():
+                    effects[name] = _part(rest, particles[here],
+                                          slopes(listed, places)[here], listed, here)
+        if 'pressure' in simulation.effects:
+            listed = simulation.effects['pressure'].constraints
+            for triangles, volume, alpha in zip(listed.triangles, listed.rest_volume,
+                                                listed.compliance):
+                corners = number[triangles] - first
+                if corners.min() >= 0 and corners.max() < len(rest):
+                    effects['pressure'], own = _gas(rest, corners, alpha)
+                    excess = volume - own
         found.append(Sheet(cloth.name, rest, 1.0 / simulation.state.mass[slots].astype(float),
                            np.flatnonzero(simulation.state.inv_mass[slots] == 0.0), effects,
-                           int(count.max(initial=1))))
+                           int(count.max(initial=1)), cloth.mesh.grid is not None, excess))
     return found
 
 
-def _part(rest, particles, listed, here) -> Part:
+def _part(rest, particles, slopes, listed, here) -> Part:
+    """Return constraints, given their slopes by particle: (constraints, rows, particles, 3)."""
     d = rest[particles[:, 0]] - rest[particles[:, 1]]
     along = (np.abs(d[:, 1]) > np.abs(d[:, 0])).astype(int)
-    if particles.shape[1] == 2:
-        u = d / np.linalg.norm(d, axis=1)[:, None]
-        values = np.stack([u, -u], 1)    # C grows along u at the first particle
-    else:
-        values = np.zeros((len(particles), 4, 3))    # flat: only what leaves the sheet bends it
-        values[:, :, 2] = listed.weight[here]
-    rows = np.arange(len(particles))[:, None, None] + np.zeros(values.shape, int)
-    columns = 3 * particles[:, :, None] + np.arange(3)
-    jacobian = sparse.csr_matrix((values.ravel(), (rows.ravel(), columns.ravel())),
-                                 (len(particles), 3 * len(rest)))
-    return Part(particles, jacobian, listed.compliance[here], along)
+    count, b = slopes.shape[:2]
+    rows = np.broadcast_to(np.arange(b * count).reshape(count, b, 1, 1), slopes.shape)
+    columns = np.broadcast_to((3 * particles[:, :, None] + np.arange(3))[:, None], slopes.shape)
+    jacobian = sparse.csr_matrix((slopes.ravel(), (rows.ravel(), columns.ravel())),
+                                 (b * count, 3 * len(rest)))
+    blocks = listed.block if hasattr(listed, 'block') else listed.compliance[:, None, None]
+    return Part(jacobian, blocks[here], along)
+
+
+def _gas(rest, corners, alpha: float) -> tuple[Part, float]:
+    """Return what holds a surface open, and its volume at rest [m³]."""
+    sides = np.cross(rest[corners[:, [1, 2, 0]]], rest[corners[:, [2, 0, 1]]]) / 6.0
+    slope = np.zeros(rest.shape)
+    np.add.at(slope, corners, sides)
+    return (Part(sparse.csr_matrix(slope.reshape(1, -1)), np.full((1, 1, 1), alpha),
+                 np.zeros(1, int)), float((rest[corners[:, 0]] * sides[:, 0]).sum()))
+
+
+def in_axes(mesh: Mesh) -> np.ndarray:
+    """Return positions along the warp, across it where the mesh is widest, and the third way."""
+    if mesh.grid is not None:
+        return mesh.positions
+    warp = np.asarray(mesh.warp, float)
+    x = mesh.positions - mesh.positions.mean(0)
+    flat = x - np.outer(x @ warp, warp)
+    across = np.linalg.svd(flat, full_matrices=False)[2][0]
+    return x @ np.stack([warp, across, np.cross(warp, across)], 1)
+
+
+def _edges(listed, x):
+    d = x[listed.particles[:, 0]] - x[listed.particles[:, 1]]
+    l = np.linalg.norm(d, axis=1)[:, None]
+    u = np.divide(d, l, out=np.zeros_like(d), where=l > 0.0)    # 0: of another cloth
+    return np.stack([u, -u], 1)[:, None]    # C grows along u at the first particle
+
+
+def _curvatures(listed, x):
+    found = np.zeros((len(listed.weight), 1, 4, 3))    # each axis for itself: one says it all
+    found[:, 0, :, 2] = listed.weight
+    return found
+
+
+def _angles(listed, x):
+    x0, x1, x2, x3 = (x[listed.particles[:, k]] for k in range(4))
+    e, a, b = x1 - x0, x2 - x0, x3 - x0
+    n, o = np.cross(e, a), np.cross(b, e)
+    with np.errstate(invalid='ignore'):    # of another cloth
+        n, o = (v / (v * v).sum(1, keepdims=True) for v in (n, o))
+        l = np.linalg.norm(e, axis=1)[:, None]
+        s, t = ((v * e).sum(1, keepdims=True) / l for v in (a, b))
+    return np.stack([(l - s) * n + (l - t) * o, s * n + t * o, -l * n, -l * o], 1)[:, None]
+
+
+def _areas(listed, x):
+    x0, x1, x2 = (x[listed.particles[:, k]] for k in range(3))
+    n = np.cross(x1 - x0, x2 - x0)
+    with np.errstate(invalid='ignore'):    # of another cloth
+        n /= 2.0 * np.linalg.norm(n, axis=1)[:, None]
+    g, h = np.cross(x2 - x0, n), np.cross(n, x1 - x0)
+    return np.stack([-g - h, g, h], 1)[:, None]
+
+
+def _strains(listed, x):
+    return listed.jacobian(x.T)
+
+
+SLOPES = {'bend': _curvatures, 'cross_bend': _edges, 'hinge': _angles, 'area': _areas,
+          'shear': _edges, 'membrane': _strains, 'stretch': _edges}
+"""∂C/∂x of each constraint by its particles, shape (constraints, rows of each, particles, 3)"""
 
 
 def hung_side(sheet: Sheet, axis: int) -> np.ndarray:
@@ -98,15 +192,13 @@ def hung_side(sheet: Sheet, axis: int) -> np.ndarray:
     low, high = place.min(), place.max()
     near = sheet.rest[sheet.held, axis].mean() if len(sheet.held) else low
     end, inward = (low, 1.0) if near <= 0.5 * (low + high) else (high, -1.0)
-    reach = 1e-6 * (high - low)
+    reach = (1e-6 if sheet.is_grid else CAP) * (high - low)
     return np.flatnonzero(inward * (place - end) <= reach)
 
 
 def hanging(sheet: Sheet, axis: int, gravity: float, names: list[str]) -> np.ndarray:
     """Return the tension of each edge of some effects [N] where the sheet hangs from a side."""
-    J = sparse.vstack([sheet.effects[name].jacobian for name in names]).tocsr()
-    alpha = np.concatenate([sheet.effects[name].compliance for name in names])
-    stiff = 1.0 / np.maximum(alpha, STIFF * max(alpha.max(), 1e-12))
+    J, stiff = matrices(sheet, names)
     side = hung_side(sheet, axis)
     down = np.zeros(sheet.rest.shape)
     middle = sheet.rest[:, axis].mean()
@@ -114,8 +206,29 @@ def hanging(sheet: Sheet, axis: int, gravity: float, names: list[str]) -> np.nda
     free = np.ones(len(sheet.rest), bool)
     free[side] = False
     dofs = np.flatnonzero(np.repeat(free, 3))
-    Jf = J[:, dofs]
-    K = (Jf.T @ sparse.diags(stiff) @ Jf).tocsc()
+    return stiff @ (J[:, dofs] @ _moved(J[:, dofs], stiff, down.ravel()[dofs]))
+
+
+def blown_up(sheet: Sheet, names: list[str]) -> np.ndarray:
+    """Return the tension in each row of some effects where gas pushes with 1 Pa; its own is -1."""
+    gas = names.index('pressure')
+    rest = names[:gas] + names[gas + 1:]
+    push = sheet.effects['pressure'].jacobian.toarray().ravel()
+    J, stiff = matrices(sheet, rest)
+    tension = stiff @ (J @ _moved(J, stiff, push))
+    first = sum(sheet.effects[name].jacobian.shape[0] for name in names[:gas])
+    return np.insert(tension, first, -1.0)
+
+
+def matrices(sheet: Sheet, names: list[str]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Return the Jacobian of some effects, and their stiffness."""
+    parts = [sheet.effects[name] for name in names]
+    return (sparse.vstack([part.jacobian for part in parts]).tocsr(),
+            sparse.block_diag([part.stiffness for part in parts]).tocsr())
+
+
+def _moved(J, stiff, force: np.ndarray) -> np.ndarray:
+    """Return how far a force moves what is linear; what nothing holds is held softly."""
+    K = (J.T @ stiff @ J).tocsc()
     K = K + SOFT * K.diagonal().mean() * sparse.identity(K.shape[0])
-    u = splu(K.tocsc()).solve(down.ravel()[dofs])
-    return stiff * (Jf @ u)
+    return splu(K.tocsc()).solve(force)

@@ -10,8 +10,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.study.check.decay import Decay, decays
-from xpbd_ros.study.check.stiffness import Row, stiffness
-from xpbd_ros.study.check.substeps import needed
+from xpbd_ros.study.check.stiffness import Row, stiffness, UNPREDICTED
+from xpbd_ros.study.check.substeps import needed, STRETCH
 
 ERRORS = (0.1, 0.01, 0.001)
 WORTH_SAYING = 0.1
@@ -33,7 +33,7 @@ class Report:
     frame_dt_ms: float
     warnings: list[str]
     notes: tuple[str, ...] = ()
-    """what was mended in meshes from files"""
+    """what was mended in meshes from files, and what nothing is said about"""
 
     @property
     def ok(self) -> bool:
@@ -53,7 +53,12 @@ def check(scene: Scene) -> Report:
                 *_unheld(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
-                  simulation.notes)
+                  simulation.notes + _unpredicted(simulation))
+
+
+def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
+    return tuple(f'{name}: no stiffness is predicted: {why}'
+                 for name, why in UNPREDICTED.items() if name in simulation.effects)
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:
@@ -86,8 +91,11 @@ def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | N
             continue
         where = f' along {row.direction}' if row.direction else ''
         text = (f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
-                f'{row.effective:.3g} {row.unit}{where} ({row.effect}), not {row.asked:g}')
-        if row.effect == 'stretch':
+                f'{row.effective:.3g} {row.unit}{where} ({row.effect}), not {row.asked:.6g}')
+        if row.effect == 'pressure':
+            text = (f'{row.cloth} at {solver.substeps} substeps has {row.effective:.3g} Pa more '
+                    f'than outside, not {row.asked:.4g}')
+        if row.effect in STRETCH:
             text += f'; {_cure(scene, simulation, enough)}'
         else:
             count = ceil(solver.substeps * (abs(row.error) / WORTH_SAYING)**0.5)

@@ -19,6 +19,7 @@ MOST = 10_000
 """the most that a scene may ask for"""
 RESOLVED = 1e-3
 """relative error that ``share`` stands for"""
+STRETCH = ('stretch', 'membrane', 'pressure')
 SWEEPS = 6
 """corrections of a first guess"""
 
@@ -28,16 +29,24 @@ def needed(scene: Scene, simulation: Simulation, solver: Solver, error: float) -
     count = max(1.0, resolving(simulation, solver, error))
     if count > MOST:
         return None
-    count = ceil(count)
+
+    def left(count: int) -> float:
+        return stretch_error(stiffness(scene, simulation, replace(solver, substeps=count)))
+
+    below, count = 0, ceil(count)
     for _ in range(SWEEPS):
-        left = stretch_error(stiffness(scene, simulation, replace(solver, substeps=count)))
-        if left <= error:
-            return count
-        if left == inf:
+        more = left(count)
+        if more <= error:
+            break
+        if more == inf:
             return None
-        count = max(count + 1, ceil(count * min(sqrt(left / error), 100.0) * (1.0 - 1e-9)))
+        below = count
+        count = max(count + 1, ceil(count * min(sqrt(more / error), 100.0) * (1.0 - 1e-9)))
         if count > MOST:
             return None
+    while below and count - below > 1:    # it may fall faster than that
+        middle = (below + count) // 2
+        below, count = (below, middle) if left(middle) <= error else (middle, count)
     return count
 
 
@@ -56,5 +65,5 @@ def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
 
 
 def stretch_error(rows: list[Row]) -> float:
-    """Return the largest relative error of the stiffness along warp and weft."""
-    return max((row.error for row in rows if row.effect == 'stretch'), default=0.0)
+    """Return the largest relative error of the stiffness along warp and weft, or of a pressure."""
+    return max((abs(row.error) for row in rows if row.effect in STRETCH), default=0.0)
