@@ -83,4 +83,11 @@ def test_float32_far_from_the_origin_is_said(precision, far, told):
         'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [11, 11]}, 'density': 0.2,
                          'pose': {'position': [far, 0.0, 0.0]}}},
     }, where='far.yaml', name='far')).notes
-    assert any('float32 rounds places' in note for note in notes) == told
+    assert any('neighbours are' in note for note in notes) == told
+
+
+@pytest.mark.parametrize(('precision', 'substeps', 'told'), [
+    ('float32', 20, False), ('float32', 2000, True), ('float64', 2000, False)])
+def test_steps_that_float32_cannot_tell_are_said(precision, substeps, told):
+    notes = simulate(gravity=(0, 0, -9.8), substeps=substeps, precision=precision).notes
+    assert any('forces get lost' in note for note in notes) == told

@@ -68,7 +68,8 @@ def compile_scene(scene: Scene) -> Simulation:
             retune=Retune(scene, tuple(cloths), state, effects),
             notes=[*(f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
                      for text in cloth.mesh.notes),
-                   *_too_coarse(cloths, state)])
+                   *_too_coarse(cloths, state),
+                   *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:
         raise InputError(f'{scene.where}: sizes, stiffnesses and densities do not fit together '
                          f'({error})') from error
@@ -107,6 +108,16 @@ def _too_coarse(cloths, state: State) -> list[str]:
     return [f'solver.precision: float32 rounds places at {far:.3g} m from the origin to '
             f'{rounding:.2g} m, and neighbours are {gap:.2g} m apart; take float64, or an origin '
             'near the scene']
+
+
+def _too_short(state: State, h: float) -> list[str]:
+    """Say where float32 rounds places to more than gravity moves them by in a substep."""
+    fall, far = float(np.linalg.norm(state.gravity)) * h * h, np.abs(state.x).max(initial=0.0)
+    if state.x.dtype != np.float32 or fall == 0.0 or 0.5 * np.spacing(far) <= fall:
+        return []
+    return [f'solver.precision: float32 rounds places at {far:.3g} m from the origin by up to '
+            f'{0.5 * np.spacing(far):.2g} m, and gravity moves them by {fall:.2g} m in a substep: '
+            'forces get lost; take float64, or fewer substeps']
 
 
 def frame_rate(scene: Scene) -> Fraction:

@@ -27,8 +27,8 @@ from xpbd_ros.sim.multistep import (
     weights,
 )
 from xpbd_ros.sim.team import share, Team, wait
-from xpbd_ros.sim.update import Explicit, inline, Jacobi
-from xpbd_ros.sim.vector import lanes, load, select, splat, store
+from xpbd_ros.sim.update import Explicit, Jacobi
+from xpbd_ros.sim.vector import lanes, load, select, store
 
 
 class State(NamedTuple):
@@ -216,21 +216,16 @@ def _begin_multistep(state, history, older_x, older_v, h):
             store(x, i, select(free, x_mean + step * moved, xi))
 
 
-def velocity(v, now, start, step, plain):
+@jit(inline=True)
+def velocity(v, now, start, step, per_step):
     """
     Return v after a step of H that was predicted to end at start + H v and ends at ``now``.
 
-    ``plain`` is what the formula of the integrator says, by differences of positions. It is the
-    same but for rounding: the last bit of x, divided by H, is a large part of what gravity adds to
-    v in a short step. So float32 goes on from the predicted v, which has all its bits.
+    It is what differences of positions say but for rounding: the last bit of x, divided by H, is a
+    part of what gravity adds to v in a short step that adds up, in float32 or far from the origin.
+    So it goes on from the predicted v, which has all its bits.
     """
-
-
-@inline(velocity)
-def _velocity(v, now, start, step, plain):
-    if v.lane.bitwidth < 64:
-        return lambda v, now, start, step, plain: v + (now - (start + step * v)) / step
-    return lambda v, now, start, step, plain: plain
+    return v + (now - (start + step * v)) * per_step
 
 
 @jit
@@ -257,8 +252,7 @@ def _update_euler(state, h):
         for k in range(3):
             i = k * slots + q
             xi, xp = load(x, i), load(state.x_prev, i)
-            plain = (xi - xp) * per_h
-            store(v, i, select(free, velocity(load(v, i), xi, xp, splat(w, h), plain), plain))
+            store(v, i, select(free, velocity(load(v, i), xi, xp, h, per_h), (xi - xp) * per_h))
 
 
 @jit
@@ -271,12 +265,13 @@ def _update_multistep(state, history, older_x, h):
         fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
         as_predicted = fresh < TOUCHED
         step, a, b = weights(older_x, w, fresh, h)
+        per_step = 1.0 / step
         for k in range(3):
             i = k * slots + q
             xi, xp = load(state.x, i), load(state.x_prev, i)
             start = mean(xp, history.x, older_x, i, a, b)
-            plain = (xi - start) / step
-            store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, plain), plain))
+            store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
+                               (xi - start) * per_step))
             remember(xp, history.x, older_x, i)
 
 

@@ -12,20 +12,25 @@ from xpbd_ros.study.stress.trial import Trial
 from xpbd_ros.study.stress.worlds import FEW, FLAT, LINE, N, sheet, SIZE, USUAL
 
 GENTLE = 0.05
-GRAIN = 'float32 rounds x to more than gravity moves it by in a substep; ``check`` says so'
 
 
 @hard('H19', 'substeps from 1e-5 to 0.1 s')
 def steps():
-    """Softer where they are long, by the law, and never wild."""
+    """
+    Softer where they are long, by the law, and never wild.
+
+    In 10 µs gravity moves a particle by 1e-9 m, and float32 rounds its place by up to 1.5e-8 m:
+    what it weighs is not known there. That is said, and it stays bounded.
+    """
     for setting in USUAL:
         if setting.method == 'explicit' or setting.iterations > 1:
             continue
         for rate, substeps, seconds in ((10.0, 1, 4.0), (60.0, 1, 3.0), (60.0, 100, 1.0),
                                         (1000.0, 100, 0.2)):
+            lost = setting.precision == 'float32' and rate > 60.0
+            bounds = {'strain': 0.5, 'tells': ('forces get lost',)} if lost else {'energy': GENTLE}
             yield Trial(replace(setting, substeps=substeps), sheet(pose=FLAT, rate=rate), seconds,
-                        energy=GENTLE, label=f'at {rate:g} Hz',
-                        known=GRAIN if setting.precision == 'float32' and rate > 60.0 else '')
+                        label=f'at {rate:g} Hz', **bounds)
 
 
 @hard('H22', 'the smallest cloths')
