@@ -34,12 +34,13 @@ SUBSTEPS = (1, 2, 4, 8, 16, 32)
 G = 9.80665
 
 
-def swing(method: str, integrator: str, substeps: int, n: int, stiffness: float):
+def swing(method: str, integrator: str | None, substeps: int, n: int, stiffness: float):
     """Return the swing: a sheet of n x n particles, 1 m wide, at rest, held at two corners."""
+    keys = {'method': method, 'integrator': integrator, 'substeps': substeps}
     return compile_scene(load_scene('swing', {
         'cloths.sheet.grid.resolution': [n, n],
         'cloths.sheet.effects.stretch': {'warp': stiffness, 'weft': stiffness},
-        'solver.method': method, 'solver.integrator': integrator, 'solver.substeps': substeps}))
+        **{f'solver.{key}': value for key, value in keys.items() if value is not None}}))
 
 
 def start(sheet, kind: str, random) -> None:
