@@ -32,7 +32,6 @@ from xpbd_ros.sim.state import new_state, places, Substep
 from xpbd_ros.sim.step import compiled
 from xpbd_ros.sim.sweeps import METHODS
 from xpbd_ros.sim.team import Crew
-from xpbd_ros.study.reference import Problem
 
 
 @dataclass
@@ -63,7 +62,7 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
         edges = grid_edges(grid_runs(sheet.block, shapes, sheet.slots), range(len(shapes)),
                            work.edges.rest_length[first], [work.edges.compliance[first, None]],
                            world=sheet)
-        effects = (Stretch(edges, None),)
+        effects = (Stretch(edges, None, None),)
     else:
         sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision,
                        order=work.edges.particles)
@@ -206,16 +205,3 @@ def swing(n: int, stiffness: float, *, method: str, integrator: str | None,
         raise NotAvailableError(str(error).rpartition('solver.')[2]) from error
     simulation.compile()
     return simulation
-
-
-def problem_of(simulation: Simulation) -> Problem:
-    """Return the masses, edges and pins of the compiled swing, as the reference wants them."""
-    state, slot = simulation.state, simulation.slot
-    number = np.empty(len(state.mass), np.int64)
-    number[slot] = np.arange(len(slot))
-    lists = [simulation.effects[name].constraints for name in ('shear', 'stretch')]
-    edges, rest, compliance = (np.concatenate([getattr(edges, name) for edges in lists])
-                               for name in ('particles', 'rest_length', 'compliance'))
-    return Problem(x=simulation.frame().x, mass=state.mass[slot],
-                   pinned=state.inv_mass[slot] == 0.0, gravity=state.gravity,
-                   edges=number[edges], rest_length=rest, stiffness=1.0 / compliance)

@@ -18,7 +18,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.sim.commands import ReleaseAll, SetKey
 from xpbd_ros.study.accuracy import study
-from xpbd_ros.study.accuracy.baselines import Baseline
+from xpbd_ros.study.accuracy.baselines import Baseline, refusal
 from xpbd_ros.study.accuracy.book import FILE
 from xpbd_ros.study.accuracy.choose import recommend, Row, SHAPE
 from xpbd_ros.study.accuracy.measure import remarks, without_solver
@@ -26,7 +26,7 @@ from xpbd_ros.study.accuracy.picture import draw
 from xpbd_ros.study.accuracy.play import play
 from xpbd_ros.study.accuracy.report import facts, settings_text, write_csv, write_page
 from xpbd_ros.study.accuracy.setting import BASELINES, ladder, METHODS, Setting
-from xpbd_ros.study.accuracy.truth import extrapolated, Truth
+from xpbd_ros.study.accuracy.truth import extrapolated, independent, Truth
 from xpbd_ros.study.accuracy.work import Job
 
 FRAMES = 24
@@ -74,6 +74,28 @@ def test_the_truth_is_independent_and_our_own_limit_agrees(found):
     assert truth.apart[-1] < min(errors_of(found, 'line', 'bdf2').values())
 
 
+@pytest.mark.parametrize('effects, why, scene', [
+    ({'membrane': {'young': 50.0}, 'hinge': {'stiffness': 1e-3}, 'area': {'stiffness': 5.0}},
+     None, {}),
+    ({'stretch': {'warp': 50.0, 'weft': 50.0}, 'rayleigh': {'time': 1e-3}},
+     'effects.rayleigh: has no energy to compare with, being dissipation', {}),
+    ({'stretch': {'warp': 50.0, 'weft': 50.0}},
+     'effects.contact: has no energy to compare with, being an inequality',
+     {'effects': {'contact': {'thickness': 0.01}}}),
+    ({'stretch': {'compliance': 0.0}}, 'cannot take what is rigid', {}),
+])
+def test_what_has_an_energy_is_compared_with_the_independent_solver(effects, why, scene):
+    """Baselines know fewer effects, and say which they do without."""
+    chosen = scene_from_mapping({
+        'cloths': {'c': {'grid': {'size': [0.2, 0.2], 'resolution': [3, 3]}, 'density': 0.2,
+                         'effects': effects}},
+        'pins': {'a': {'cloth': 'c', 'at': 'corner_00', 'compliance': 0.01}}, **scene},
+        where='x', name='x')
+    found = independent(chosen)
+    assert found is None if why is None else why in found
+    assert 'baselines' in refusal(chosen) or why in refusal(chosen)
+
+
 def test_every_setting_has_an_error_and_a_time_or_a_reason(found):
     for row in found.rows:
         if row.errors.finite:
@@ -86,7 +108,8 @@ def test_every_setting_has_an_error_and_a_time_or_a_reason(found):
     assert sum(row.scene for row in found.rows) == 1
     kinds = {(row.setting.integrator, row.setting.precision) for row in found.rows
              if row.setting.method == 'line'}
-    assert kinds == {('backward_euler', 'float64'), ('bdf2', 'float64'), ('bdf2', 'float32')}
+    assert kinds == {('backward_euler', 'float64'), ('bdf2', 'float64'), ('ndf2', 'float64'),
+                     ('ndf2', 'float32')}
 
 
 def test_baselines_are_there_and_never_on_the_front(found):
