@@ -80,6 +80,10 @@ def exactly(middle, x):
 @hard('H17', 'where a normal is not defined')
 def no_normal():
     """Particles at centres, on edges and corners; shapes without extent."""
+    def outside(track):
+        way = float(np.linalg.norm(track.x[-1]))
+        return '' if way >= 0.06 else f'{way:.2g} m from the centre'
+
     mid = [SIZE / 2.0, 0.0, SIZE / 2.0]
     for name, shape in (('centre of a sphere', {'sphere': {'radius': 0.06}}),
                         ('centre of a box', {'box': {'size': [0.1, 0.1, 0.1]}}),
@@ -94,6 +98,10 @@ def no_normal():
             if 'sphere' in name:
                 yield Trial(setting, {**scene, 'gravity': [0.0, 0.0, 0.0]}, 1.0,
                             place=partial(exactly, mid), strain=3.0, label=f'{name}, at rest')
+    for setting in FEW:
+        ball = {'thing': {'sphere': {'radius': 0.06}, 'position': [0.0, 0.0, 0.0]}}
+        yield Trial(setting, sheet(grid=(1, 1), pins={}, gravity=0.0, colliders=ball), 1.0,
+                    also=outside, label='one particle at the centre of a sphere')
     for shape, says in (({'sphere': {'radius': 0.0}}, 'radius: must be > 0 m (got 0.0)'),
                         ({'box': {'size': [0.1, 0.0, 0.1]}}, 'must be > 0 m (got 0.0)'),
                         ({'plane': {'normal': [0.0, 0.0, 0.0]}}, 'normal: must not be zero')):
