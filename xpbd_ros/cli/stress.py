@@ -88,7 +88,7 @@ def numbers_of(outcome) -> dict:
             'recovered': outcome.recovered, 'recovery_s': outcome.recovery_s,
             'reported': outcome.reported, 'textbook_pass': outcome.textbook,
             'textbook_why': outcome.textbook_why, 'skipped': outcome.skipped,
-            'why': outcome.why, 'known': outcome.known, 'pass': outcome.good}
+            'why': outcome.why, 'pass': outcome.good}
 
 
 def lines(results) -> list[str]:
@@ -102,7 +102,6 @@ def lines(results) -> list[str]:
                     'yes' if each.recovery_s is None else f'{each.recovery_s:.2f} s')
             book = {None: '-', True: 'pass', False: 'fails'}[each.textbook]
             mark = 'skip' if each.skipped else 'pass' if each.good else 'FAIL'
-            said = each.reported[:72] + f'  [{each.why}]' * bool(each.why) + (
-                f' (known: {each.known})' * bool(each.known))
+            said = each.reported[:72] + f'  [{each.why}]' * bool(each.why)
             text.append(f'  {mark}  {each.setting:<54}{strain:>7} {back:>9}  {book:<8}  {said}')
     return text

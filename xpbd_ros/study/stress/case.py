@@ -49,8 +49,6 @@ class Outcome:
     """whether a textbook solver meets the same; None where it has nothing of the kind"""
     textbook_why: str = ''
     skipped: bool = False
-    known: str = ''
-    """why it is known to fail today"""
 
 
 class Attempt(Protocol):

@@ -77,8 +77,6 @@ class Trial:
     """what is told elsewhere"""
     textbook: bool = True
     """whether the textbook solver has all that the case is of"""
-    known: str = ''
-    """why it is known to fail today"""
     label: str = ''
     """beside the setting"""
 
@@ -116,7 +114,7 @@ class Trial:
             recovery, '; '.join([*(f'{text} {ours.stats[text]:g}' if text in ours.stats else
                                    next(said for said in ours.said if text in said)
                                    for text in told), *[self.note] * bool(self.note)]),
-            '; '.join(why), book, book_why, known=self.known)
+            '; '.join(why), book, book_why)
 
     def calm(self, solver: str) -> float:
         """Return the strain at the end of the same scene without the cause."""
