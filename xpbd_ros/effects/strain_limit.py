@@ -118,6 +118,8 @@ def limited_edges(mesh) -> np.ndarray:
 class BuiltStrainLimit(Built):
     """The edges of every cloth that has a limit."""
 
+    not_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+
     def __init__(self, parameters, world):
         super().__init__()
         particles, longest = [], []

@@ -146,6 +146,8 @@ class Ways:
 class BuiltTether(Built):
     """The tethers of every cloth that has them, as long as something is pinned."""
 
+    not_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+
     def __init__(self, parameters, world):
         super().__init__()
         self._ways = [Ways.of(cloth, chosen.slack) for cloth, chosen in parameters.items()]

@@ -21,8 +21,10 @@ MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
 RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'jacobi': 1.0, 'explicit': 1.15}
 """substeps that a method wants, for each that an explicit one needs to be stable"""
-LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.175}
+LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.22}
 """the same for ``line``, for all edges; what lines do not take is swept, and wants all its own"""
+CALM = 0.15
+"""the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
 LEAST = 4
 
 
@@ -60,8 +62,11 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
-    if keys.integrator is None and method == 'line' and max(LINE['ndf2'] * needed, swept) <= (
-            keys.substeps or affordable):
+    if integrator in barred:
+        raise InputError(f"solver.integrator: '{integrator}' goes wild with {barred[integrator]}, "
+                         'which the scene has; take bdf2 or backward_euler')
+    if (keys.integrator is None and method == 'line' and 'ndf2' not in barred
+            and CALM * needed <= (keys.substeps or affordable)):
         integrator = 'ndf2'
     if (integrator == 'leapfrog') != (method == 'explicit'):
         fitting = 'leapfrog' if method == 'explicit' else 'backward_euler, bdf2 or ndf2'

@@ -165,7 +165,7 @@ class Built:
 
     data: tuple | None
     not_with: tuple[str, ...] = ()
-    """methods that do without it"""
+    """methods and integrators that do without it"""
     also: tuple[tuple, ...] = ()
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
