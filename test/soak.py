@@ -3,8 +3,9 @@ Simulate for hours, as fast as it goes, under random commands; nothing may grow.
 
     python test/soak.py [HOURS]
 
-Memory, file handles and the time stamps are looked at every simulated minute; the exit code is 1
-where one of them got worse. ``test/test_soak.py`` does the same for less long.
+Memory, file handles, energy and the time stamps are looked at; at the end the scene is reset and
+must do, bit for bit, what it does when it is new: nothing has added up. The exit code is 1 where
+something got worse. ``test/test_soak.py`` does the same for less long.
 """
 
 import os
@@ -19,7 +20,16 @@ import numpy as np
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
-from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose, Release, ReleaseAll, SetKey
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    ReleaseAll,
+    Reset,
+    SetKey,
+)
 
 MEGABYTE = 2**20
 
@@ -46,12 +56,27 @@ def memory() -> int:
     return int(Path('/proc/self/statm').read_text().split()[1]) * resource.getpagesize()
 
 
-def soak(seconds: float, *, say=lambda text: None) -> dict:
-    """Run for so long and return the figures at the end and what got worse."""
-    simulation = compile_scene(load_scene('demo', {
+def small_demo():
+    """Return the demo with a coarse towel."""
+    return compile_scene(load_scene('demo', {
         'solver.method': 'gauss_seidel', 'solver.integrator': 'backward_euler',
         'solver.substeps': 8, 'cloths.towel.grid.resolution': [13, 17]}))
+
+
+def later(simulation, commands) -> list[np.ndarray]:
+    """Return positions and velocities a second after some commands."""
+    for _ in range(60):
+        frame = simulation.step(commands)
+        commands = []
+    return [frame.x, frame.v]
+
+
+def soak(seconds: float, *, say=lambda text: None) -> dict:
+    """Run for so long and return the figures at the end and what got worse."""
+    simulation = small_demo()
     simulation.compile()
+    new = later(small_demo(), [])
+    energies = []
     noise, frame = random.Random(1), simulation.step()
     minute, worst = round(60 * simulation.frame_rate), []
     begin, first = time.perf_counter(), None
@@ -63,6 +88,8 @@ def soak(seconds: float, *, say=lambda text: None) -> dict:
         if k % 60 == 0 and not (np.isfinite(frame.x).all() and np.isfinite(frame.v).all()):
             worst.append(f'not finite at {k}')
             break
+        if k % 60 == 0:
+            energies.append(measure.kinetic_energy(simulation.state))
         if k % minute == 0 or k == frames:
             now = {'memory': memory(), 'handles': handles()}
             first = first or now
@@ -76,6 +103,8 @@ def soak(seconds: float, *, say=lambda text: None) -> dict:
              (memory() - first['memory']) / MEGABYTE, 'handles': handles() - first['handles'],
              'speed_at_rest': float(np.abs(frame.v).max()),
              'strain': measure.largest_strain(simulation),
+             'energy_grown': float(np.median(energies[len(energies) // 2:])
+                                   / np.median(energies[:len(energies) // 2])),
              'frames_taken_back': simulation.stats()['frames_taken_back']}
     if found['grown_mb'] > 16.0:
         worst.append('memory grows')
@@ -83,6 +112,12 @@ def soak(seconds: float, *, say=lambda text: None) -> dict:
         worst.append('files are left open')
     if found['frames_taken_back']:
         worst.append('frames were taken back')
+    again = later(simulation, [SetKey('gravity', [0.0, 0.0, -9.80665]),
+                               SetKey('solver.substeps', 8), Reset()])
+    if not all(np.array_equal(a, b) for a, b in zip(again, new)):
+        worst.append('after a reset it is not as when it was new')
+    if not found['energy_grown'] < 2.0:
+        worst.append('energy grows')
     if not found['strain'] < 1.0:
         worst.append('the cloth does not come to rest')
     return {**found, 'worse': worst}
