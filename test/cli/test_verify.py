@@ -23,7 +23,7 @@ def test_one_case_as_a_table_and_as_json(capsys, tmp_path):
 def test_orders_and_pictures(capsys, tmp_path):
     assert main(['verify', '--case', 'V1', '--json', '-', '-o', str(tmp_path / 'p')]) == 0
     numbers = json.loads(capsys.readouterr().out)
-    assert [round(row['order'], 1) for row in numbers['cases'] if row['order']] == [1.0, 2.0]
+    assert [round(row['order'], 1) for row in numbers['cases'] if row['order']] == [1.0, 2.0, 2.0]
     assert numbers['pictures'] == [str(tmp_path / 'p' / 'verify_motion.png')]
     assert (tmp_path / 'p' / 'verify_motion.png').stat().st_size > 5000
     assert main(['verify', '--case', 'V1', '-o', str(tmp_path / 'p')]) == 2
