@@ -28,8 +28,8 @@ def test_orders_and_pictures(capsys, tmp_path):
     assert (tmp_path / 'p' / 'verify_motion.png').stat().st_size > 5000
     assert main(['verify', '--case', 'V1', '-o', str(tmp_path / 'p')]) == 2
     row = (tmp_path / 'p' / 'verify.md').read_text().splitlines()[2]
-    assert row.startswith('| V1 | free fall | 3 | ')
-    assert row.endswith(' | 1.00, 2.00 | 1, 2 |')
+    assert row.startswith('| V1 | free fall | 4 | ')
+    assert row.endswith(' | 1.00, 2.00, 2.00 | 1, 2 |')
 
 
 def test_controls_are_listed_with_their_case(capsys):
