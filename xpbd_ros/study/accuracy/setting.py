@@ -123,11 +123,12 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
                 add(Setting(method, 'leapfrog', factor * simulation.solver.substeps))
             continue
         rungs = rungs_of(simulation, method, usual)
-        barred = {name for built in simulation.effects.values() for name in built.not_with}
+        barred = {one: name for name, built in simulation.effects.items()
+                  for one in built.not_with}
         for integrator in integrators:
             if integrator in barred:
-                refused.append(Refused(f'{method} {integrator}', 'goes wild with what sets in and '
-                                       'lets go at once (strain_limit, tether)'))
+                refused.append(Refused(f'{method} {integrator}',
+                                       f'goes wild with {barred[integrator]}'))
                 continue
             for substeps in rungs:
                 add(Setting(method, integrator, substeps))
