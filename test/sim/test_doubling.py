@@ -9,7 +9,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.doubling import estimate, refine, rms
 from xpbd_ros.sim.measure import largest_strain
-from xpbd_ros.sim.state import new_state, solved_by
+from xpbd_ros.sim.state import new_state, remembered, solved_by
 
 
 def kept(simulation, frames: int):
@@ -61,11 +61,11 @@ def test_a_history_moves_along_a_cubic_exactly():
     def at(t):
         return 1.0 - 2.0 * t + 3.0 * t**2 + 0.5 * t**3, -2.0 + 6.0 * t + 1.5 * t**2
     for factor in (2, 4):
-        history = state.history
-        for array, value in zip((state.x, state.v, history.x, history.v), (*at(0.0), *at(-h))):
+        last_x, last_v, older_x, older_v = remembered(state)
+        for array, value in zip((state.x, state.v, last_x, last_v), (*at(0.0), *at(-h))):
             array[:] = value
         refine(state, h, factor)
-        assert [a[0, 0] for a in history[:4]] == pytest.approx(
+        assert [a[0, 0] for a in (last_x, last_v, older_x, older_v)] == pytest.approx(
             [*at(-h / factor), *at(-2 * h / factor)], rel=1e-14)
 
 

@@ -38,7 +38,7 @@ from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.pins import chosen, Held, PinState
 from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
-from xpbd_ros.sim.stages import finish, kick, prepare, stage
+from xpbd_ros.sim.stages import kick, prepare, react, stage
 from xpbd_ros.sim.state import forget, places
 
 
@@ -155,7 +155,7 @@ def kick_springs(spring, state, substep):
             move[a, i] += per * (goal[a] - x[a, i])
 
 
-@stage(finish, Spring)
+@stage(react, Spring)
 @jit
 def stretch_springs(spring, state, substep):
     """Add up what the springs are pulled with: (x - p - R q) / (n α)."""

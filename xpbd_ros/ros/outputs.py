@@ -17,6 +17,7 @@ from visualization_msgs.msg import MarkerArray
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages
 from xpbd_ros.sim.simulation import Frame, Simulation
+from xpbd_ros.sim.state import remembered
 
 LATCHED = Qos(durability='transient_local', depth=1)
 STREAM = Qos(depth=5)
@@ -49,7 +50,7 @@ class Outputs:
         several = len(simulation.cloths) > 1
         fields, history = STATE_FIELDS, simulation.state.history
         if history is not None:
-            fields += HISTORY_FIELDS + OLDER_FIELDS * (history.older_x is not None) + ' fresh'
+            fields += HISTORY_FIELDS + OLDER_FIELDS * (history.older_v is not None) + ' fresh'
         for index, cloth in enumerate(simulation.cloths):
             base = f'cloth/{cloth.name}/' if several else ''
             self._add(Output(f'{base}particles', PointCloud2, STREAM))
@@ -83,11 +84,10 @@ class Outputs:
 
     def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
         """Return the state whole, in float64, with what the integrator remembers."""
-        columns, history = [frame.x, frame.v], self.simulation.state.history
-        if history is not None:
-            columns += [self.simulation.natural(array) for array in history[:-1]
-                        if array is not None]
-            columns.append(history.fresh[self.simulation.slot][:, None])
+        state, natural = self.simulation.state, self.simulation.natural
+        columns = [frame.x, frame.v, *(natural(array) for array in remembered(state))]
+        if state.history is not None:
+            columns.append(state.history.fresh[self.simulation.slot][:, None])
         table = np.hstack(columns)
         return {topic: cloud.bytes(table[cloud.cloth.particles], time_ns)
                 for topic, cloud in self._states.items()}

@@ -77,10 +77,10 @@ def refine(state: State, h: float, factor: int) -> None:
     history = state.history
     if history is None or factor == 1:
         return
-    last = history.x.copy(), history.v.copy(), state.x, state.v
-    history.x[:], history.v[:] = _cubic(*last, h, 1.0 - 1.0 / factor)
-    if history.older_x is not None:
-        history.older_x[:], history.older_v[:] = _cubic(*last, h, 1.0 - 2.0 / factor)
+    last = state.x_prev.copy(), history.v.copy(), state.x, state.v
+    state.x_prev[:], history.v[:] = _cubic(*last, h, 1.0 - 1.0 / factor)
+    if history.older_v is not None:
+        history.x[:], history.older_v[:] = _cubic(*last, h, 1.0 - 2.0 / factor)
 
 
 def _cubic(x0, v0, x1, v1, h: float, s: float):

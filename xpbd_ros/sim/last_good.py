@@ -5,7 +5,7 @@ from math import inf, sqrt
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.state import forget
+from xpbd_ros.sim.state import forget, remembered
 from xpbd_ros.sim.vector import absolute, any_lane, both, lanes, load, select, splat
 
 REACH = 1000.0
@@ -56,6 +56,8 @@ class LastGood:
         if can_be(state, self._x, REACH * (self._size + drive)):
             return
         state.x[:], state.v[:] = self._x, 0.0
+        for array in remembered(state):
+            array[:] = 0.0    # no share of nan is 0
         forget(state)
         if state.reaction is not None:
             state.reaction[:] = 0.0

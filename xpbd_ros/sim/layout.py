@@ -13,6 +13,7 @@ whole vectors at the end. Padding has neither mass nor mobility, so nothing move
 """
 
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
@@ -22,6 +23,11 @@ PARTS = range(4, 13)
 """of a row; the widest constraint (a hinge across an edge) spans three columns"""
 LINE = 64
 """bytes of a cache line, and of the widest vector"""
+PAGE = 4096
+"""bytes of a page of memory"""
+NEXT = 7 * LINE
+"""bytes from where one array begins in its page to where the next does: nine share no place"""
+_MADE = count()
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +131,13 @@ def _round_up(number: int, unit: int) -> int:
 
 
 def zeros(shape, dtype) -> np.ndarray:
-    """Return zeros that begin on a cache line, so that no vector of a row straddles two."""
+    """
+    Return zeros that begin on a cache line, so that no vector of a row straddles two.
+
+    Arrays made one after another begin at different places in their pages: a load waits for a
+    store that is under way to the same place of another page.
+    """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
-    room = np.zeros(size + LINE, np.uint8)
-    start = -room.ctypes.data % LINE
+    room = np.zeros(size + PAGE, np.uint8)
+    start = (NEXT * next(_MADE) - room.ctypes.data) % PAGE
     return room[start:start + size].view(dtype).reshape(shape)

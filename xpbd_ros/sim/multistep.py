@@ -29,16 +29,16 @@ FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
 
 
 class History(NamedTuple):
-    """What is remembered of the substeps before."""
+    """What is remembered of substeps before the last; in one from x_n, which x_prev is:"""
 
     x: np.ndarray
     """x_{n-1} [m], shape (3, slots)"""
     v: np.ndarray
-    """v_{n-1} [m/s], shape (3, slots)"""
+    """v_n [m/s], shape (3, slots)"""
     older_x: np.ndarray | None
     """x_{n-2} [m], shape (3, slots); None with BDF2"""
     older_v: np.ndarray | None
-    """v_{n-2} [m/s], shape (3, slots); None with BDF2"""
+    """v_{n-1} [m/s], shape (3, slots); None with BDF2"""
     fresh: np.ndarray
     """0: has a history; 0.5: has x_{n-1} alone; 1: has none; 2: was touched in this substep, and
     will have none; shape (slots,)"""
@@ -103,19 +103,32 @@ def _mean(now, last, older, i, a, b):
     return mean_of_three
 
 
-def remember(now, last, older, i):
-    """Have the components from i on move back by a substep: x_n becomes x_{n-1}."""
+def turned_history(history, x, x_prev, v):
+    """Return x, x_prev, v and the history of the next substep (``state.turned``)."""
 
 
-@inline(remember)
-def _remember(now, last, older, i):
-    if isinstance(older, types.NoneType):
-        return lambda now, last, older, i: store(last, i, now)
+@inline(turned_history)
+def _turned_history(history, x, x_prev, v):
+    if isinstance(history, types.NoneType):
+        return lambda history, x, x_prev, v: (x_prev, x, v, None)
+    if isinstance(history[history.fields.index('older_x')], types.NoneType):
+        return lambda history, x, x_prev, v: (
+            history.x, x, history.v, History(x_prev, v, None, None, history.fresh))
+    return lambda history, x, x_prev, v: (
+        history.older_x, x, history.older_v,
+        History(x_prev, v, history.x, history.v, history.fresh))
 
-    def move_back(now, last, older, i):
-        store(older, i, load(last, i))
-        store(last, i, now)
-    return move_back
+
+@jit(inline=True)
+def put_back_history(home, home_v, history, older_v, v, i):
+    """Write the components from i on to where they were (``state.put_back``)."""
+    now, before = load(v, i), load(history.v, i)
+    if older_v is not None:
+        older = load(older_v, i)
+        store(home.x, i, load(history.x, i))
+        store(home.older_v, i, older)
+    store(home_v, i, now)
+    store(home.v, i, before)
 
 
 def aged(older, w, fresh):

@@ -15,7 +15,7 @@ from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.last_good import LastGood
-from xpbd_ros.sim.state import forget, gather, State
+from xpbd_ros.sim.state import forget, gather, remembered, State
 from xpbd_ros.sim.sweeps import METHODS
 from xpbd_ros.sim.team import Crew
 
@@ -232,9 +232,9 @@ class Simulation:
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
         digest = hashlib.blake2b(digest_size=8)
-        state, history = self.state, self.state.history
-        remembered = [array for array in history or () if array is not None]
-        for array in (state.x, state.v, state.inv_mass, *remembered):
+        state = self.state
+        fresh = [] if state.history is None else [state.history.fresh]
+        for array in (state.x, state.v, state.inv_mass, *remembered(state), *fresh):
             digest.update(np.ascontiguousarray(array[..., self.slot]))
         return int.from_bytes(digest.digest(), 'little')
 

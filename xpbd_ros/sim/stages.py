@@ -49,6 +49,10 @@ def finish(effects, state, substep):
     """Once per substep, after the velocities are known."""
 
 
+def finishes(effects):
+    """Tell whether an effect takes part in ``finish``, so that velocities must be known there."""
+
+
 def kick(effects, state, substep):
     """
     Add up the moves h² F / m of what acts at x without a projection.
@@ -115,6 +119,13 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
 def _is_none(state, name: str) -> bool:
     """Tell whether a state, as Numba types it, lacks a field."""
     return isinstance(state[state.fields.index(name)], types.NoneType)
+
+
+@overload(finishes, jit_options=INNER)
+def _finishes(effects):
+    if any(kernel_of(finish, effect) is not None for effect in effects):
+        return lambda effects: True
+    return lambda effects: False
 
 
 for _stub in (force, prepare, project, touch, bound, finish, kick):

@@ -22,8 +22,9 @@ from xpbd_ros.sim.multistep import (
     mean,
     new_history,
     NONE,
-    remember,
+    put_back_history,
     TOUCHED,
+    turned_history,
     weights,
 )
 from xpbd_ros.sim.team import share, Team, wait
@@ -37,7 +38,7 @@ class State(NamedTuple):
     x: np.ndarray
     """positions [m], shape (3, slots)"""
     x_prev: np.ndarray
-    """positions at the substep's start [m], shape (3, slots)"""
+    """positions at the last substep's start [m], shape (3, slots)"""
     v: np.ndarray
     """velocities [m/s], shape (3, slots)"""
     mass: np.ndarray
@@ -150,6 +151,16 @@ def gather(array, slots, found):
             found[i, k] = array[k, slots[i]]
 
 
+def remembered(state: State) -> list[np.ndarray]:
+    """Return what the next substep starts from besides x and v; each of shape (3, slots)."""
+    if state.history is None:
+        return []
+    last = [state.x_prev, state.history.v]
+    if state.history.older_v is None:
+        return last
+    return [*last, state.history.x, state.history.older_v]
+
+
 def forget(state: State, particles=slice(None)) -> None:
     """Let particles start anew: their next substep is one of backward Euler."""
     if state.history is not None:
@@ -164,56 +175,90 @@ def own(state):
     return first * count, last * count
 
 
+@jit(inline=True)
+def turned(state):
+    """
+    Return the state of the next substep, before it begins: what was now is before.
+
+    The arrays trade places; what was oldest makes room for what comes.
+    """
+    x, x_prev, v, history = turned_history(state.history, state.x, state.x_prev, state.v)
+    return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
+                 state.reaction, history, state.apart, state.team)
+
+
 @jit
 def begin(state, substep):
-    """x_prev = x_n;  v = v̄ + H g;  x = x̄ + H v;  mobility = w H²."""
-    _begin(state, state.history, substep.h)
+    """v = v̄ + H g;  x = x̄ + H v;  mobility = w H²; the state is ``turned``."""
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _begin(state, state.history, q, substep.h)
     wait(state.team)
 
 
 @jit
-def _begin(state, history, h):    # Numba prunes a branch on None where that is an argument
+def update_velocity(state, substep):
+    """v = (x - x̄) / H; what was touched has no history."""
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _update_velocity(state, state.history, q, substep.h)
+    wait(state.team)
+
+
+@jit
+def update_velocity_and_begin(state, substep):
+    """End a substep and begin the next, in one pass over memory."""
+    after = turned(state)
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _update_velocity(state, state.history, q, substep.h)
+        _begin(after, after.history, q, substep.h)
+    wait(state.team)
+
+
+@jit(inline=True)
+def _begin(state, history, q, h):
     if history is None:
-        _begin_euler(state, h)
+        _begin_euler(state, q, h)
     else:
-        _begin_multistep(state, history, history.older_x, history.older_v, h)
+        _begin_multistep(state, history, history.older_x, history.older_v, q, h)
 
 
-@jit
-def _begin_euler(state, h):
-    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
-        wq = load(w, q)
-        free = wq > 0.0
-        store(state.mobility, q, wq * (h * h))
-        for k in range(3):
-            i = k * slots + q
-            xi, vi = load(x, i), load(v, i)
-            vi = select(free, vi + h * state.gravity[k], vi)
-            store(state.x_prev, i, xi)
-            store(v, i, vi)
-            store(x, i, select(free, xi + h * vi, xi))
+@jit(inline=True)
+def _begin_euler(state, q, h):
+    v, slots = state.v, len(state.inv_mass)
+    w = load(state.inv_mass, q)
+    free = w > 0.0
+    store(state.mobility, q, w * (h * h))
+    for k in range(3):
+        i = k * slots + q
+        xi, vi = load(state.x_prev, i), load(v, i)
+        vi = select(free, vi + h * state.gravity[k], vi)
+        store(v, i, vi)
+        store(state.x, i, select(free, xi + h * vi, xi))
 
 
-@jit
-def _begin_multistep(state, history, older_x, older_v, h):
-    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
-        wq = load(w, q)
-        free = wq > 0.0
-        step, a, b = weights(older_x, w, load(history.fresh, q), h)
-        store(state.mobility, q, wq * (step * step))
-        for k in range(3):
-            i = k * slots + q
-            xi, vi = load(x, i), load(v, i)
-            x_mean = mean(xi, history.x, older_x, i, a, b)
-            moved = mean(vi, history.v, older_v, i, a, b) + step * state.gravity[k]
-            store(state.x_prev, i, xi)
-            remember(vi, history.v, older_v, i)
-            store(v, i, select(free, moved, vi))
-            store(x, i, select(free, x_mean + step * moved, xi))
+@jit(inline=True)
+def _begin_multistep(state, history, older_x, older_v, q, h):
+    w, slots = load(state.inv_mass, q), len(state.inv_mass)
+    free = w > 0.0
+    step, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    store(state.mobility, q, w * (step * step))
+    for k in range(3):
+        i = k * slots + q
+        xi, vi = load(state.x_prev, i), load(history.v, i)
+        x_mean = mean(xi, history.x, older_x, i, a, b)
+        moved = _mean_velocity(vi, older_v, state.v, i, a, b) + step * state.gravity[k]
+        store(state.v, i, select(free, moved, vi))
+        store(state.x, i, select(free, x_mean + step * moved, xi))
+
+
+@jit(inline=True)
+def _mean_velocity(now, older_v, oldest, i, a, b):
+    if older_v is None:
+        return mean(now, oldest, None, i, a, b)
+    else:
+        return mean(now, older_v, oldest, i, a, b)
 
 
 @jit(inline=True)
@@ -228,51 +273,58 @@ def velocity(v, now, start, step, per_step):
     return v + (now - (start + step * v)) * per_step
 
 
+@jit(inline=True)
+def _update_velocity(state, history, q, h):
+    if history is None:
+        _update_euler(state, q, h)
+    else:
+        _update_multistep(state, history, history.older_x, q, h)
+
+
+@jit(inline=True)
+def _update_euler(state, q, h):
+    v, slots, per_h = state.v, len(state.inv_mass), 1.0 / h
+    free = load(state.inv_mass, q) > 0.0
+    for k in range(3):
+        i = k * slots + q
+        xi, xp = load(state.x, i), load(state.x_prev, i)
+        store(v, i, select(free, velocity(load(v, i), xi, xp, h, per_h), (xi - xp) * per_h))
+
+
+@jit(inline=True)
+def _update_multistep(state, history, older_x, q, h):
+    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
+    fresh = load(history.fresh, q)
+    store(history.fresh, q, aged(older_x, w, fresh))
+    fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
+    as_predicted = fresh < TOUCHED
+    step, a, b = weights(older_x, w, fresh, h)
+    per_step = 1.0 / step
+    for k in range(3):
+        i = k * slots + q
+        xi, start = load(state.x, i), mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
+                           (xi - start) * per_step))
+
+
 @jit
-def update_velocity(state, substep):
-    """v = (x - x̄) / H; what was touched has no history."""
-    _update_velocity(state, state.history, substep.h)
+def put_back(home, state):
+    """Write what ``turned`` moved to where it was."""
+    slots = len(state.inv_mass)
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        for k in range(3):
+            _put_back(home, home.history, state, state.history, k * slots + q)
     wait(state.team)
 
 
-@jit
-def _update_velocity(state, history, h):
-    if history is None:
-        _update_euler(state, h)
-    else:
-        _update_multistep(state, history, history.older_x, h)
-
-
-@jit
-def _update_euler(state, h):
-    x, v, w, slots, per_h = state.x, state.v, state.inv_mass, len(state.inv_mass), 1.0 / h
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
-        free = load(w, q) > 0.0
-        for k in range(3):
-            i = k * slots + q
-            xi, xp = load(x, i), load(state.x_prev, i)
-            store(v, i, select(free, velocity(load(v, i), xi, xp, h, per_h), (xi - xp) * per_h))
-
-
-@jit
-def _update_multistep(state, history, older_x, h):
-    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
-        fresh = load(history.fresh, q)
-        store(history.fresh, q, aged(older_x, w, fresh))
-        fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
-        as_predicted = fresh < TOUCHED
-        step, a, b = weights(older_x, w, fresh, h)
-        per_step = 1.0 / step
-        for k in range(3):
-            i = k * slots + q
-            xi, xp = load(state.x, i), load(state.x_prev, i)
-            start = mean(xp, history.x, older_x, i, a, b)
-            store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
-                               (xi - start) * per_step))
-            remember(xp, history.x, older_x, i)
+@jit(inline=True)
+def _put_back(home, home_history, state, history, i):
+    x, x_prev = load(state.x, i), load(state.x_prev, i)
+    if history is not None:
+        put_back_history(home_history, home.v, history, history.older_v, state.v, i)
+    store(home.x, i, x)
+    store(home.x_prev, i, x_prev)
 
 
 @jit

@@ -7,8 +7,15 @@ Macklin et al., "Small steps in physics simulation", 2019.
 
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import bound, finish, force, prepare, react, touch
-from xpbd_ros.sim.state import begin, Substep, update_velocity
+from xpbd_ros.sim.stages import bound, finish, finishes, force, prepare, react, touch
+from xpbd_ros.sim.state import (
+    begin,
+    put_back,
+    Substep,
+    turned,
+    update_velocity,
+    update_velocity_and_begin,
+)
 from xpbd_ros.sim.sweeps import enter, leave, sweep
 
 
@@ -24,18 +31,27 @@ def advance(effects, state, method, frame_dt, substeps):
     mode = flush_denormals()
     h = frame_dt / substeps
     enter(method, effects, state, Substep(h, 0.0, 0.0))
+    now, begun = state, False
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
-        begin(state, substep)
-        force(effects, state, substep)
-        prepare(effects, state, substep)
+        if not begun:
+            now = turned(now)
+            begin(now, substep)
+        force(effects, now, substep)
+        prepare(effects, now, substep)
         for _ in range(method.iterations):
-            sweep(method, effects, state, substep)
-            touch(effects, state, substep)
-            bound(effects, state, substep)
-        update_velocity(state, substep)
-        finish(effects, state, substep)
-        react(effects, state, substep)
+            sweep(method, effects, now, substep)
+            touch(effects, now, substep)
+            bound(effects, now, substep)
+        react(effects, now, substep)
+        begun = k + 1 < substeps and not finishes(effects)
+        if begun:
+            update_velocity_and_begin(now, substep)
+            now = turned(now)
+        else:
+            update_velocity(now, substep)
+            finish(effects, now, substep)
+    put_back(state, now)
     leave(method, effects, state, Substep(h, 1.0, 1.0))
     restore_mode(mode)
 
