@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import pytest
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import largest_rate, LEAST, NS
+from xpbd_ros.scene.auto import largest_rate, LEAST, NS, SINGLE
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.check.stiffness import stiffness
@@ -45,17 +45,24 @@ def test_a_shipped_scene_keeps_within_its_budget(name):
 
 
 def test_it_takes_a_fifth_of_the_substeps_that_an_explicit_solver_needs():
-    """0.22 frame_dt √(Σ k / m), for the worst edge; and never fewer than four."""
+    """0.235 frame_dt √(Σ k / m), for the worst edge; and never fewer than four."""
     solver = resolved({'compliance': 1e-3})
     weight = 0.2 / 19**2    # of an inner particle; of a corner a quarter, at the rim half
     rate = (4.0 + 2.0) / weight / 2.0 / 1e-3
-    assert solver.substeps == ceil(0.22 * sqrt(rate) / 60.0)
+    assert solver.substeps == ceil(0.235 * sqrt(rate) / 60.0)
     assert (solver.method, solver.integrator) == ('line', 'ndf2')
     assert solver.reason.startswith(
         f'auto: line, ndf2, {solver.substeps} substeps resolve the stretch, about ')
     assert resolved({'compliance': 10.0}).substeps == LEAST == 4
     half = resolved({'compliance': 1e-3}, frame_rate=120.0)
-    assert half.substeps == ceil(0.22 * sqrt(rate) / 120.0)
+    assert half.substeps == ceil(0.235 * sqrt(rate) / 120.0)
+
+
+def test_float32_gets_more_for_the_same_budget():
+    rigid = {'compliance': 0.0}
+    substeps = {precision: resolved(rigid, n=96, solver={'precision': precision}).substeps
+                for precision in ('float64', 'float32')}
+    assert substeps['float32'] == pytest.approx(substeps['float64'] / SINGLE, rel=0.1)
 
 
 def test_gas_that_is_stiffer_than_its_skin_wants_substeps_of_its_own():

@@ -19,9 +19,11 @@ NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
 MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
+SINGLE = 0.6
+"""what float32 costs, in those of float64; less on large grids"""
 RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'jacobi': 1.0, 'explicit': 1.15}
 """substeps that a method wants, for each that an explicit one needs to be stable"""
-LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.22}
+LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.235}
 """the same for ``line``, for all edges; what lines do not take is swept, and wants all its own"""
 CALM = 0.15
 """the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
@@ -120,7 +122,7 @@ def cost(method: str, iterations: int, effects, state) -> float:
                             for part in map(_batch, built.parts) if hasattr(part, 'particles'))
             found += iterations * table[kind] * (len(built.constraints.particles)
                                                  + (MESH - 1.0) * on_meshes)
-    return found
+    return found * (SINGLE if state.x.dtype == np.float32 else 1.0)
 
 
 def _batch(part):
