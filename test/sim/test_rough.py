@@ -24,7 +24,7 @@ from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import prepare, touch
-from xpbd_ros.sim.state import begin, forget, Substep, update_velocity
+from xpbd_ros.sim.state import begin, forget, put_back, Substep, turned, update_velocity
 from xpbd_ros.sim.sweeps import forth
 
 HERE = 1.01
@@ -142,14 +142,16 @@ def test_all_720_are_finite_and_no_wilder_than_gauss_seidel(method, integrator, 
 @jit(cache_name='test')
 def advance_one_sweep(effects, state, frame_dt, substeps):
     """Do what the line method does without its way back and its closing pass."""
-    h = frame_dt / substeps
+    h, now = frame_dt / substeps, state
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
-        begin(state, substep)
-        prepare(effects, state, substep)
-        forth(effects, state, substep)
-        touch(effects, state, substep)
-        update_velocity(state, substep)
+        now = turned(now)
+        begin(now, substep)
+        prepare(effects, now, substep)
+        forth(effects, now, substep)
+        touch(effects, now, substep)
+        update_velocity(now, substep)
+    put_back(state, now)
 
 
 @pytest.mark.parametrize(('kinds', 'substeps'), [

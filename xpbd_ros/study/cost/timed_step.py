@@ -15,6 +15,7 @@ from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.stages import (
     bound,
     finish,
+    finishes,
     force,
     kernel_of,
     kick,
@@ -30,9 +31,12 @@ from xpbd_ros.sim.state import (
     at_start,
     begin,
     half_kick,
+    put_back,
     set_mobility,
     Substep,
+    turned,
     update_velocity,
+    update_velocity_and_begin,
 )
 from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Leapfrog, Line, Symmetric
 from xpbd_ros.study.cost.clock import lap
@@ -43,8 +47,8 @@ SWEEPS = {GaussSeidel: ((project, False),),
 """the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
-    add_moves, at_start, begin, flush_denormals, half_kick, lap, restore_mode, set_mobility,
-    Substep, update_velocity)}
+    add_moves, at_start, begin, finishes, flush_denormals, half_kick, lap, put_back, restore_mode,
+    set_mobility, Substep, turned, update_velocity, update_velocity_and_begin)}
 
 
 def timed_step(effects: tuple, method: type):
@@ -74,9 +78,12 @@ class _Step:
         yield f'{once}lap(book, -1)'
         if leaps:
             yield from self._kick(once, 0.0, -0.5)
+        yield f'{once}home, begun = state, False'
         yield f'{once}for k in range(substeps):'
         yield f'{each}substep = Substep(h, k / substeps, (k + 1) / substeps)'
-        yield from self._integrate(each, 'begin(state, substep)')
+        yield f'{each}if not begun:'
+        yield f'{inner}state = turned(state)'
+        yield from self._integrate(inner, 'begin(state, substep)')
         yield from self._walk(each, force)
         yield from self._walk(each, prepare)
         yield f'{each}for _ in range(method.iterations):'
@@ -89,9 +96,16 @@ class _Step:
         yield from self._walk(inner, touch)
         yield from self._walk(inner, bound)
         yield f'{inner}pass'
-        yield from self._integrate(each, 'update_velocity(state, substep)')
-        yield from self._walk(each, finish)
         yield from self._walk(each, react)
+        yield f'{each}begun = k + 1 < substeps and not finishes(effects)'
+        yield f'{each}if begun:'
+        yield from self._integrate(inner, 'update_velocity_and_begin(state, substep)')
+        yield f'{inner}state = turned(state)'
+        yield f'{each}else:'
+        yield from self._integrate(inner, 'update_velocity(state, substep)')
+        yield from self._walk(inner, finish)
+        yield from self._integrate(once, 'put_back(home, state)')
+        yield f'{once}state = home'
         if leaps:
             yield from self._kick(once, 1.0, 0.5)
         yield f'{once}restore_mode(mode)'
