@@ -56,13 +56,17 @@ def compile_scene(scene: Scene) -> Simulation:
     slot = np.concatenate([cloth.slots for cloth in cloths])
     state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
                       pins='pin' in scene.effects, dtype=dtype)
+    gap = np.zeros(slots)
+    for cloth in cloths:
+        gap[cloth.slots] = cloth.mesh.gap
     try:
         effects = _build(scene, tuple(cloths), state)
         solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
         state = solved_by(state, integrator=solver.integrator,
                           apart=APART.get(solver.method),
                           constraints=[these.particles for built in effects.values()
-                                       for these in built.by_part])
+                                       for these in built.by_part],
+                          gap=gap)
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),

@@ -12,6 +12,14 @@ suite", 1997, κ₂ = -1/9; V. N. Vatsa et al., "Re-evaluation of an optimized s
 difference scheme", 2010).
 
 A particle without a history takes a step of backward Euler, and then, for NDF2, one of BDF2.
+
+NDF2 hardly damps what goes to and fro every two substeps, and a line that is solved where such a
+swing was predicted to be can feed it: edges flip over for ever. So a particle takes BDF2 while
+
+    v_n · v_{n-2} < 0   and   |v_n - 2 v_{n-1} + v_{n-2}| > |v_n - v_{n-2}| > REACH gap / h,
+
+that is while its velocity turns back, less smoothly than any motion that h resolves, and by a good
+part of the distance of its neighbours in a substep.
 """
 
 from typing import NamedTuple
@@ -22,10 +30,12 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.update import inline
-from xpbd_ros.sim.vector import load, select, splat, store
+from xpbd_ros.sim.vector import both, fma, larger, load, select, splat, store
 
 FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
 """values of ``fresh``"""
+REACH = 0.1
+"""part of the distance of neighbours that is far to go to and fro in a substep"""
 
 
 class History(NamedTuple):
@@ -86,6 +96,38 @@ def _weights(older, w, fresh, h):
                 select(has, splat(w, 0.5), select(half, splat(w, 1.0 / 3.0), 0.0)),
                 select(has, splat(w, 0.1), 0.0))
     return bdf2 if isinstance(older, types.NoneType) else ndf2
+
+
+def steadied(fresh, now, last, older, gap, q, h):
+    """
+    Return ``fresh`` of the particles from slot q on, at least HALF for those that go to and fro.
+
+    ``now``, ``last`` (None with BDF2) and ``older`` are velocities, shape (3, slots).
+    """
+
+
+@inline(steadied)
+def _steadied(fresh, now, last, older, gap, q, h):
+    if isinstance(last, types.NoneType):
+        return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
+
+    def of_ndf2(fresh, now, last, older, gap, q, h):
+        slots, zero = len(fresh), splat(fresh, 0.0)
+        along, further, rougher = zero, zero, zero
+        for k in range(3):
+            i = k * slots + q
+            v, before, first = load(now, i), load(last, i), load(older, i)
+            change, turn = v - first, v - 2.0 * before + first
+            along = fma(v, first, along)
+            further = fma(change, change, further)
+            rougher = fma(turn, turn, rougher)
+        far = load(gap, q) * (REACH / h)
+        known = load(fresh, q)
+        found = select(both(along < 0.0, both(further > far * far, rougher > further)),
+                       larger(known, HALF), known)
+        store(fresh, q, found)
+        return found
+    return of_ndf2
 
 
 def mean(now, last, older, i, a, b):

@@ -23,6 +23,7 @@ from xpbd_ros.sim.multistep import (
     new_history,
     NONE,
     put_back_history,
+    steadied,
     TOUCHED,
     turned_history,
     weights,
@@ -58,6 +59,8 @@ class State(NamedTuple):
     """where constraints add up their moves; None where each moves its particles at once"""
     team: Team | None = None
     """None where one thread does it all"""
+    gap: np.ndarray | None = None
+    """distance of neighbours [m], shape (slots,); None where nobody asks"""
 
 
 class Substep(NamedTuple):
@@ -103,7 +106,8 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     return state
 
 
-def solved_by(state: State, *, integrator: str, apart: type | None, constraints) -> State:
+def solved_by(state: State, *, integrator: str, apart: type | None, constraints,
+              gap=np.inf) -> State:
     """
     Return the same particles, with what their solver needs besides.
 
@@ -113,11 +117,15 @@ def solved_by(state: State, *, integrator: str, apart: type | None, constraints)
     integrator : says what is remembered of earlier substeps
     apart : Jacobi or Explicit, where moves are added up
     constraints : particles of all constraints, a list of (constraints, particles of one)
+    gap : distance of neighbours [m], at each slot or everywhere
 
     """
     slots, dtype = state.x.shape[1], state.x.dtype
 
     state = state._replace(history=new_history(integrator, slots, dtype))
+    if integrator == 'ndf2':
+        state = state._replace(gap=zeros(slots, dtype))
+        state.gap[:] = gap
     if apart is not None:
         state = state._replace(apart=apart(
             zeros((3, slots), dtype), zeros((slots, 4), dtype),
@@ -184,7 +192,7 @@ def turned(state):
     """
     x, x_prev, v, history = turned_history(state.history, state.x, state.x_prev, state.v)
     return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
-                 state.reaction, history, state.apart, state.team)
+                 state.reaction, history, state.apart, state.team, state.gap)
 
 
 @jit
@@ -242,7 +250,8 @@ def _begin_euler(state, q, h):
 def _begin_multistep(state, history, older_x, older_v, q, h):
     w, slots = load(state.inv_mass, q), len(state.inv_mass)
     free = w > 0.0
-    step, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    fresh = steadied(history.fresh, history.v, older_v, state.v, state.gap, q, h)
+    step, a, b = weights(older_x, state.inv_mass, fresh, h)
     store(state.mobility, q, w * (step * step))
     for k in range(3):
         i = k * slots + q
@@ -331,7 +340,8 @@ def _put_back(home, home_history, state, history, i):
 def at_start(state):
     """Return the state with the particles where the substep starts."""
     return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
-                 state.gravity, state.reaction, state.history, state.apart, state.team)
+                 state.gravity, state.reaction, state.history, state.apart, state.team,
+                 state.gap)
 
 
 @jit

@@ -168,11 +168,22 @@ def on_table(mu: float, angle: float, **keys) -> dict:
 
 @hard('H29', 'friction and restitution at their ends')
 def extremes():
-    """No friction slides as it falls; a hundred holds on a cliff; a full bounce gains nothing."""
+    """
+    No friction slides as it falls; a hundred holds on a cliff.
+
+    A full bounce gains nothing; where there is none, what landed does not come up again.
+    """
     def way(expected, most, track):
         got = track.x[-1][:, 0].mean() - track.x[0][:, 0].mean()
         return '' if abs(got - expected) <= most else f'slid {got:.4g} m, not {expected:.4g}'
 
+    def comes_up(track):
+        height = np.array(track.x)[:, :, 2]
+        way = (height - np.minimum.accumulate(height)).max()
+        return '' if way <= 1e-9 else f'comes up by {way:.2g} m'
+
+    dropped = on_table(0.0, 0.0)
+    dropped['cloths']['c']['pose']['position'] = [0.0, 0.0, 0.3]
     for setting in USUAL:
         if setting.precision == 'float32':
             continue
@@ -181,6 +192,7 @@ def extremes():
                     label='μ = 0')
         yield Trial(setting, on_table(100.0, 80.0), 1.0, also=partial(way, 0.0, 1e-6),
                     label='μ = 100')
+        yield Trial(setting, dropped, 1.0, also=comes_up, label='restitution 0')
     for setting in FEW:
         scene = on_table(0.0, 0.0, restitution=1.0)
         scene['cloths']['c']['pose']['position'] = [0.0, 0.0, 0.5]
@@ -196,6 +208,13 @@ def folded(x):
     return found, np.zeros_like(x)
 
 
+def slammed(x):
+    """Return that fold with its upper half thrown at the other."""
+    found, v = folded(x)
+    v[x[:, 0] > SIZE / 2.0, 2] = -30.0
+    return found, v
+
+
 def tangled(x):
     """Return a sheet that lies through itself anyhow."""
     noise = np.random.default_rng(1).normal(0.0, 0.02, x.shape)
@@ -205,14 +224,14 @@ def tangled(x):
 @hard('H27', 'cloth against itself', slow=True)
 def itself():
     """
-    A fold and a heap: nothing gets through; a tangle does not explode.
+    A fold, one slammed shut, and a heap: nothing gets through; a tangle does not explode.
 
     The tangle starts with edges strained by a half, which alone make it as fast as 120 m/s in the
     limit of short steps: what must not be is more energy than there was, or speed that stays.
     """
     thickness = 0.01
     effects = {'pin': {}, 'contact': {'thickness': GAP}, 'friction': {}, 'damping': {'rate': 3.0},
-               'self_collision': {'thickness': thickness, 'room': 60}}
+               'self_collision': {'thickness': thickness, 'room': 200}}
     floor = {'floor': {'plane': {}, 'friction': 0.4}}
 
     def through(track):
@@ -221,12 +240,13 @@ def itself():
 
     heap = {'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5], 'position': [0.0, 0.0, 0.02]}
     for setting in (replace(one, substeps=16) for one in FEW):
-        for label, place, pose in (('folded', folded, {'position': [0.0, 0.0, 0.05]}),
+        above = {'position': [0.0, 0.0, 0.05]}
+        for label, place, pose in (('folded', folded, above), ('slammed shut', slammed, above),
                                    ('a heap', None, heap), ('tangled', tangled, {
                                        'position': [0.0, 0.0, 0.3]})):
             scene = sheet(pose=pose, pins={}, colliders=floor, scene_effects=effects)
             tangle = {'energy': 0.0, 'still': 10.0} if label == 'tangled' else {
-                'speed': 10.0, 'also': through}
+                'speed': 30.0 if label == 'slammed shut' else 10.0, 'also': through}
             yield Trial(setting, scene, 2.0, place=place, label=label,
                         apart=min(thickness, 0.5 * SPACING), **tangle)
 

@@ -63,6 +63,23 @@ def folded(angle: float, speed: float, x):
     return found, v
 
 
+NEARLY_SHUT = 2.6
+"""angle of the book at rest [rad]"""
+PAGES = np.array([(SIZE / 6.0 * i, SIZE / 6.0 * j, 0.0) for j in range(3) for i in range(7)])
+
+
+def book() -> dict:
+    """Return two stiff pages whose hinge is at rest when they are nearly shut."""
+    corners = [(7 * j + i, 7 * j + i + 1, 7 * j + i + 8, 7 * j + i + 7)
+               for j in range(2) for i in range(6)]
+    faces = [f'{p + 1} {q + 1} {r + 1}' for a, b, c, d in corners for p, q, r in (
+        (a, b, c), (a, c, d))]
+    vertices = [f'{x:.17g} {y:.17g} {z:.17g}' for x, y, z in folded(NEARLY_SHUT, 0.0, PAGES)[0]]
+    return alone({'stretch': {'warp': 1000.0, 'weft': 1000.0}, 'hinge': {'stiffness': 1e-3}},
+                 mesh={'file': obj('book', vertices, faces)}, pins={}, pose=FLAT, gravity=0.0,
+                 damping=0.5)
+
+
 @hard('H7', 'folds of half a turn and more')
 def folds():
     """No kick: nothing gets faster than the energy that there was."""
@@ -73,6 +90,10 @@ def folds():
         for setting in settings:
             yield Trial(setting, FOLDING, 2.0, place=partial(folded, angle, speed), energy=0.05,
                         strain=2.0, speed=10.0, label=label)
+    scene, shut = book(), folded(0.95 * np.pi, 2.0, PAGES)
+    for setting in settings:
+        yield Trial(setting, scene, 2.0, place=lambda x: shut, energy=0.05, strain=2.0,
+                    speed=10.0, label='a book that shuts further')
 
 
 SHEET = alone({'membrane': {'young': 1000.0, 'poisson': 0.3}})

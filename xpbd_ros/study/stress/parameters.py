@@ -9,7 +9,7 @@ import numpy as np
 from xpbd_ros.study.stress.case import hard, Setting
 from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import FEW, FLAT, LINE, N, sheet, SIZE, USUAL
+from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, USUAL
 
 GENTLE = 0.05
 
@@ -75,6 +75,20 @@ def rough(kind: str, seed: int, x):
     return found, v
 
 
+def bare(n: int, **effects) -> dict:
+    """Return a sheet of 1 m, level, held at two corners, that nothing slows."""
+    return alone({'stretch': {'warp': 5e3, 'weft': 5e3}, 'shear': {'stiffness': 5.0}, **effects},
+                 grid=(n, n), size=(1.0, 1.0), damping=1e-300, pose=FLAT)
+
+
+def scattered(x):
+    """Return particles anywhere in a box of the sheet's size; its held corners stay."""
+    n = round(len(x)**0.5)
+    found = np.random.default_rng(1).uniform(-0.5, 0.5, x.shape) + x.mean(0)
+    found[[n * (n - 1), n * n - 1]] = x[[n * (n - 1), n * n - 1]]
+    return found, np.zeros_like(x)
+
+
 def overshoot(simulation) -> None:
     """Let Jacobi go as far as every constraint alone would."""
     simulation.state.apart.per_relaxation[:] = 1.0
@@ -89,6 +103,13 @@ def unsafe():
     for setting, kind in product(settings, ('velocities', 'positions')):
         yield Trial(setting, sheet(), 3.0, place=partial(rough, kind, 1), energy=0.2,
                     label=kind)
+    for integrator, substeps in product(('bdf2', 'ndf2'), (2, 4, 8)):
+        setting = replace(LINE, integrator=integrator, substeps=substeps)
+        for scene, place, label in (
+                (bare(21), scattered, 'particles anywhere'),
+                (bare(41, shear={'stiffness': 2500.0}), None, 'stiff in shear'),
+                (bare(31, bend={'stiffness': 1.0}), None, 'stiff in bending')):
+            yield Trial(setting, scene, 2.0, place=place, energy=1e-6, label=label)
     yield Trial(Setting('jacobi', 'backward_euler'), sheet(), 3.0, spoil=overshoot,
                 place=partial(rough, 'velocities', 1), tells=('frames_taken_back',),
                 textbook=False, label='relaxation too large')

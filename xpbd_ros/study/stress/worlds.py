@@ -13,7 +13,7 @@ DOWN = [0.0, 0.5**0.5, 0.0, 0.5**0.5]
 """turns a sheet so that warp points down"""
 LINE = Setting()
 USUAL = (LINE, replace(LINE, substeps=1), replace(LINE, substeps=32),
-         replace(LINE, integrator='backward_euler'),
+         replace(LINE, integrator='ndf2'), replace(LINE, integrator='backward_euler'),
          Setting('gauss_seidel', 'backward_euler'),
          Setting('gauss_seidel', 'backward_euler', 2, 8),
          Setting('gauss_seidel_symmetric', 'bdf2'),
