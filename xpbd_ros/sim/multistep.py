@@ -30,7 +30,7 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.update import inline
-from xpbd_ros.sim.vector import both, fma, larger, load, select, splat, store
+from xpbd_ros.sim.vector import any_lane, both, fma, larger, load, select, splat, store
 
 FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
 """values of ``fresh``"""
@@ -112,17 +112,20 @@ def _steadied(fresh, now, last, older, gap, q, h):
         return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
 
     def of_ndf2(fresh, now, last, older, gap, q, h):
-        slots, zero = len(fresh), splat(fresh, 0.0)
-        along, further, rougher = zero, zero, zero
+        slots, known, along = len(fresh), load(fresh, q), splat(fresh, 0.0)
+        for k in range(3):
+            i = k * slots + q
+            along = fma(load(now, i), load(older, i), along)
+        if not any_lane(along < 0.0):
+            return known
+        further, rougher = splat(fresh, 0.0), splat(fresh, 0.0)
         for k in range(3):
             i = k * slots + q
             v, before, first = load(now, i), load(last, i), load(older, i)
             change, turn = v - first, v - 2.0 * before + first
-            along = fma(v, first, along)
             further = fma(change, change, further)
             rougher = fma(turn, turn, rougher)
         far = load(gap, q) * (REACH / h)
-        known = load(fresh, q)
         found = select(both(along < 0.0, both(further > far * far, rougher > further)),
                        larger(known, HALF), known)
         store(fresh, q, found)
