@@ -8,10 +8,11 @@ from threading import Thread
 from numba import config
 from numba.core.dispatcher import Dispatcher
 import pytest
+from sim.small import hang
 
 from xpbd_ros.sim import jit
 from xpbd_ros.sim.packs import _fill as pack_kernel
-from xpbd_ros.sim.state import begin
+from xpbd_ros.sim.state import begin, Substep
 
 
 @pytest.fixture
@@ -84,3 +85,12 @@ def test_no_kernel_allocates_but_what_runs_when_a_scene_is_compiled():
                 if isinstance(each, Dispatcher) and each.targetoptions['_nrt']:
                     allocates.add(each)
     assert allocates == {pack_kernel}
+
+
+def test_a_part_of_a_step_refuses_calls_from_python():
+    """And does not crash; also once compiled code has called it."""
+    simulation = hang()
+    for _ in range(2):
+        with pytest.raises(TypeError, match='begin: only compiled code can call this'):
+            begin(simulation.state, Substep(0.1, 0.0, 1.0))
+        simulation.step()
