@@ -9,6 +9,7 @@ from sim.shapes import file_of
 from sim.small import (
     EXAMPLES,
     run,
+    run_stage,
     run_until_still,
     SETTINGS,
     SHAPES,
@@ -73,9 +74,7 @@ def cloth(name, grid=(4, 3), **options):
 def apply(stage, data, state):
     """Run one stage of one effect."""
     state.mobility[:] = state.inv_mass * H**2
-    kernel = stages._KERNELS.get((stage, type(data)))
-    if kernel is not None:
-        kernel(data, state, SUBSTEP)
+    run_stage(stage, data, state, SUBSTEP)
 
 
 def apply_all(stage, built, state):

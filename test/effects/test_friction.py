@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, simulate, with_effects
+from sim.small import GRAVITY, run, run_stage, simulate, with_effects
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import stages
@@ -148,15 +148,13 @@ def test_a_push_that_is_taken_back_takes_its_friction_back():
     state, substep = simulation.state, Substep(0.01, 0.0, 1.0)
     contact, friction = (simulation.effects[name].data for name in ('contact', 'friction'))
     state.x[:, 0] = (0.05, 0.0, R - 0.02)
-    stages._KERNELS[stages.prepare, type(contact)](contact, state, substep)
-    push_out = stages._KERNELS[stages.touch, type(contact)]
-    resist = stages._KERNELS[stages.touch, type(friction)]
-    push_out(contact, state, substep)
-    resist(friction, state, substep)
+    run_stage(stages.prepare, contact, state, substep)
+    run_stage(stages.touch, contact, state, substep)
+    run_stage(stages.touch, friction, state, substep)
     np.testing.assert_allclose(state.x[:, 0], [0.05 - MU * 0.02, 0.0, R], rtol=1e-12)
     state.x[2, 0] += 0.1
-    push_out(contact, state, substep)
-    resist(friction, state, substep)
+    run_stage(stages.touch, contact, state, substep)
+    run_stage(stages.touch, friction, state, substep)
     np.testing.assert_allclose(state.x[:, 0], [0.05, 0.0, R + 0.08], rtol=1e-12)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from sim.shapes import disc, obj_text
-from sim.small import run, simulate
+from sim.small import run, run_stage, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -29,7 +29,7 @@ def project(simulation, h=0.01):
     state, data = simulation.state, simulation.effects['hinge'].data
     state.mobility[:] = state.inv_mass * h**2
     for stage in (stages.prepare, stages.project):
-        stages._KERNELS[stage, type(data)](data, state, Substep(h, 0.0, 1.0))
+        run_stage(stage, data, state, Substep(h, 0.0, 1.0))
 
 
 def on_a_cylinder(x, curvature, degrees):

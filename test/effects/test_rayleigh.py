@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from sim.shapes import disc, obj_text
-from sim.small import run, simulate
+from sim.small import run, run_stage, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -125,7 +125,7 @@ def test_a_pin_has_the_velocity_that_it_goes_with():
     pinned = simulation.slot[0]
     state.x_prev[:] = state.x
     state.x[0, pinned] += 0.03
-    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(h, 0.0, 1.0))
+    run_stage(stages.prepare, data, state, Substep(h, 0.0, 1.0))
     assert (state.x - data.past.x)[0, pinned] * data.past.per_step[0] == pytest.approx(3.0)
 
 

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, hang, run, run_until_still, simulate
+from sim.small import GRAVITY, hang, run, run_stage, run_until_still, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -175,9 +175,9 @@ def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
     before = state.x.copy()
     expected = state._replace(x=before.copy())
     force = np.zeros(len(edges.particles))
-    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(0.004, 0.0, 1.0))
+    run_stage(stages.prepare, data, state, Substep(0.004, 0.0, 1.0))
     for _ in range(2):
-        stages._KERNELS[stages.solve_lines, type(data)](data, state, Substep(0.004, 0.0, 1.0))
+        run_stage(stages.solve_lines, data, state, Substep(0.004, 0.0, 1.0))
         for lines in (slots, slots.T):
             solve_densely(lines, number, edges, edges.compliance, expected, force)
         moved = np.abs(expected.x - before).max()
@@ -221,8 +221,8 @@ def test_particles_that_coincide_part_and_keep_their_momentum(stage, share, grid
     state, data = simulation.state, simulation.effects['stretch'].data
     state.x[:] = 0.0
     state.mobility[:] = state.inv_mass * 0.01**2
-    stages._KERNELS[stages.prepare, type(data)](data, state, Substep(0.01, 0.0, 1.0))
-    stages._KERNELS[stage, type(data)](data, state, Substep(0.01, 0.0, 1.0))
+    run_stage(stages.prepare, data, state, Substep(0.01, 0.0, 1.0))
+    run_stage(stage, data, state, Substep(0.01, 0.0, 1.0))
     x = simulation.natural(state.x)
     assert np.linalg.norm(x[1] - x[0]) == pytest.approx(share, rel=1e-14)
     np.testing.assert_allclose(x.sum(0), 0.0, atol=1e-15)

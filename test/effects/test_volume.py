@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from sim.shapes import box, disc, file_of
-from sim.small import run, simulate
+from sim.small import run, run_stage, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim import stages
@@ -42,13 +42,11 @@ def settle(simulation, held, rounds, h=0.01):
     state.inv_mass[simulation.slot[held]] = 0.0
     built.hold(state.inv_mass)
     state.mobility[:] = state.inv_mass * h**2
-    kernels = {stage: stages._KERNELS[stage, type(built.data)] for stage in (
-        stages.prepare, stages.project, stages.project_back, stages.react)}
     for _ in range(rounds):
         for stage in (stages.prepare, *[stages.project, stages.project_back] * 10):
-            kernels[stage](built.data, state, Substep(h, 0.0, 1.0))
+            run_stage(stage, built.data, state, Substep(h, 0.0, 1.0))
     state.reaction[:] = 0.0
-    kernels[stages.react](built.data, state, Substep(h, 0.0, 1.0))
+    run_stage(stages.react, built.data, state, Substep(h, 0.0, 1.0))
     return simulation.frame().x, simulation.natural(state.reaction)
 
 

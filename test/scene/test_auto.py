@@ -28,7 +28,9 @@ def cost(simulation):
         len(built.constraints.particles)
         * table['edge' if built.constraints.particles.shape[1] == 2 else 'hinge']
         for built in simulation.effects.values() if built.constraints is not None)
-    return solver.substeps * (table['slot'] * simulation.state.x.shape[1]
+    particles = len(simulation.slot)
+    besides = sum(built.ns_per_particle * particles for built in simulation.effects.values())
+    return solver.substeps * (table['slot'] * simulation.state.x.shape[1] + besides
                               + solver.iterations * projected)
 
 

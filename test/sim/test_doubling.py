@@ -70,7 +70,7 @@ def test_a_history_moves_along_a_cubic_exactly():
 
 
 @pytest.mark.parametrize(('method', 'integrator', 'substeps'), [
-    ('line', 'bdf2', 12), ('line', 'bdf2', 24), ('gauss_seidel', 'backward_euler', 12),
+    ('line', 'bdf2', 12), ('line', 'ndf2', 24), ('gauss_seidel', 'backward_euler', 12),
     ('gauss_seidel', 'backward_euler', 48), ('line', 'backward_euler', 24)])
 def test_the_estimate_is_within_a_factor_of_three(method, integrator, substeps):
     simulation = swing(method, integrator, substeps)
@@ -87,10 +87,14 @@ def test_the_estimate_is_within_a_factor_of_three(method, integrator, substeps):
     assert seen >= 10
 
 
+SMALL = 5e-8
+"""error of a frame [m] below which a history on finer steps is no better than the estimate"""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('name', ['swing', 'drape', 'flag'])
 @pytest.mark.parametrize(('method', 'integrator', 'factor'), [
-    ('line', 'bdf2', 0.4), ('line', 'bdf2', 1), ('gauss_seidel', 'backward_euler', 1),
+    ('line', 'bdf2', 0.4), ('line', 'ndf2', 1), ('gauss_seidel', 'backward_euler', 1),
     ('gauss_seidel', 'backward_euler', 4)])
 def test_the_estimate_holds_on_shipped_scenes(name, method, integrator, factor):
     keys = {'solver.method': method, 'solver.integrator': integrator}
@@ -103,6 +107,9 @@ def test_the_estimate_holds_on_shipped_scenes(name, method, integrator, factor):
         found = estimate(start, simulation.state.x, frame=simulation.index,
                          slot=simulation.slot, strain=largest_strain(simulation))
         true = position_error(simulation, start.end(32))
+        if true < SMALL:
+            assert found.rms < 10.0 * SMALL
+            continue
         assert not found.resolved or found.rms / 3.0 < true < 3.0 * found.rms
         held += found.resolved
     assert held >= 4
@@ -111,11 +118,11 @@ def test_the_estimate_holds_on_shipped_scenes(name, method, integrator, factor):
 @pytest.mark.slow
 def test_errors_of_frames_add_up_to_about_that_of_the_run():
     def keys(substeps):
-        return {'solver.method': 'line', 'solver.integrator': 'bdf2', 'solver.substeps': substeps}
+        return {'solver.method': 'line', 'solver.integrator': 'ndf2', 'solver.substeps': substeps}
     truth = compile_scene(load_scene('swing', keys(512)))
     for _ in range(32):
         truth.step()
-    for substeps in (16, 33):
+    for substeps in (16, 31):
         simulation, total = compile_scene(load_scene('swing', keys(substeps))), 0.0
         for _ in range(32):
             start = kept(simulation, 1)

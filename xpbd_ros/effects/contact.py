@@ -158,6 +158,8 @@ def rest_on_colliders(contact, state, substep):
 class BuiltContact(Built):
     """All colliders of a scene: those that it names, and room for those to come."""
 
+    ns_per_particle = 30.0
+
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.entries: dict[str, Entry] = world.sections.get('colliders', {})

@@ -213,6 +213,8 @@ def shares(mesh) -> np.ndarray:
 class BuiltDrag(Built):
     """The triangles of all cloths."""
 
+    ns_per_particle = 80.0
+
     def __init__(self, parameters, world):
         super().__init__()
         dtype, wind = world.state.x.dtype, world.built.get('wind')

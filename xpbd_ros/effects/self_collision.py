@@ -240,6 +240,8 @@ def press_on_pins(effect, state, substep):
 class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
+    ns_per_particle = 1000.0
+
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         surface = parameters.mode == 'surface'

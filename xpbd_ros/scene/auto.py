@@ -114,8 +114,9 @@ def _bounded(wanted: float, affordable: int) -> int:
 def cost(method: str, iterations: int, effects, state) -> float:
     """Return the time of one substep by the table [ns]."""
     table = NS[method]
-    found = table['slot'] * len(state.mass)
+    found, particles = table['slot'] * len(state.mass), np.count_nonzero(state.mass)
     for built in effects.values():
+        found += built.ns_per_particle * particles
         if built.constraints is not None:
             kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
             on_meshes = sum(hasattr(part, 'particles') * part.particles.shape[1]

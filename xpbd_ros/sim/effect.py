@@ -167,6 +167,8 @@ class Built:
     not_with: tuple[str, ...] = ()
     """methods and integrators that do without it"""
     also: tuple[tuple, ...] = ()
+    ns_per_particle: float = 0.0
+    """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""

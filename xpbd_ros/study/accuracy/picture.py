@@ -13,7 +13,7 @@ from xpbd_ros.study.chart import COLOURS, INK, MUTED, page, save
 
 COLOUR = dict(zip(METHODS, (COLOURS[0], COLOURS[2], COLOURS[3], COLOURS[1], COLOURS[4])))
 COLOUR.update(dict(zip(BASELINES, ('#4d5560', '#8b95a1', '#b8a24a', '#a0522d'))))
-DASHES = {'ndf2': '-', 'bdf2': (0, (5, 1)), 'backward_euler': '--', 'leapfrog': '-',
+DASHES = {'ndf2': '-', 'bdf2': (0, (5, 1.5, 1, 1.5)), 'backward_euler': '--', 'leapfrog': '-',
           'symplectic_euler': ':'}
 
 
