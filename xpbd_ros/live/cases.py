@@ -19,6 +19,8 @@ from xpbd_ros.study.stress.door import Refusal
 NAN, INF = float('nan'), float('inf')
 STILL = 1e-3
 """how far a towel on a table may move while nothing happens to it [m]"""
+PATIENCE = 20
+"""how much longer than asked a clock goes on until a busy machine shows a frame"""
 
 
 def verdict(name: str, company: Company, home: np.ndarray, told: str, *,
@@ -69,17 +71,19 @@ def clocks(folder: Path) -> Iterator[Outcome]:
                                     ('back by two hours', 5_000_000, 60, -7200 * 10**9),
                                     ('before time 0', 0, 3, -20_000 * 10**9),
                                     ('and in order again', 5_000_000, 60, 20_001 * 10**9)):
-        before = len(company.clouds)
+        before, stands = len(company.clouds), name in ('paused', 'before time 0')
         now += jump
-        for _ in range(count):
+        for tick in range(PATIENCE * count):
+            if tick >= count and (stands or len(company.clouds) > before):
+                break
             now += step
             tell()
         told = company.said('/clock: refused') or told
         outcome = verdict(f'node: /clock {name}', company, home, told)
         fresh = len(company.clouds) - before
-        if name in ('paused', 'before time 0') and fresh > 2:
+        if stands and fresh > 2:
             outcome = Outcome(outcome.setting, False, True, why=f'{fresh} frames while it stood')
-        elif name not in ('paused', 'before time 0') and not fresh:
+        elif not stands and not fresh:
             outcome = Outcome(outcome.setting, False, True, why='no frames')
         if name == 'ahead by an hour':
             told = f"dropped_frames {company.status.get('dropped_frames', 'not said')}"
