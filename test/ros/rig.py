@@ -36,6 +36,8 @@ TOWEL = SCENE.replace('SUBSTEPS', '20')
 """a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""
+OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics'
+"""topics that no scene calls for"""
 
 
 class NodeProcess:
@@ -187,6 +189,19 @@ class Cloth:
         return self.peer.until(
             lambda: next((status for status in self.statuses[count:] if true(status)), None),
             'diagnostics', lambda: self.statuses[-1:])
+
+    def topics(self) -> tuple[set[str], set[str]]:
+        """
+        Return what the node publishes and what it listens to, but for what every node does.
+
+        Its services may be seen before its name is.
+        """
+        node, name = self.peer.node, self.name.lstrip('/')
+        self.peer.until(lambda: name in node.get_node_names(), f'{name} among the nodes')
+        return tuple({topic for topic, _ in ask(name, '/')}
+                     - {f'{self.name}/transition_event', *OF_EVERY_NODE}
+                     for ask in (node.get_publisher_names_and_types_by_node,
+                                 node.get_subscriber_names_and_types_by_node))
 
     # services
 

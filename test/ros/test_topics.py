@@ -25,7 +25,6 @@ cloths:
 solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
 """
 """nothing but cloth, in free fall; seven particles along warp, five along weft"""
-OF_EVERY_NODE = {'/rosout', '/parameter_events', '/diagnostics', '/cloth/transition_event'}
 
 
 @pytest.fixture(scope='module')
@@ -39,14 +38,6 @@ def use(lockstep, tmp_path_factory):
         lockstep.restart(scene=str(file), **parameters)
         return lockstep
     return use
-
-
-def topics(cloth) -> tuple[set[str], set[str]]:
-    """Return what the node publishes and what it listens to."""
-    node = cloth.peer.node
-    return tuple({name for name, _ in ask('cloth', '/')} - OF_EVERY_NODE
-                 for ask in (node.get_publisher_names_and_types_by_node,
-                             node.get_subscriber_names_and_types_by_node))
 
 
 def first(cloth, kind, topic: str, qos=LATCHED):
@@ -99,8 +90,8 @@ OF_COLLIDERS = {'/cloth/colliders', '/cloth/collider_states', '/cloth/collider/b
 ], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders', 'effects.wind'])
 def test_topics_follow_the_scene(use, text, publishes, listens):
     cloth = use(text)
-    cloth.peer.until(lambda: topics(cloth) == (publishes, listens), f'{publishes}, {listens}',
-                     lambda: topics(cloth))
+    cloth.peer.until(lambda: cloth.topics() == (publishes, listens), f'{publishes}, {listens}',
+                     cloth.topics)
 
 
 def test_several_cloths_have_topics_each(use):
@@ -111,8 +102,8 @@ def test_several_cloths_have_topics_each(use):
     publishes = {'/cloth/markers', '/cloth/scene', *(
         f'/cloth/cloth/{name}/{what}' for name in ('sheet', 'second')
         for what in ('particles', 'mesh'))}
-    cloth.peer.until(lambda: topics(cloth) == (publishes, set()), f'{publishes}',
-                     lambda: topics(cloth))
+    cloth.peer.until(lambda: cloth.topics() == (publishes, set()), f'{publishes}',
+                     cloth.topics)
     heard = {name: cloth.peer.hear(PointCloud2, f'/cloth/cloth/{name}/particles')
              for name in ('sheet', 'second')}
     cloth.peer.until(lambda: cloth.trigger('step')[0] and all(heard.values()), 'clouds')
