@@ -4,10 +4,11 @@ How wrong a frame is: the same frame once more with twice the substeps (step dou
 What is left of the error after doubling is 1 / (2^p - 1) of what doubling took away (Hairer,
 Nørsett and Wanner, Solving ordinary differential equations I, II.4), for a method of order p: as
 much again for backward Euler, a third for BDF2. Which of the two a frame is nearer to depends on
-contacts and on how far the sweeps converge, so LEFT is between them. It holds while the substeps
-follow the cloth's waves; under-resolved, twice the substeps take little away (NUMERICS 0.2), and
-only a third run tells. So where a cloth is strained by more than DOUBTFUL there is one, with four
-times the substeps: if it moves the cloth further than the second did, the frame is not resolved.
+contacts and on how far the sweeps converge, so LEFT is their geometric mean. It holds while the
+substeps follow the cloth's waves; under-resolved, twice the substeps take little away (NUMERICS
+0.2), and only a third run tells. So where a cloth is strained by more than DOUBTFUL there is one,
+with four times the substeps: if it moves the cloth further than the second did, the frame is not
+resolved.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,7 @@ import numpy as np
 
 from xpbd_ros.sim.state import State
 
-LEFT = 0.7
+LEFT = 3.0**-0.5
 """of the error, for 1 that doubling takes away"""
 DOUBTFUL = 0.1
 """largest strain up to which twice the substeps tell enough"""
