@@ -83,6 +83,9 @@ class Simulation:
         """what whoever runs this should know of its making"""
         self.frame_rate = frame_rate
         """frames per second of simulation time, exact"""
+        self.frame_dt = float(1 / frame_rate)
+        """length of a frame [s]"""
+        self._frame_ns = 10**9 / frame_rate
         self.solver = solver
         self.index = 0
         self.start: Start | None = None
@@ -98,14 +101,9 @@ class Simulation:
             built.reset(state, 0)
         self._collect()
 
-    @property
-    def frame_dt(self) -> float:
-        """Length of a frame [s]."""
-        return float(1 / self.frame_rate)
-
     def time_ns(self, index: int) -> int:
         """Return the simulation time of a frame [ns]."""
-        return round(index * 10**9 / self.frame_rate)
+        return round(index * self._frame_ns)
 
     def _collect(self) -> None:
         """Hand the kernels the effects as they stand now."""
@@ -144,7 +142,8 @@ class Simulation:
                 applied.append(command)
             else:
                 refused.append((command, reason))
-        clock = replace(clock, substeps=self.solver.substeps)
+        if commands:
+            clock = replace(clock, substeps=self.solver.substeps)
         for built in self.effects.values():
             built.begin(clock, self.state)
         pin = self.effects.get('pin')
@@ -160,7 +159,7 @@ class Simulation:
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
-        return replace(self.frame(), applied=tuple(applied), refused=tuple(refused), news=tuple(
+        return self.frame(tuple(applied), tuple(refused), tuple(
             text for built in self.effects.values() for text in built.news()))
 
     def _advance(self, substeps: int) -> None:
@@ -174,19 +173,16 @@ class Simulation:
     def _method(self):
         return METHODS[self.solver.method](self.solver.iterations)
 
-    def frame(self) -> Frame:
-        """Return the present frame."""
+    def frame(self, applied=(), refused=(), news=()) -> Frame:
+        """Return the present frame, with what led to it."""
         pin, contact = self.effects.get('pin'), self.effects.get('contact')
-        return Frame(self.index, self.time_ns(self.index), self.natural(self.state.x),
-                     self.natural(self.state.v), self.state.inv_mass[self.slot],
+        state, particles = self.state, len(self.slot)
+        x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
+        gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
+        return Frame(self.index, self.time_ns(self.index), x, v, inv_mass,
                      MappingProxyType(dict(pin.states) if pin else {}),
-                     MappingProxyType(contact.states(self.frame_dt) if contact else {}))
-
-    def natural(self, array: np.ndarray) -> np.ndarray:
-        """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
-        found = np.empty((len(self.slot), 3))
-        gather(array, self.slot, found)
-        return found
+                     MappingProxyType(contact.states(self.frame_dt) if contact else {}),
+                     applied, refused, news)
 
     def _apply(self, command: Command, clock: Clock) -> str | None:
         if isinstance(command, Reset):

@@ -152,11 +152,14 @@ def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
 
 
 @jit
-def gather(array, slots, found):
-    """Write rows x, y, z of some slots, in float64, into ``found``, shape (slots, 3)."""
+def gather(x, v, inv_mass, slots, natural_x, natural_v, natural_inv_mass):
+    """Write some slots, one after another, in float64: x and v of shape (slots, 3)."""
     for i in range(len(slots)):
+        slot = slots[i]
         for k in range(3):
-            found[i, k] = array[k, slots[i]]
+            natural_x[i, k] = x[k, slot]
+            natural_v[i, k] = v[k, slot]
+        natural_inv_mass[i] = inv_mass[slot]
 
 
 def remembered(state: State) -> list[np.ndarray]:
