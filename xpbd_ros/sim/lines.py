@@ -5,10 +5,15 @@ The edges of a line, linearised where it lies, couple only to their neighbours:
 
     (J W Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
 
-with mobilities m = w H² and unit vectors u_k from particle k to k + 1: one forward elimination,
-one back substitution (Thomas). The matrix is positive semi-definite for any shape, since each
-off-diagonal is at most m_k; only a rigid straight line between two pins is singular. Hence α
-counts as at least TINY of the mobilities, which is nothing beside what a Gauss-Seidel pass adds.
+with mobilities m = w H² and unit vectors u_k from particle k to k + 1. With edges d_k = l_k u_k
+and steps s_k = Δf_k / l_k, row k times l_k spares a division on the way:
+
+    diagonal (m_k + m_{k+1} + α) l_k²,   off-diagonal -m_k d_k·d_{k-1},   right side -(C + α f) l_k
+
+One forward elimination, one back substitution (Thomas). The matrix is positive semi-definite for
+any shape, since each off-diagonal of the first is at most m_k; only a rigid straight line between
+two pins is singular. Hence α counts as at least TINY of the mobilities, which is nothing beside
+what a Gauss-Seidel pass adds.
 
 A rigid line between two pins that are further apart than it is long cannot be: ``sim.taut``.
 
@@ -76,7 +81,7 @@ class Lines(NamedTuple):
     tile: np.ndarray
     """scratch: transposed rows: x y z mobility f; shape (threads, 5, columns * lanes)"""
     work: np.ndarray
-    """scratch of the elimination: u, off-diagonal / pivot, Δf; (threads, 5, edges * lanes)"""
+    """scratch of the elimination: d, l, off-diagonal / pivot, s; (threads, 6, edges * lanes)"""
 
 
 def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
@@ -110,7 +115,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
                  zeros((threads, 5, longest * lanes_), dtype),
-                 zeros((threads, 5, longest * lanes_), dtype))
+                 zeros((threads, 6, longest * lanes_), dtype))
 
 
 @jit
@@ -180,7 +185,7 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
     at edge + k stride.
     """
     n = lanes(x)
-    ux, uy, uz, ratio, step = work[0], work[1], work[2], work[3], work[4]
+    ex, ey, ez, long, ratio, step = work[0], work[1], work[2], work[3], work[4], work[5]
     zero, there = splat(x, 0.0), after(x, done)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
@@ -189,34 +194,35 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
         f = load(force, c)
         dx, dy, dz = xb - xa, yb - ya, zb - za
-        l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
-        apart = l > 0.0
-        inverse = 1.0 / select(apart, l, 1.0)
-        dx = select(apart, dx * inverse, axis[0])
-        dy = select(apart, dy * inverse, axis[1])
-        dz = select(apart, dz * inverse, axis[2])
+        square = fma(dx, dx, fma(dy, dy, dz * dz))
+        apart = square > 0.0
+        l = root(square)
+        dx, dy, dz = select(apart, dx, axis[0]), select(apart, dy, axis[1]), select(apart, dz,
+                                                                                    axis[2])
+        square, l_or_1 = select(apart, square, 1.0), select(apart, l, 1.0)
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
         link = off * pivot
-        bottom = fma(-link, off, total + larger(alpha, tiny * total))
+        bottom = fma(-link, off, (total + larger(alpha, tiny * total)) * square)
         solvable = both(bottom > 0.0, there)
         pivot = 1.0 / select(solvable, bottom, 1.0)
-        right = select(solvable, (-fma(alpha, f, l - rest) - off * right) * pivot, 0.0)
-        store(ux, o, dx)
-        store(uy, o, dy)
-        store(uz, o, dz)
+        right = select(solvable, (-fma(alpha, f, l - rest) * l_or_1 - off * right) * pivot, 0.0)
+        store(ex, o, dx)
+        store(ey, o, dy)
+        store(ez, o, dz)
+        store(long, o, l_or_1)
         store(ratio, o, link)
         store(step, o, right)
         vx, vy, vz = dx, dy, dz
         xa, ya, za, ma = xb, yb, zb, mb
-    # right is now Δf of the last edge; going back, Δf_k = right_k - (off_{k+1} pivot_k) Δf_{k+1}
-    df, above, wx, wy, wz = zero, zero, zero, zero, zero
+    # right is now s of the last edge; going back, s_k = right_k - (off_{k+1} pivot_k) s_{k+1}
+    s, above, wx, wy, wz = zero, zero, zero, zero, zero
     for k in range(nodes - 2, -1, -1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         mb = load(m, i)
-        df = load(step, o) - above * df
-        store(force, c, load(force, c) + df)
-        gx, gy, gz = df * load(ux, o), df * load(uy, o), df * load(uz, o)
+        s = load(step, o) - above * s
+        store(force, c, fma(s, load(long, o), load(force, c)))
+        gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
         store(x, i, fma(mb, gx - wx, load(x, i)))
         store(y, i, fma(mb, gy - wy, load(y, i)))
         store(z, i, fma(mb, gz - wz, load(z, i)))

@@ -2,7 +2,8 @@
 Particles as records x y z m: what a constraint on any mesh loads and stores by index.
 
 A particle scattered over four arrays costs four gathers; a record is one short load, and as many
-of them as a vector has lanes are transposed in registers into vectors of x, y, z and m.
+of them as a vector has lanes are transposed in registers into vectors of x, y, z and m: four by four
+of them, which takes a processor half of the shuffles that an arbitrary order does.
 """
 
 from llvmlite import ir
@@ -14,7 +15,7 @@ import numpy as np
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.update import inline
-from xpbd_ros.sim.vector import fma, lanes, load, store, vector_of
+from xpbd_ros.sim.vector import exchange, fma, lanes, load, store, vector_of
 
 PACK = 16
 """constraints that share no particle, side by side: the lanes of the widest vector there is"""
@@ -27,101 +28,112 @@ def new_records(slots: int, dtype) -> np.ndarray:
 
 
 def _constants(numbers):
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), numbers)
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 
-def _record_pointers(context, builder, signature, arguments, count, kind):
+def _record(context, builder, signature, arguments, number):
+    """Return a pointer to one record."""
+    records = cgutils.create_struct_proxy(signature.args[0])(
+        context, builder, value=arguments[0]).data
+    first = builder.mul(number, number.type(_FIELDS))
+    return builder.bitcast(builder.gep(records, [first], inbounds=True),
+                           ir.VectorType(records.type.pointee, _FIELDS).as_pointer())
+
+
+def _neighbours(context, builder, signature, arguments, count):
+    """Return a pointer to each of as many neighbouring records as a vector has lanes."""
+    return [_record(context, builder, signature, arguments,
+                    builder.add(arguments[1], arguments[1].type(q))) for q in range(count)]
+
+
+def _indexed(context, builder, signature, arguments, count):
     """Return a pointer to the record of each lane."""
-    records, index, start, *_ = (cgutils.create_struct_proxy(t)(context, builder, value=v).data
-                             if isinstance(t, types.Array) else v
-                             for t, v in zip(signature.args, arguments))
-    for q in range(count):
-        place = builder.gep(index, [builder.add(start, start.type(q))], inbounds=True)
-        particle = builder.sext(builder.load(place), start.type)
-        first = builder.mul(particle, start.type(_FIELDS))
-        yield builder.bitcast(builder.gep(records, [first], inbounds=True), kind.as_pointer())
+    index = cgutils.create_struct_proxy(signature.args[1])(
+        context, builder, value=arguments[1]).data
+    start = arguments[2]
+    return [_record(context, builder, signature, arguments, builder.sext(builder.load(
+        builder.gep(index, [builder.add(start, start.type(q))], inbounds=True)), start.type))
+        for q in range(count)]
 
 
-def _transposed(builder, rows):
-    """Return the transpose of rows, each a vector; counts are powers of two."""
-    while len(rows) > 1:    # pairs of vectors become one, interleaved
-        half = len(rows) // 2
-        count = rows[0].type.count
-        mixed = _constants([k for q in range(count) for k in (q, count + q)])
-        rows = [builder.shuffle_vector(rows[k], rows[k + half], mixed) for k in range(half)]
+def _joined(builder, rows):
+    """Return vectors one after another in one."""
+    while len(rows) > 1:
+        both = _constants(range(2 * rows[0].type.count))
+        rows = [builder.shuffle_vector(a, b, both) for a, b in zip(rows[::2], rows[1::2])]
     return rows[0]
 
 
 def _parts(builder, whole, size):
-    return [builder.shuffle_vector(whole, whole, _constants(list(range(k, k + size))))
+    return [builder.shuffle_vector(whole, whole, _constants(range(k, k + size)))
             for k in range(0, whole.type.count, size)]
 
 
-def _whole(context, builder, signature, arguments, count):
-    """Return a pointer to as many neighbouring records as a vector has lanes."""
-    records = cgutils.create_struct_proxy(signature.args[0])(
-        context, builder, value=arguments[0]).data
-    first = builder.mul(arguments[1], arguments[1].type(_FIELDS))
-    kind = ir.VectorType(records.type.pointee, _FIELDS * count)
-    return builder.bitcast(builder.gep(records, [first], inbounds=True), kind.as_pointer())
+def _turned(builder, rows):
+    """Return four vectors of which each square of 4 x 4 lanes is transposed."""
+    for size in (1, 2):
+        exchange(builder, rows, size)
+    return rows
+
+
+def _load(builder, vector, pointers):
+    """Return x, y, z, m of some records."""
+    records = [builder.load(pointer, align=vector.lane.bitwidth // 8) for pointer in pointers]
+    records *= max(1, _FIELDS // vector.count)    # two lanes: each twice
+    rows = [_joined(builder, records[k::_FIELDS]) for k in range(_FIELDS)]
+    return [_parts(builder, field, vector.count)[0] for field in _turned(builder, rows)]
+
+
+def _store(builder, vector, pointers, fields):
+    """Write x, y, z, m to some records."""
+    fields = [_joined(builder, [field] * max(1, _FIELDS // vector.count)) for field in fields]
+    rows = [_parts(builder, row, _FIELDS) for row in _turned(builder, fields)]
+    for pointer, record in zip(pointers, [row for part in zip(*rows) for row in part]):
+        builder.store(record, pointer, align=vector.lane.bitwidth // 8)
+
+
+def _loader(records, *place, pointers):
+    vector = vector_of(records)
+    result = types.UniTuple(vector, _FIELDS)
+
+    def generate(context, builder, signature, arguments):
+        return context.make_tuple(builder, result, _load(builder, vector, pointers(
+            context, builder, signature, arguments, vector.count)))
+    return result(records, *place), generate
+
+
+def _storer(records, *place, pointers):
+    vector = vector_of(records)
+
+    def generate(context, builder, signature, arguments):
+        _store(builder, vector, pointers(context, builder, signature, arguments, vector.count),
+               arguments[-_FIELDS:])
+        return context.get_dummy_value()
+    return types.void(records, *place, *[vector] * _FIELDS), generate
 
 
 @intrinsic
 def load_row(typing, records, start):
     """Return x, y, z, m of neighbouring records."""
-    vector = vector_of(records)
-    result = types.UniTuple(vector, _FIELDS)
-
-    def generate(context, builder, signature, arguments):
-        whole = builder.load(_whole(context, builder, signature, arguments, vector.count),
-                             align=vector.lane.bitwidth // 8)
-        return context.make_tuple(builder, result, [builder.shuffle_vector(
-            whole, whole, _constants(list(range(k, _FIELDS * vector.count, _FIELDS))))
-            for k in range(_FIELDS)])
-    return result(records, types.intp), generate
+    return _loader(records, types.intp, pointers=_neighbours)
 
 
 @intrinsic
 def store_row(typing, records, start, x, y, z, m):
     """Write x, y, z, m of neighbouring records."""
-    vector = vector_of(records)
-
-    def generate(context, builder, signature, arguments):
-        builder.store(_transposed(builder, arguments[2:]), _whole(
-            context, builder, signature, arguments, vector.count),
-            align=vector.lane.bitwidth // 8)
-        return context.get_dummy_value()
-    return types.void(records, types.intp, *[vector] * _FIELDS), generate
+    return _storer(records, types.intp, pointers=_neighbours)
 
 
 @intrinsic
 def load_records(typing, records, index, start):
     """Return x, y, z, m of the particles in index[start:start + lanes]."""
-    vector = vector_of(records)
-    result = types.UniTuple(vector, _FIELDS)
-
-    def generate(context, builder, signature, arguments):
-        kind = ir.VectorType(vector.llvm.element, _FIELDS)
-        rows = [builder.load(pointer, align=vector.lane.bitwidth // 8) for pointer in
-                _record_pointers(context, builder, signature, arguments, vector.count, kind)]
-        return context.make_tuple(builder, result, _parts(
-            builder, _transposed(builder, rows), vector.count))
-    return result(records, index, types.intp), generate
+    return _loader(records, index, types.intp, pointers=_indexed)
 
 
 @intrinsic
 def store_records(typing, records, index, start, x, y, z, m):
     """Write x, y, z, m of the particles in index[start:start + lanes]."""
-    vector = vector_of(records)
-
-    def generate(context, builder, signature, arguments):
-        kind = ir.VectorType(vector.llvm.element, _FIELDS)
-        rows = _parts(builder, _transposed(builder, arguments[3:]), _FIELDS)
-        for row, pointer in zip(rows, _record_pointers(
-                context, builder, signature, arguments, vector.count, kind)):
-            builder.store(row, pointer, align=vector.lane.bitwidth // 8)
-        return context.get_dummy_value()
-    return types.void(records, index, types.intp, *[vector] * _FIELDS), generate
+    return _storer(records, index, types.intp, pointers=_indexed)
 
 
 def put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):

@@ -15,7 +15,7 @@ from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.last_good import LastGood
-from xpbd_ros.sim.state import forget, gather, remembered, State
+from xpbd_ros.sim.state import forget, gather, places, remembered, State
 from xpbd_ros.sim.sweeps import METHODS
 from xpbd_ros.sim.team import Crew
 
@@ -183,6 +183,10 @@ class Simulation:
                      MappingProxyType(dict(pin.states) if pin else {}),
                      MappingProxyType(contact.states(self.frame_dt) if contact else {}),
                      applied, refused, news)
+
+    def natural(self, array: np.ndarray) -> np.ndarray:
+        """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
+        return places(array, self.slot)
 
     def _apply(self, command: Command, clock: Clock) -> str | None:
         if isinstance(command, Reset):

@@ -232,6 +232,22 @@ def fma(typing, a, b, c):
     return vector(a, b, c), generate
 
 
+def exchange(builder, rows, size):
+    """
+    Let blocks of size x size lanes of rows trade places with those across the diagonal.
+
+    Each pair of rows in one instruction; all sizes, one after another, are a transpose.
+    """
+    count = rows[0].type.count
+    low = [count + q - size if q & size else q for q in range(count)]
+    masks = [ir.Constant(ir.VectorType(ir.IntType(32), count), mask)
+             for mask in (low, [q + size for q in low])]
+    for k in range(len(rows)):
+        if not k & size:
+            rows[k], rows[k + size] = [
+                builder.shuffle_vector(rows[k], rows[k + size], mask) for mask in masks]
+
+
 @intrinsic
 def transpose(typing, source, start, row_stride, target, target_start, target_stride):
     """Copy a square tile: target[start + q stride + r] = source[start + r stride + q]."""
@@ -248,16 +264,10 @@ def transpose(typing, source, start, row_stride, target, target_start, target_st
 
         rows = [builder.load(at(signature.args[0], source_, start_, stride_, k), align=align)
                 for k in range(count)]
-        half = count // 2
-        while half:    # swap blocks off the diagonal, half as large each time
-            low = [count + q - half if q & half else q for q in range(count)]
-            high = [count + q if q & half else q + half for q in range(count)]
-            masks = [ir.Constant(ir.VectorType(ir.IntType(32), count), m) for m in (low, high)]
-            for k in range(count):
-                if not k & half:
-                    a, b = rows[k], rows[k + half]
-                    rows[k], rows[k + half] = (builder.shuffle_vector(a, b, m) for m in masks)
-            half //= 2
+        size = count // 2
+        while size:
+            exchange(builder, rows, size)
+            size //= 2
         for k in range(count):
             builder.store(rows[k], at(signature.args[3], target_, target_start_, target_stride_,
                                       k), align=align)
