@@ -1,16 +1,19 @@
 """Where compiled kernels are kept, and how they are compiled."""
 
 import fcntl
+import gc
 from importlib import import_module
 from pkgutil import iter_modules
 from threading import Thread
 
-from numba import config
+from numba import config, types, TypingError
+from numba.core import codegen
 from numba.core.dispatcher import Dispatcher
+import numpy as np
 import pytest
 from sim.small import hang
 
-from xpbd_ros.sim import jit
+from xpbd_ros.sim import jit, parts
 from xpbd_ros.sim.packs import _fill as pack_kernel
 from xpbd_ros.sim.state import begin, Substep
 
@@ -87,10 +90,83 @@ def test_no_kernel_allocates_but_what_runs_when_a_scene_is_compiled():
     assert allocates == {pack_kernel}
 
 
-def test_a_part_of_a_step_refuses_calls_from_python():
-    """And does not crash; also once compiled code has called it."""
+@jit.jit
+def third(x):
+    """Return a third."""
+    return x / 3.0
+
+
+@jit.jit
+def thirds(x, count):
+    """Take a third so many times."""
+    for _ in range(count):
+        x = third(x)
+    return x
+
+
+@jit.jit
+def thirds_of(xs, count):
+    """Do so with all."""
+    for k in range(len(xs)):
+        xs[k] = thirds(xs[k], count)
+
+
+def test_what_a_kernel_calls_is_machine_code_only_as_a_part_of_it(monkeypatch):
+    """Numba makes it of each function by itself as well, and of all that this one calls."""
+    made = []
+    finalize = codegen.JITCodeLibrary._finalize_specific
+    monkeypatch.setattr(codegen.JITCodeLibrary, '_finalize_specific',
+                        lambda self: made.append(self.name) or finalize(self))
+    xs = np.array([2.0, 5.0])
+    thirds_of(xs, 3)
+    assert (xs == [2.0 / 3.0 / 3.0 / 3.0, 5.0 / 3.0 / 3.0 / 3.0]).all()
+    assert made in (['thirds_of'], []), 'or it was in the cache'
+    assert not thirds.overloads and not third.overloads
+    assert thirds(2.0, 2) == 2.0 / 3.0 / 3.0
+    assert thirds.overloads, 'Python has one of its own'
+
+
+def test_parts_are_kept_for_other_kernels(tmp_path, monkeypatch, recwarn):
+    monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
+    counts = []
+    for _ in range(2):
+        monkeypatch.setattr(parts, 'KERNELS', set())
+        for name in ('third', 'thirds'):    # as another process would have them
+            monkeypatch.setitem(globals(), name, jit.jit(globals()[name].py_func))
+        thirds.part().compile((types.float64, types.int64))
+        counts.append([len(each.part().stats.cache_hits) for each in (third, thirds)])
+    assert counts == [[0, 0], [0, 1]], 'what it calls is in it'
+    whole = jit.jit(thirds_of.py_func)
+    whole.part().compile((types.float64[::1], types.int64))
+    xs = np.array([2.0])
+    whole(xs, 2)
+    assert xs == 2.0 / 3.0 / 3.0
+    assert not recwarn.list
+
+
+def test_the_garbage_collector_waits_while_a_kernel_is_compiled(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
+    monkeypatch.setitem(globals(), 'third', jit.jit(third.py_func))
+    collected = []
+    gc.callbacks.append(lambda phase, info: collected.append(phase))
+    try:
+        third(1.0)
+        assert len(collected) <= 2, 'once at the end'
+        assert gc.isenabled()
+    finally:
+        gc.callbacks.pop()
+    with pytest.raises(TypingError):
+        third('one')
+    assert gc.isenabled()
+
+
+def test_a_part_of_a_step_can_be_called_from_python():
+    """Also once compiled code has called it."""
     simulation = hang()
     for _ in range(2):
-        with pytest.raises(TypeError, match='begin: only compiled code can call this'):
-            begin(simulation.state, Substep(0.1, 0.0, 1.0))
+        state = simulation.state
+        v = state.v.copy()
+        begin(state, Substep(0.125, 0.0, 1.0))
+        change = np.where(state.inv_mass > 0.0, 0.125 * state.gravity[:, None], 0.0)
+        assert np.allclose(state.v - v, change, atol=1e-12)
         simulation.step()

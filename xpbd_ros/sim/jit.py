@@ -6,10 +6,11 @@ sees neither edits in other files nor that a type came from another scene, so th
 folder named by a hash of the package's own kernels.
 """
 
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 import fcntl
+from functools import cache
+import gc
 import hashlib
-from inspect import signature
 import os
 from pathlib import Path
 import tempfile
@@ -17,6 +18,7 @@ import tempfile
 from numba import config, njit
 from numba.core.caching import FunctionCache
 
+from xpbd_ros.sim import parts
 from xpbd_ros.sim.vector import BITS
 
 
@@ -36,9 +38,15 @@ class Cache(FunctionCache):
             super().save_overload(signature, data)
 
 
-FLAGS = {'nogil': True, 'error_model': 'numpy', '_nrt': False}
-INNER = {**FLAGS, 'no_cpython_wrapper': True, 'no_cfunc_wrapper': True}
-"""for what only compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
+class PartCache(Cache):
+    """The same for parts."""
+
+    _impl_class = parts.CacheImpl
+
+
+FLAGS = {'nogil': True, 'error_model': 'numpy', '_nrt': False, 'no_cfunc_wrapper': True}
+INNER = {**FLAGS, 'no_cpython_wrapper': True, 'pipeline_class': parts.Compiler}
+"""for what compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
 
 
 def _sources_hash() -> str:
@@ -69,12 +77,27 @@ def _cache_folder() -> Path:
 CACHE_FOLDER = _cache_folder()
 
 
-def _closed(kernel):
-    """Have a kernel without a wrapper refuse calls from Python, which would crash."""
-    def refuse(*arguments, **keywords):
-        raise TypeError(f'{kernel.__name__}: only compiled code can call this')
-    kernel._compile_for_args, kernel._insert = refuse, lambda *_, **__: None
-    return kernel
+@contextmanager
+def _no_collection():
+    """Have the garbage collector wait: else it goes through all that a compiler holds, often."""
+    on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if on:
+            gc.enable()
+
+
+def _dispatcher(function, cache: type, folder: Path, **flags):
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder)
+    try:
+        dispatcher = njit(**flags)(function)
+        dispatcher._cache = cache(function)
+        return dispatcher
+    finally:
+        config.CACHE_DIR = before
 
 
 def jit(function=None, *, inline: bool = False, allocates: bool = False,
@@ -91,19 +114,23 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     ``cache_name`` separates the caches of functions whose signatures hold other scenes' types:
     reading such a cache would import effects that this scene does not name.
 
-    What takes a substep, or is written out and takes the state, is a part of a step, which only
-    compiled code calls: without the wrapper for Python it compiles in two thirds of the time.
+    Python and compiled code call a kernel alike; what they call is compiled for each of them when
+    it first does, for compiled code as a part of its caller (``parts``).
     """
     def compile_(function):
-        takes = signature(function).parameters
-        inner = 'substep' in takes or inline and 'state' in takes
-        before = config.CACHE_DIR
-        config.CACHE_DIR = str(CACHE_FOLDER / cache_name)
-        try:
-            kernel = njit(forceinline=inline, **{
-                **(INNER if inner else FLAGS), '_nrt': allocates})(function)
-            kernel._cache = Cache(function)
-            return _closed(kernel) if inner else kernel
-        finally:
-            config.CACHE_DIR = before
+        folder, flags = CACHE_FOLDER / cache_name, {'forceinline': inline, '_nrt': allocates}
+        kernel = _dispatcher(function, Cache, folder, **{**FLAGS, **flags})
+        compile_for = kernel._compile_for_args
+        part = cache(lambda: _dispatcher(function, PartCache, folder / 'parts',
+                                         **{**INNER, **flags}))    # if anyone calls it
+
+        def compile_quietly(*arguments, **keywords):
+            with _no_collection():
+                return compile_for(*arguments, **keywords)
+        kernel._compile_for_args = compile_quietly
+        kernel.get_call_template = lambda *arguments: part().get_call_template(*arguments)
+        kernel.get_overload = lambda signature: part().get_overload(signature)
+        kernel.part = part
+        parts.KERNELS.add(id(kernel))
+        return kernel
     return compile_ if function is None else compile_(function)

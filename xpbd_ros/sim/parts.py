@@ -1,0 +1,88 @@
+"""
+Parts of a kernel: linked as they are, optimised and made machine code where the whole is.
+
+Numba optimises every function that compiled code calls, and makes machine code of it, before it
+does so again wherever that one is linked in: some ten times for a kernel deep in a step.
+"""
+
+from llvmlite import binding
+from numba.core import codegen, compiler
+from numba.core.caching import CompileResultCacheImpl
+
+KERNELS: set[int] = set()
+"""addresses of all kernels, as Numba writes them down where one is called, to no use"""
+ADDRESS = 'numba.dynamic.globals.'
+"""where it does so; code with addresses that are of use cannot be kept for other processes"""
+
+
+class Library(codegen.JITCodeLibrary):
+    """The code of one part, and of all that it calls."""
+
+    def add_llvm_module(self, module):
+        """Take code as it is."""
+        module.data_layout = self._codegen._data_layout
+        self._final_module.link_in(module)
+
+    def _optimize_final_module(self):
+        pass
+
+    def _finalize_dynamic_globals(self):
+        for each in self._final_module.global_variables:
+            start, _, address = each.name.partition(ADDRESS)
+            if not start and int(address.split('.')[0], 16) in KERNELS:
+                each.name = 'kernel.' + address
+        super()._finalize_dynamic_globals()
+
+    def _finalize_final_module(self):
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == binding.Linkage.external:
+                function.linkage = 'linkonce_odr'    # several kernels may hold it
+        self._shared_module = self._final_module
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name):
+        """Nobody can call it."""
+        return 0
+
+    @property
+    def codegen(self):
+        """What is asked to write down where the globals of Python are: nowhere."""
+        return self
+
+    def set_env(self, name, env):
+        """Do without."""
+
+    def serialize_using_object_code(self):
+        """Return what ``read`` needs."""
+        return self.name, self._final_module.as_bitcode()
+
+    @classmethod
+    def read(cls, target, name, bitcode):
+        """Return a library that was serialised."""
+        library = cls(target.codegen(), name)
+        library._final_module = binding.parse_bitcode(bitcode)
+        library._shared_module = library._final_module
+        library._finalize_dynamic_globals()
+        library._finalized = True
+        return library
+
+
+class Compiler(compiler.Compiler):
+    """Numba's compiler, for parts."""
+
+    def __init__(self, typing, target, library, *rest):
+        super().__init__(typing, target, Library(target.codegen(), 'part'), *rest)
+
+
+class CacheImpl(CompileResultCacheImpl):
+    """Numba's cache, for parts."""
+
+    def rebuild(self, target, payload):
+        """Return what ``reduce`` was given."""
+        code, fndesc, env, signature, *_ = payload
+        library = Library.read(target, *code)
+        return compiler.compile_result(
+            target_context=target, typing_context=target.typing_context, library=library,
+            environment=env, entry_point=target.get_executable(library, fndesc, env),
+            fndesc=fndesc, signature=signature, objectmode=False, lifted=(), reload_init=())
