@@ -158,7 +158,7 @@ def test_a_step_allocates_no_array_of_the_size_of_the_state(monkeypatch):
     """All but the frame that it hands out, which is a copy."""
     simulation = with_effects((80, 80), substeps=3)
     frame = simulation.frame()
-    monkeypatch.setattr(simulation, 'frame', lambda: frame)
+    monkeypatch.setattr(simulation, 'frame', lambda *_: frame)
     tracemalloc.start()
     try:
         run(simulation, 30)

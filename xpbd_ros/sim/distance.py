@@ -244,18 +244,18 @@ def room(count: int) -> Held:
 @jit(inline=True)
 def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
     """
-    Return the step along d of an edge, d itself and Δf, for particles dx, dy, dz apart.
+    Return s and d of an edge and Δf, for particles dx, dy, dz apart.
 
-    n Δf = step d, so that one division does for both; ``there`` says which lanes hold an edge.
+    n Δf = -s d, so that one division does for both; ``there`` says which lanes hold an edge.
     """
     l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
     apart_ = l > 0.0
     l_or_1 = select(apart_, l, 1.0)
     wrong = lag(misfit(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
-    step = select(both(total > 0.0, there),
-                  -wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
-    return (step, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
-            step * l_or_1)
+    s = select(both(total > 0.0, there),
+               wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
+    return (s, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
+            -(s * l_or_1))
 
 
 @jit
@@ -292,11 +292,11 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
                 xj, yj, zj, mj = load(x, j), load(y, j), load(z, j), load(mobility, j)
                 alpha, f = load(compliance, numbers + q), recall(apart, force, c)
                 there = both(alpha >= 0.0, first(x, runs.count[r] - q))
-                g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
+                s, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
                                          f, there, ux, uy, uz, gamma,
                                          apart_before(damping, i, j))
                 keep(force, c, f, df)
-                gi, gj = g * mi, -g * mj
+                gi, gj = -(s * mi), s * mj
                 put(x, tx, i, xi, gi, dx)
                 put(y, ty, i, yi, gi, dy)
                 put(z, tz, i, zi, gi, dz)
@@ -324,11 +324,11 @@ def _project_packs(records, apart, i, j, rest_length, compliance, force, damping
         xi, yi, zi, mi = load_records(records, i, q)
         xj, yj, zj, mj = load_records(records, j, q)
         alpha, f = load(compliance, q), recall(apart, force, q)
-        g, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
+        s, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
                                  load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0,
                                  gammas_of(damping, q), records_before(damping, i, j, q))
         keep(force, q, f, df)
-        gi, gj = g * mi, -g * mj
+        gi, gj = -(s * mi), s * mj
         put_records(records, apart, i, q, xi, yi, zi, mi, gi, dx, dy, dz)
         put_records(records, apart, j, q, xj, yj, zj, mj, gj, dx, dy, dz)
 

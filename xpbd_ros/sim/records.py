@@ -2,8 +2,8 @@
 Particles as records x y z m: what a constraint on any mesh loads and stores by index.
 
 A particle scattered over four arrays costs four gathers; a record is one short load, and as many
-of them as a vector has lanes are transposed in registers into vectors of x, y, z and m: four by four
-of them, which takes a processor half of the shuffles that an arbitrary order does.
+of them as a vector has lanes are transposed in registers into vectors of x, y, z and m, four by
+four of them: any other order takes a processor twice the shuffles.
 """
 
 from llvmlite import ir
