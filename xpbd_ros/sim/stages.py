@@ -8,13 +8,14 @@ trace in the machine code.
 """
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from itertools import groupby
 
 from numba import types
-from numba.extending import overload
+from numba.extending import lower_builtin, type_callable
 
-from xpbd_ros.sim.jit import INNER
 from xpbd_ros.sim.team import alone, wait
+from xpbd_ros.sim.written import written_out
 
 
 def force(effects, state, substep):
@@ -94,26 +95,21 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
     """
     Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
 
-    ``choose(effect, state)`` returns the kernel for an effect's type, or None. The calls are
-    written out in one function, since Numba optimises nested ones once per level.
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None.
     """
-    @overload(stub, jit_options=INNER)
-    def compile_stage(effects, state, substep):
-        kernels = {k: choose(effect, state) for k, effect in enumerate(effects)}
-        kernels = {f'kernel_{k}': kernel for k, kernel in kernels.items() if kernel is not None}
-        names = list(kernels)[::-1] if backwards else list(kernels)
-        lines, call = [], '{}(effects[{}], state, substep)'
-        for shared, group in groupby(names, lambda name: kernels[name] in _SHARED):
-            calls = [call.format(name, name[7:]) for name in group]
-            if shared or _is_none(state, 'team'):
-                lines += calls
-            else:
-                lines += ['if alone(state.team):', *('    ' + each for each in calls),
-                          'wait(state.team)']
-        kernels.update(alone=alone, wait=wait)
-        exec('\n    '.join(['def compiled(effects, state, substep):', *(lines or ['pass'])]),
-             kernels)
-        return kernels['compiled']
+    @written_out(stub)
+    def write(writer, effects, state, substep):
+        kernels = [(k, choose(kind, state[0])) for k, kind in enumerate(effects[0])]
+        kernels = [(k, kernel) for k, kernel in kernels if kernel is not None]
+        team = writer.item(state, 'team')
+        for shared, group in groupby(kernels[::-1] if backwards else kernels,
+                                     lambda each: each[1] in _SHARED):
+            apart = not (shared or isinstance(team[0], types.NoneType))
+            with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
+                for k, kernel in group:
+                    writer.call(kernel, writer.item(effects, k), state, substep)
+            if apart:
+                writer.call(wait, team)
 
 
 def _is_none(state, name: str) -> bool:
@@ -121,11 +117,15 @@ def _is_none(state, name: str) -> bool:
     return isinstance(state[state.fields.index(name)], types.NoneType)
 
 
-@overload(finishes, jit_options=INNER)
-def _finishes(effects):
-    if any(kernel_of(finish, effect) is not None for effect in effects):
-        return lambda effects: True
-    return lambda effects: False
+@type_callable(finishes)
+def _type_finishes(typing):
+    return lambda effects: types.boolean
+
+
+@lower_builtin(finishes, types.Any)
+def _finishes(context, builder, signature, arguments):
+    return context.get_constant(types.boolean, any(
+        kernel_of(finish, effect) is not None for effect in signature.args[0]))
 
 
 for _stub in (force, prepare, project, touch, bound, finish, kick):

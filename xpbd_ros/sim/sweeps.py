@@ -14,11 +14,10 @@ the medium (``damping``, ``drag``) and of ``strain_limit`` and ``tether`` that h
 
 from typing import NamedTuple
 
-from numba.extending import overload
-
-from xpbd_ros.sim.jit import INNER, jit
+from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import kernel_of, kick, project, project_back, solve_lines, walk
 from xpbd_ros.sim.state import add_moves, at_start, clear_moves, half_kick, set_mobility
+from xpbd_ros.sim.written import written_out
 
 
 class GaussSeidel(NamedTuple):
@@ -77,39 +76,26 @@ walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(proje
 walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
 
 
+WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back), Line: (forth, back, close)}
+"""of the methods that move particles one after another"""
+
+
 def sweep(method, effects, state, substep):
     """One iteration of a method."""
 
 
-@overload(sweep, jit_options=INNER)
-def _sweep(method, effects, state, substep):
-    if method.instance_class is GaussSeidel:
-        def gauss_seidel(method, effects, state, substep):
-            project(effects, state, substep)
-        return gauss_seidel
-    if method.instance_class is Symmetric:
-        def symmetric(method, effects, state, substep):
-            project(effects, state, substep)
-            project_back(effects, state, substep)
-        return symmetric
-    if method.instance_class is Jacobi:
-        def jacobi(method, effects, state, substep):
-            clear_moves(state)
-            project(effects, state, substep)
-            add_moves(state)
-        return jacobi
-    if method.instance_class is Leapfrog:
-        def leapfrog(method, effects, state, substep):
-            clear_moves(state)
-            project(effects, at_start(state), substep)
-            add_moves(state)
-        return leapfrog
-
-    def line(method, effects, state, substep):
-        forth(effects, state, substep)
-        back(effects, state, substep)
-        close(effects, state, substep)
-    return line
+@written_out(sweep)
+def _sweep(writer, method, *values):
+    effects, state, substep = values
+    kind = method[0].instance_class
+    if kind in (Jacobi, Leapfrog):
+        writer.call(clear_moves, state)
+        start = state if kind is Jacobi else writer.call(at_start, state)
+        writer.call(project, effects, start, substep)
+        writer.call(add_moves, state)
+        return
+    for walk_ in WALKS[kind]:
+        writer.call(walk_, *values)
 
 
 def enter(method, effects, state, substep):
@@ -120,18 +106,15 @@ def leave(method, effects, state, substep):
     """After the last one."""
 
 
-@overload(enter, jit_options=INNER)
-def _enter(method, effects, state, substep):
-    if method.instance_class is Leapfrog:
-        return lambda method, effects, state, substep: _kick(effects, state, substep, -0.5)
-    return lambda method, effects, state, substep: None
+def _kick_if_leapfrog(stub, share):
+    @written_out(stub)
+    def write(writer, method, *values):
+        if method[0].instance_class is Leapfrog:
+            writer.call(_kick, *values, writer.number(share))
 
 
-@overload(leave, jit_options=INNER)
-def _leave(method, effects, state, substep):
-    if method.instance_class is Leapfrog:
-        return lambda method, effects, state, substep: _kick(effects, state, substep, 0.5)
-    return lambda method, effects, state, substep: None
+_kick_if_leapfrog(enter, -0.5)
+_kick_if_leapfrog(leave, 0.5)
 
 
 @jit

@@ -1,0 +1,57 @@
+"""
+Calls that Numba writes out where they stand, whatever the types.
+
+A function of its own would be handed all the arrays of a scene, one number after another, and take
+longer to compile than all that it calls.
+"""
+
+from inspect import signature
+
+from numba import types
+from numba.extending import lower_builtin, type_callable
+
+
+class Writer:
+    """Writes calls into a function that Numba compiles; a value is its type and what LLVM has."""
+
+    def __init__(self, context, builder):
+        self.context = context
+        self.builder = builder
+
+    def call(self, function, *values):
+        """Call a kernel, or a stub, and return what it returns."""
+        typing, (kinds, arguments) = self.context.typing_context, zip(*values)
+        kind = typing.resolve_value_type(function)
+        known = typing.resolve_function_type(kind, kinds, {})
+        code = self.context.get_function(kind, known)
+        return known.return_type, code(self.builder, arguments)
+
+    def item(self, value, k):
+        """Return an item of a tuple, by its place or its name."""
+        kind, found = value
+        k = kind.fields.index(k) if isinstance(k, str) else k
+        return kind.types[k], self.builder.extract_value(found, k)
+
+    def number(self, value: float):
+        """Return a number."""
+        return types.float64, self.context.get_constant(types.float64, value)
+
+    def only_if(self, value):
+        """Return a context for calls that depend on a value."""
+        return self.builder.if_then(value[1])
+
+
+def written_out(stub):
+    """Register what a stub calls: a function of a Writer and the arguments, without keywords."""
+    def register(write):
+        def typer(*kinds):
+            return types.none
+        typer.pysig = signature(stub)
+
+        def lower(context, builder, signature_, arguments):
+            write(Writer(context, builder), *zip(signature_.args, arguments))
+            return context.get_dummy_value()
+        type_callable(stub)(lambda typing: typer)
+        lower_builtin(stub, *[types.Any] * len(typer.pysig.parameters))(lower)
+        return write
+    return register
