@@ -386,8 +386,8 @@ class BuiltPin(Built):
             self.states[held.name] = PinState(motion.pose, linear, wrench[:3], wrench[3:],
                                               self.number[held.particles], motion.limited)
         for name, pin in self.states.items():
-            slip, force = self.held[name].slip, float(length(pin.force))
-            if slip is not None and force > slip:
+            slip = self.held[name].slip
+            if slip is not None and (force := float(length(pin.force))) > slip:
                 self._let_go(name, state)
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "

@@ -61,6 +61,9 @@ class Motion:
         if self.keyframes is not None:
             self.target = Pose(self.keyframes(end_ns * 1e-9), self.pose.orientation)
             self._left = 0.0
+        if self.target is self.pose:    # there already
+            self._left, self.limited = 0.0, False
+            return
         s = min(1.0, dt / self._left) if self._left > 0.0 else 1.0
         self._left = max(0.0, self._left - dt)
         distance = s * _distance(self.target, self.pose)
