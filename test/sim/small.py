@@ -6,7 +6,6 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from numba import njit
 import numpy as np
 from sim.shapes import ball, box, disc, obj_text
 
@@ -14,9 +13,7 @@ from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim import stages
-from xpbd_ros.sim.jit import FLAGS
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.sweeps import forth
 
 GRAVITY = 9.80665
 DOWN = [0.0, 0.5**0.5, 0.0, 0.5**0.5]
@@ -144,14 +141,8 @@ def run_until_still(simulation: Simulation, *, speed: float = 1e-13, frames: int
     raise AssertionError(f'still moving at {np.abs(frame.v).max():.3g} m/s')
 
 
-@cache
-def _from_python(stage):
-    """Return a stage as Python can call it."""
-    stage = forth if stage is stages.solve_lines else stage
-    return njit(**FLAGS)(lambda effects, state, substep: stage(effects, state, substep))
-
-
 def run_stage(stage, data, state, substep) -> None:
     """Run a stage of a part of an effect, if it takes part in it."""
-    if (stage, type(data)) in stages._KERNELS:
-        _from_python(stage)((data,), state, substep)
+    kernel = stages._KERNELS.get((stage, type(data)))
+    if kernel is not None:
+        kernel(data, state, substep)

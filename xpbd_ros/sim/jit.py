@@ -89,7 +89,9 @@ def _no_collection():
             gc.enable()
 
 
-def _dispatcher(function, cache: type, folder: Path, **flags):
+def _dispatcher(function, cache: type, folder: Path | None, **flags):
+    if folder is None:
+        return njit(**flags)(function)
     before = config.CACHE_DIR
     config.CACHE_DIR = str(folder)
     try:
@@ -101,7 +103,7 @@ def _dispatcher(function, cache: type, folder: Path, **flags):
 
 
 def jit(function=None, *, inline: bool = False, allocates: bool = False,
-        cache_name: str = 'kernels'):
+        cache_name: str | None = 'kernels'):
     """
     Compile a module-level kernel, GIL released, cached on disk.
 
@@ -112,16 +114,17 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     all that it holds, which costs more than a small kernel for one particle.
 
     ``cache_name`` separates the caches of functions whose signatures hold other scenes' types:
-    reading such a cache would import effects that this scene does not name.
+    reading such a cache would import effects that this scene does not name. None: not kept.
 
     Python and compiled code call a kernel alike; what they call is compiled for each of them when
     it first does, for compiled code as a part of its caller (``parts``).
     """
     def compile_(function):
-        folder, flags = CACHE_FOLDER / cache_name, {'forceinline': inline, '_nrt': allocates}
+        flags = {'forceinline': inline, '_nrt': allocates}
+        folder = CACHE_FOLDER / cache_name if cache_name else None
         kernel = _dispatcher(function, Cache, folder, **{**FLAGS, **flags})
         compile_for = kernel._compile_for_args
-        part = cache(lambda: _dispatcher(function, PartCache, folder / 'parts',
+        part = cache(lambda: _dispatcher(function, PartCache, folder and folder / 'parts',
                                          **{**INNER, **flags}))    # if anyone calls it
 
         def compile_quietly(*arguments, **keywords):

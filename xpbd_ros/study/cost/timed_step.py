@@ -8,10 +8,10 @@ the caches as the others leave them.
 
 from collections.abc import Iterator
 
-from numba import njit, typeof
+from numba import typeof
 
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
-from xpbd_ros.sim.jit import FLAGS
+from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import (
     bound,
     finish,
@@ -59,7 +59,7 @@ def timed_step(effects: tuple, method: type):
     """
     step = _Step(effects, method)
     exec('\n'.join(step.lines()), step.names)
-    return njit(**FLAGS)(step.names['advance'])
+    return jit(step.names['advance'], cache_name=None)
 
 
 class _Step:
