@@ -1,11 +1,14 @@
 """What tests of every part need: a DDS domain of their own, and a small log."""
 
 from collections.abc import Callable, Iterator
+import os
 from pathlib import Path
 import random
 import socket
 
 import pytest
+
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
 from samples import sample_log
 
 

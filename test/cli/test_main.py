@@ -53,6 +53,21 @@ def test_it_knows_its_version(capsys):
     assert capsys.readouterr().out == f'xpbd_ros {xpbd_ros.__version__}\n'
 
 
+def test_linear_algebra_waits_for_no_second_core_unless_asked():
+    """What it reads is set before it is there; 'check drape' takes 20 times as long else."""
+    code = ('import os, sys\nimport xpbd_ros.cli.main as program\n'
+            "assert 'numpy' not in sys.modules\n"
+            'try:\n    program.main(sys.argv[1:])\n'
+            "finally:\n    print(os.environ['OPENBLAS_NUM_THREADS'])")
+    for threads, given in (('1', {}), ('3', {'OPENBLAS_NUM_THREADS': '3'})):
+        done = subprocess.run(
+            [sys.executable, '-c', code, 'check', '-h'], capture_output=True, text=True, check=False,
+            env={**{k: v for k, v in os.environ.items() if k != 'OPENBLAS_NUM_THREADS'},
+                 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)), **given})
+        assert (done.returncode, done.stderr) == (0, '')
+        assert done.stdout.splitlines()[-1] == threads
+
+
 def test_an_unknown_verb_is_refused(capsys):
     with pytest.raises(SystemExit) as end:
         main(['simulate'])

@@ -8,10 +8,15 @@ ROS costs nothing to the others.
 
 import argparse
 import importlib
+import os
 import sys
 
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
+
+# Before numpy is there. Vectors of some ten thousand numbers gain nothing from threads, and lose
+# much where those wait for a core that is busy.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 VERBS = {
     'demo': 'start the node, drive it as a robot would, record the run and draw it',
