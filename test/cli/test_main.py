@@ -59,11 +59,13 @@ def test_linear_algebra_waits_for_no_second_core_unless_asked():
             "assert 'numpy' not in sys.modules\n"
             'try:\n    program.main(sys.argv[1:])\n'
             "finally:\n    print(os.environ['OPENBLAS_NUM_THREADS'])")
+    path = os.pathsep.join(filter(None, sys.path))
     for threads, given in (('1', {}), ('3', {'OPENBLAS_NUM_THREADS': '3'})):
+        environment = {**os.environ, 'PYTHONPATH': path}
+        environment.pop('OPENBLAS_NUM_THREADS', None)
         done = subprocess.run(
-            [sys.executable, '-c', code, 'check', '-h'], capture_output=True, text=True, check=False,
-            env={**{k: v for k, v in os.environ.items() if k != 'OPENBLAS_NUM_THREADS'},
-                 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)), **given})
+            [sys.executable, '-c', code, 'check', '-h'], capture_output=True, text=True,
+            check=False, env={**environment, **given})
         assert (done.returncode, done.stderr) == (0, '')
         assert done.stdout.splitlines()[-1] == threads
 
