@@ -68,6 +68,20 @@ def test_a_second_signal_does_not_cut_the_log_short(tmp_path, towel, own_domain)
         node.kill()
 
 
+def test_signals_that_go_on_do_not_cut_its_end_short(tmp_path, towel, own_domain):
+    """As when a shell and launch both pass it on: one may come while Python takes itself apart."""
+    node = NodeProcess(tmp_path, '-r', '__node:=often', parameters={'scene': towel})
+    try:
+        node.wait_for('running')
+        deadline = time.monotonic() + PATIENCE
+        while node.process.poll() is None and time.monotonic() < deadline:
+            node.process.send_signal(SIGNALS[0])
+            time.sleep(0.001)
+        assert node.process.poll() == 0, node.lines
+    finally:
+        node.kill()
+
+
 def test_a_kill_costs_a_second_at_most(tmp_path, peer):
     small = tmp_path / 'small.yaml'    # so that no chunk of the log is filled meanwhile
     small.write_text(TOWEL.replace('[9, 9]', '[3, 3]'))

@@ -33,7 +33,7 @@ from xpbd_ros.ros.inputs import read_pose, READERS
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
-from xpbd_ros.ros.signals import interrupt_on_signals, nothing_to_finish
+from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals, nothing_to_finish
 from xpbd_ros.ros.stepper import Stepper
 from xpbd_ros.ros.watch import Watch
 from xpbd_ros.scene.compile import compile_scene
@@ -623,6 +623,7 @@ def main(args: list[str] | None = None) -> int:
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
+        ignore_signals()
     return 1 if node is not None and node.failed else 0
 
 

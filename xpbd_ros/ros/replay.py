@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 from xpbd_ros.log.playhead import Playhead
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
+from xpbd_ros.ros.signals import ignore_signals
 
 NODE = 'xpbd_ros_replay'
 CLOCK = '/clock'
@@ -84,6 +85,8 @@ def stop_flag() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        if received:
+            ignore_signals()
 
 
 class Replay:

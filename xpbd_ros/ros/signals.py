@@ -15,6 +15,12 @@ def interrupt_on_signals() -> None:
         signal.signal(each, _leave)    # rclpy calls these after its own
 
 
+def ignore_signals() -> None:
+    """Let no further signal end a process that is done: Python, as it ends, gives them back."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+
+
 @contextmanager
 def nothing_to_finish() -> Iterator[None]:
     """
