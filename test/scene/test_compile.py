@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scene.shipped import each_scene
 from scipy.spatial.transform import Rotation
 from sim.small import run, simulate
 
@@ -9,16 +10,10 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text
 from xpbd_ros.scene.save import scene_text
-from xpbd_ros.share import share_folder
 from xpbd_ros.sim.measure import largest_strain
 
-SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
-HEAVY = ('arch', 'bag', 'balloon', 'drum', 'fold')
-"""scenes that take long to compile, of effects that have quick tests of their own"""
-
-
-EACH = pytest.mark.parametrize('name', [
-    pytest.param(name, marks=[pytest.mark.slow] * (name in HEAVY)) for name in SHIPPED])
+EACH = each_scene(slow=('arch', 'bag', 'balloon', 'drum', 'fold'))
+"""slow: those that take long to compile, of effects that have quick tests of their own"""
 
 
 @EACH

@@ -8,12 +8,12 @@ import sys
 
 import numpy as np
 import pytest
+from scene.shipped import each_scene, WITH_MESHIO
 from sim.shapes import disc, obj_text
 
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.share import share_folder
 from xpbd_ros.study.check import check
 from xpbd_ros.study.check.decay import factor
 from xpbd_ros.study.check.stiffness import stiffness
@@ -22,10 +22,7 @@ from xpbd_ros.study.check.substeps import stretch_error
 SOFT = {'solver.method': 'gauss_seidel', 'solver.substeps': 16}
 
 
-SHIPPED = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
-
-
-@pytest.mark.parametrize('name', SHIPPED)
+@each_scene()
 def test_a_shipped_scene_gives_what_it_asks_for(name):
     found = check(load_scene(name))
     assert found.ok, found.warnings
@@ -54,6 +51,7 @@ def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
     assert cured.ok, cured.warnings
 
 
+@WITH_MESHIO
 def test_what_nothing_is_predicted_of_is_said():
     (note,) = check(load_scene('softbox')).notes
     assert note.startswith('volume: no stiffness is predicted: its constraints have no direction')

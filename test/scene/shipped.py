@@ -1,0 +1,18 @@
+"""The scenes that come with the package, for tests of all of them."""
+
+from importlib.util import find_spec
+
+import pytest
+
+from xpbd_ros.share import share_folder
+
+NAMES = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+WITH_MESHIO = pytest.mark.skipif(find_spec('meshio') is None,
+                                 reason='the extra mesh is not installed')
+
+
+def each_scene(*, slow=()):
+    """Return a mark that runs a test with the name of every scene."""
+    return pytest.mark.parametrize('name', [pytest.param(name, marks=[
+        *[pytest.mark.slow] * (name in slow), *[WITH_MESHIO] * (name == 'softbox')])
+        for name in NAMES])
