@@ -1,11 +1,13 @@
 """A simulation as a whole: time, frames, commands, repetition, invariance."""
 
 from fractions import Fraction
+import gc
 import os
 from pathlib import Path
 import subprocess
 import sys
 
+from numba.core.dispatcher import Dispatcher
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -67,12 +69,39 @@ def test_two_runs_have_the_same_bits(options):
     assert len(set(hashes)) == len(hashes)
 
 
-def test_another_process_has_the_same_bits():
+def in_another_process(call: str) -> str:
+    """Return what a function of this file returns there."""
     path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
-    code = 'from sim.test_simulation import story; print(story())'
-    child = subprocess.run([sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': path},
-                           capture_output=True, text=True, check=True, timeout=120)
-    assert child.stdout.strip() == str(story())
+    code = f'from sim.test_simulation import *; print({call})'
+    return subprocess.run([sys.executable, '-c', code], env={**os.environ, 'PYTHONPATH': path},
+                          capture_output=True, text=True, check=True,
+                          timeout=120).stdout.strip()
+
+
+def test_another_process_has_the_same_bits():
+    assert in_another_process('story()') == str(story())
+
+
+def variants() -> int:
+    """Return how many kernels there are, for all types."""
+    return sum(len(each.overloads) for each in gc.get_objects() if isinstance(each, Dispatcher))
+
+
+def variants_after_compiling(**options) -> int:
+    """Return how many kernels a run adds once its scene is compiled."""
+    simulation = with_effects(substeps=5, iterations=2, **MOVING, **options)
+    simulation.compile()
+    before = variants()
+    assert before >= 4
+    for k in range(40):
+        simulation.step(COMMANDS.get(k, ()))
+    return variants() - before
+
+
+@METHODS
+def test_nothing_is_left_to_compile_when_frames_must_come(options):
+    """In real time a compiler costs frames."""
+    assert in_another_process(f'variants_after_compiling(**{options})') == '0'
 
 
 @METHODS

@@ -366,18 +366,25 @@ class BuiltPin(Built):
             self.data.goal[held.slot] = (*pose.position, *pose.orientation)
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
-        self._v_before = state.v[:, pinned]
+        self._v_before = state.v.take(pinned, axis=1)    # of one layout, even if it is empty
         self.again()
 
     def again(self):
         for spring in self.also:
             spring.force[:] = 0.0
 
-    def end(self, clock, state):
+    def compile(self, state):
+        self._v_before = state.v.take(self.data.particle[:self.data.count[0]], axis=1)
+        self._weigh(state, 1.0)
+
+    def _weigh(self, state, dt: float) -> None:
         self._wrench[:] = 0.0
-        weigh_pinned(self.data, state, self._v_before, clock.dt, self._wrench)
+        weigh_pinned(self.data, state, self._v_before, dt, self._wrench)
         for spring in self.also:
             weigh_springs(spring, state, self._wrench)
+
+    def end(self, clock, state):
+        self._weigh(state, clock.dt)
         self.states = {}
         for held in self.held.values():
             motion, wrench = held.motion, self._wrench[held.slot].copy()

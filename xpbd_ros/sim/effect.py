@@ -190,6 +190,9 @@ class Built:
         alone = self.data is not None and self.constraints is not None
         return self.lists or ([self.constraints] if alone else [])
 
+    def compile(self, state: State) -> None:
+        """Compile what a frame calls besides its step; nothing moves."""
+
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""
 

@@ -122,10 +122,14 @@ class Simulation:
         pin.changed = False
 
     def compile(self) -> None:
-        """Compile the step for this scene, or read it from the cache; nothing moves."""
+        """Compile all that a frame takes, or read it from the cache; nothing moves."""
         self._advance(0)
         if self._guard is not None:
-            self._guard.redo(0)
+            self._guard.compile()
+        self._last.look()
+        self.frame()
+        for built in self.effects.values():
+            built.compile(self.state)
 
     def step(self, commands: Sequence[Command] = (), *, keep: bool = False) -> Frame:
         """
@@ -262,6 +266,11 @@ class ExplicitGuard:
     def _look(self) -> tuple[float, float, float]:
         state = self._simulation.state
         return look(self._edges, state.x, state.v, state.mass, state.inv_mass)
+
+    def compile(self) -> None:
+        """Compile the look at a frame, and ``line``."""
+        self._look()
+        self.redo(0)
 
     def collect(self) -> None:
         """Learn the edges as they stand now."""
