@@ -96,6 +96,7 @@ def test_a_shape_that_no_collider_has_is_not_in_the_machine_code(cache):
 
 def test_a_step_from_the_cache_imports_nothing_more(cache):
     """Numba's cache holds the types of all scenes that it has seen; each has a folder here."""
+    look(('stretch',), cache)
     seen = look(('stretch',), cache)
     assert seen['cached']
     assert seen['imported'] == ['xpbd_ros.effects.stretch']
