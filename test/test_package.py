@@ -184,3 +184,10 @@ def test_style():
          'test'],
         cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_no_two_files_of_tests_have_one_name():
+    """launch_testing, which is about where ROS is, has pytest import each by its name alone."""
+    names = [file.name for file in (ROOT / 'test').rglob('test_*.py')]
+    assert len(names) > 50
+    assert len(set(names)) == len(names)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scene.shipped import WITH_MESHIO
 from scipy.optimize import minimize
 from sim.shapes import box, disc, file_of
 from sim.small import run, run_stage, simulate
@@ -12,7 +13,7 @@ from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
 from xpbd_ros.sim.mesh import cross, dot
 from xpbd_ros.sim.state import Substep
 
-pytest.importorskip('meshio', reason='the extra mesh is not installed')
+pytestmark = WITH_MESHIO
 CELLS, SIZE = (2, 2, 3), 0.1
 YOUNG = 2e4
 

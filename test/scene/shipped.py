@@ -9,6 +9,8 @@ from xpbd_ros.share import share_folder
 NAMES = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
 WITH_MESHIO = pytest.mark.skipif(find_spec('meshio') is None,
                                  reason='the extra mesh is not installed')
+"""Whole files take it as ``pytestmark``: where launch_testing is about, which imports files of
+tests to look into them, one that skips itself at its import skips all."""
 
 
 def each_scene(*, slow=()):

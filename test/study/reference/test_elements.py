@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scene.shipped import WITH_MESHIO
 from scipy.sparse.linalg import eigsh
 
 from xpbd_ros.study.cases.energies import FRAMES, scene
@@ -21,7 +22,7 @@ from xpbd_ros.study.reference import (
 )
 from xpbd_ros.study.reference.forces import PULLS
 
-pytest.importorskip('meshio', reason='the extra mesh is not installed')
+pytestmark = WITH_MESHIO
 
 
 @pytest.fixture(scope='module')
