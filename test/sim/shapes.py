@@ -6,6 +6,7 @@ import shutil
 import tempfile
 
 import numpy as np
+import pytest
 
 
 def disc(rings: int = 4, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
@@ -108,11 +109,17 @@ _FOLDER = []
 
 
 def file_of(vertices, cells) -> str:
-    """Return a file that holds triangles or tetrahedra, and is gone when the tests are over."""
+    """
+    Return a file that holds triangles or tetrahedra, and is gone when the tests are over.
+
+    What reads tetrahedra is an extra: without it, a test that asks for them is skipped.
+    """
     if not _FOLDER:
         _FOLDER.append(Path(tempfile.mkdtemp(prefix='xpbd_ros_shapes_')))
         atexit.register(shutil.rmtree, _FOLDER[0], ignore_errors=True)
     solid = len(cells[0]) == 4
+    if solid:
+        pytest.importorskip('meshio', reason='the extra mesh is not installed')
     text = (vtk_text if solid else obj_text)(vertices, cells)
     file = _FOLDER[0] / f'{len(list(_FOLDER[0].iterdir()))}.{"vtk" if solid else "obj"}'
     file.write_text(text)
