@@ -32,8 +32,20 @@ struct Sheet {
     std::unique_ptr<T[], decltype(&std::free)> data;
 
     Sheet(int n, int fields)
-        : n(n), block(((n + 3) / 4 + N - 1) / N * N), field(4 * block + N), stride(fields * field),
+        : n(n), block(((n + 3) / 4 + N - 1) / N * N), field(apart(4 * block + N)), stride(fields * field),
           data(zeros<T>(static_cast<std::size_t>(n) * stride + N)) {}
+
+    // At least so long that x, y, z and w of a particle are not near one place of different pages,
+    // where a load waits for a store that is under way.
+    static int apart(int field) {
+        const int page = 4096 / sizeof(T), near = 256 / sizeof(T);
+        const auto meets = [&](int k) {
+            const int place = k * field % page;
+            return place < near || place > page - near;
+        };
+        while (meets(1) || meets(2) || meets(3)) field += 2 * N;
+        return field;
+    }
 
     T *at(int i, int j) const { return &data[i * stride + j % 4 * block + j / 4]; }
 

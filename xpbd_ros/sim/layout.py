@@ -10,6 +10,9 @@ the least padding; it takes an odd number of cache lines, so that columns do not
 sets of the cache; and a grid has at least as many rows as a vector has lanes, for the lines that
 run along them. The particles of a mesh lie in the order of their ranks, padded to
 whole vectors at the end. Padding has neither mass nor mobility, so nothing moves it.
+
+A load waits for a store that is under way to the same place of another page. So arrays made one
+after another begin at different places in their pages, and so do x, y and z of one array.
 """
 
 from dataclasses import dataclass
@@ -27,6 +30,8 @@ PAGE = 4096
 """bytes of a page of memory"""
 NEXT = 7 * LINE
 """bytes from where one array begins in its page to where the next does: nine share no place"""
+APART = 4 * LINE
+"""bytes, at least, from a place in a page that x takes to the next one that y takes"""
 _MADE = count()
 
 
@@ -109,7 +114,15 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
             found.append(Block(rows, columns, first, parts, part, longest <= _per_line(dtype),
                                _odd(parts * part, dtype), max(rows, lanes)))
         first += found[-1].size
-    return found, first + lanes
+    return found, _off_page(first + lanes, dtype)
+
+
+def _off_page(slots: int, dtype) -> int:
+    """Return at least so many slots, not close to whole pages."""
+    per_page = PAGE // np.dtype(dtype).itemsize
+    apart = APART // np.dtype(dtype).itemsize
+    over = (slots + apart) % per_page    # from the last place that is too close
+    return slots + max(2 * apart - over, 0)
 
 
 def _parts(columns: int, dtype) -> int:
@@ -134,8 +147,7 @@ def zeros(shape, dtype) -> np.ndarray:
     """
     Return zeros that begin on a cache line, so that no vector of a row straddles two.
 
-    Arrays made one after another begin at different places in their pages: a load waits for a
-    store that is under way to the same place of another page.
+    Arrays made one after another begin at different places in their pages.
     """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     room = np.zeros(size + PAGE, np.uint8)
