@@ -21,10 +21,9 @@ MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
 SINGLE = 0.6
 """what float32 costs, in those of float64; less on large grids"""
-RESOLVE = {'gauss_seidel': 1.0, 'gauss_seidel_symmetric': 1.0, 'jacobi': 1.0, 'explicit': 1.15}
-"""substeps that a method wants, for each that an explicit one needs to be stable"""
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.235}
-"""the same for ``line``, for all edges; what lines do not take is swept, and wants all its own"""
+"""substeps that ``line`` wants, for each that an explicit solver needs for all edges; what lines
+do not take is swept, and wants all its own"""
 CALM = 0.15
 """the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
 LEAST = 4
@@ -32,7 +31,7 @@ LEAST = 4
 
 def share(method: str, integrator: str) -> float:
     """Return the substeps that a setting wants, for each that an explicit one needs."""
-    return LINE[integrator] if method == 'line' else RESOLVE[method]
+    return LINE[integrator] if method == 'line' else 1.0
 
 
 def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
@@ -52,7 +51,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
     them for a millimetre on a metre (NUMERICS 5.8), with NDF2 a fifth; Gauss-Seidel needs all, to
     be as stiff as asked, also for what lines leave to it. ``explicit`` itself takes the bound of
-    ``stability_limit``, and some more. ``budget_ms`` bounds the substeps by the cost table above.
+    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.
     """
     barred = {method: name for name, built in effects.items() for method in built.not_with}
     method = keys.method
@@ -84,8 +83,10 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         chosen['rough_substeps'] = _bounded(LINE['backward_euler'] * needed, max(1, int(
             keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state))))
     if keys.substeps is not None:
-        return Solver(substeps=keys.substeps, reason=f'{method}, {integrator}, '
-                      f'{keys.substeps} substeps as given', **chosen)
+        reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
+        if method == 'explicit' and keys.substeps < needed:
+            reason += f'; {ceil(min(needed, 1e9))} would be stable however it turns'
+        return Solver(substeps=keys.substeps, reason=reason, **chosen)
     wanted = share(method, integrator) * needed
     if method == 'line':
         wanted = max(wanted, swept)
@@ -135,7 +136,7 @@ def stability_limit(effects, state) -> float:
     Return a bound of the highest frequency over 2 [1/s]: leapfrog is stable above it.
 
     x K x = Σ k (n·(x_i - x_j))² ≤ Σ x_i (2 Σ k n nᵀ) x_i, so ω² is at most the largest eigenvalue
-    of 2 Σ k n nᵀ / m_i over the particles, as they lie.
+    of 2 Σ k n nᵀ / m_i over the particles; for edges, whichever way n turns, 2 Σ k / m_i.
     """
     total = np.zeros((state.x.shape[1], 3, 3))
     for name, built in effects.items():

@@ -131,16 +131,18 @@ class Edges:
         return length((x[:, i] - x[:, j]).T.astype(float)) - self.rest_length
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
-        """Return 2 Σ n nᵀ / α at each particle [N/m], shape (slots, 3, 3): no less than K is."""
-        i, j = self.particles.T
-        d = (x[:, i] - x[:, j]).T.astype(float)
-        n = d / length(d)[:, None]
-        found = np.zeros((x.shape[1], 3, 3))
+        """
+        Return 2 Σ 1 / α at each particle [N/m], (slots, 3, 3): no less than K is.
+
+        That is so whichever way the edges turn: warp and weft of a sheet that hangs from its
+        corners come to pull along one direction.
+        """
+        found = np.zeros(x.shape[1])
         with np.errstate(divide='ignore'):
-            blocks = 2.0 / self.compliance[:, None, None] * n[:, :, None] * n[:, None, :]
-        np.add.at(found, i, blocks)
-        np.add.at(found, j, blocks)
-        return found
+            stiffness = 2.0 / self.compliance
+        np.add.at(found, self.particles[:, 0], stiffness)
+        np.add.at(found, self.particles[:, 1], stiffness)
+        return found[:, None, None] * np.eye(3)
 
     def energy(self, x: np.ndarray) -> float:
         """Return Σ C² / (2 α) [J]; a rigid edge stores none."""
