@@ -142,7 +142,7 @@ def test_the_bound_is_no_less_than_the_highest_frequency_and_not_much_more(angle
 
 
 def test_the_swing_is_calm_and_exact_at_the_substeps_that_it_asks_for():
-    """As the sheet comes to hang from its corners, warp and weft pull along one direction there."""
+    """As the sheet comes to hang from its corners, warp and weft pull along one direction."""
     keys = {'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [31, 31],
             'solver.budget_ms': 100.0}
     asked = compile_scene(load_scene('swing', keys))
