@@ -19,6 +19,8 @@ class Report:
     rounds: int
     seconds: float
     """that one candidate runs for in one round"""
+    goal: float
+    """error of the swing [m] for which the textbook's time is asked"""
     data: dict = field(default_factory=lambda: {
         'rows': [], 'swing': [], 'swing_goals': [], 'scaling': [], 'exponents': [],
         'not_available': [], 'wrong': []})

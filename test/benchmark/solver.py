@@ -70,7 +70,7 @@ def _measure(arguments) -> Report:
     native = Native()
     report = Report(sys.stderr if arguments.json == STDOUT else sys.stdout, native,
                     arguments.rounds or (3 if arguments.quick else 7),
-                    arguments.seconds or (0.02 if arguments.quick else 0.05))
+                    arguments.seconds or (0.02 if arguments.quick else 0.05), arguments.goal)
     here, compiler = machine(), native.compiler
     package = Path(xpbd_ros.__file__).parent
     report.data = {
@@ -103,6 +103,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument('--rounds', type=int, metavar='K', help='7 unless given; 3 if --quick')
     parser.add_argument('--seconds', type=float, metavar='S',
                         help='of one candidate in one round; 0.05 unless given')
+    parser.add_argument('--goal', type=float, default=1e-2, metavar='M',
+                        help='error [m] of the swing for which the time of the textbook is asked; '
+                             '0.01 unless given')
     add_json_argument(parser)
     return parser
 
