@@ -105,8 +105,8 @@ def _swing(report: Report, n: int, stiffness: float, work, reference) -> None:
     while error is not None and error > report.goal and substeps <= MOST_SUBSTEPS:
         error = add('textbook', Plain, report.native, work, substeps)
         substeps *= 2
-    stable = int(np.ceil(1.25 * candidates.courant(n, stiffness)))
-    add('textbook_leapfrog', Plain, report.native, work, stable, leapfrog=True)
+    add('textbook_leapfrog', Plain, report.native, work, candidates.stable(n, stiffness),
+        leapfrog=True)
     for setting in candidates.swing_settings(n, stiffness):
         add(f'{setting["method"]}, {setting["integrator"]}', Ours, n, stiffness, setting)
     times = 1e3 * interleave([Timed(run.run, reset=run.reset, most=FRAMES) for run in runs],
