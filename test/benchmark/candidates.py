@@ -22,7 +22,7 @@ from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.distance import by_place, grid_edges, mesh_edges
 from xpbd_ros.sim.layout import blocks, zeros
-from xpbd_ros.sim.lines import grid_lines, solve_edges
+from xpbd_ros.sim.lines import grid_lines, solve_warp, solve_weft
 from xpbd_ros.sim.mesh import cuthill_mckee
 from xpbd_ros.sim.records import new_records
 from xpbd_ros.sim.runs import grid_runs, Shape
@@ -105,7 +105,8 @@ def line_passes(warp: LineWork, weft: LineWork, *, precision: str) -> Candidate:
 def _solve_lines(lines, force, state, count):
     force[:] = 0.0
     for _ in range(count):
-        solve_edges(lines, force, state)
+        solve_warp(lines, 0, force, state)
+        solve_weft(lines, 0, force, state)
 
 
 def bend_passes(work: Work, *, precision: str) -> Candidate:

@@ -47,17 +47,17 @@ def test_a_shipped_scene_keeps_within_its_budget(name):
 
 
 def test_it_takes_a_fifth_of_the_substeps_that_an_explicit_solver_needs():
-    """0.235 frame_dt √(Σ k / m), for the worst edge; and never fewer than four."""
+    """0.2 frame_dt √(Σ k / m), for the worst edge; and never fewer than four."""
     solver = resolved({'compliance': 1e-3})
     weight = 0.2 / 19**2    # of an inner particle; of a corner a quarter, at the rim half
     rate = (4.0 + 2.0) / weight / 2.0 / 1e-3
-    assert solver.substeps == ceil(0.235 * sqrt(rate) / 60.0)
+    assert solver.substeps == ceil(0.2 * sqrt(rate) / 60.0)
     assert (solver.method, solver.integrator) == ('line', 'ndf2')
     assert solver.reason.startswith(
         f'auto: line, ndf2, {solver.substeps} substeps resolve the stretch, about ')
     assert resolved({'compliance': 10.0}).substeps == LEAST == 4
     half = resolved({'compliance': 1e-3}, frame_rate=120.0)
-    assert half.substeps == ceil(0.235 * sqrt(rate) / 120.0)
+    assert half.substeps == ceil(0.2 * sqrt(rate) / 120.0)
 
 
 def test_float32_gets_more_for_the_same_budget():

@@ -23,9 +23,9 @@ from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import prepare, touch
+from xpbd_ros.sim.lines import solve_warp, solve_weft
+from xpbd_ros.sim.stages import kernel_of, prepare, project, solve_lines, touch, walk
 from xpbd_ros.sim.state import begin, forget, put_back, Substep, turned, update_velocity
-from xpbd_ros.sim.sweeps import forth
 
 HERE = 1.01
 """how far a method may be above Gauss-Seidel: rounding, and what a mean over a frame hides"""
@@ -139,6 +139,21 @@ def test_all_720_are_finite_and_no_wilder_than_gauss_seidel(method, integrator, 
             assert most <= HERE * plain[key], (substeps, key)
 
 
+def one_sweep(effects, state, substep):
+    """Sweep on, and solve lines once along warp and once along weft."""
+
+
+@jit
+def solve_once(stretch, state, substep):
+    """Do half of what the line method does with its lines."""
+    solve_warp(stretch.lines, 0, stretch.edges.force, state)
+    solve_weft(stretch.lines, 0, stretch.edges.force, state)
+
+
+walk(one_sweep, lambda effect, state: (
+    solve_once if kernel_of(solve_lines, effect) else kernel_of(project, effect)))
+
+
 @jit(cache_name='test')
 def advance_one_sweep(effects, state, frame_dt, substeps):
     """Do what the line method does without its way back and its closing pass."""
@@ -148,7 +163,7 @@ def advance_one_sweep(effects, state, frame_dt, substeps):
         now = turned(now)
         begin(now, substep)
         prepare(effects, now, substep)
-        forth(effects, now, substep)
+        one_sweep(effects, now, substep)
         touch(effects, now, substep)
         update_velocity(now, substep)
     put_back(state, now)

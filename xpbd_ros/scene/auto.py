@@ -13,7 +13,7 @@ INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 
 """what goes with each method: BDF2 wants a sweep that is symmetric"""
 NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
       'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 7.0},
-      'line': {'slot': 3.5, 'edge': 4.0, 'hinge': 7.0},
+      'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 7.0},
       'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0},
       'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0}}
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
@@ -21,7 +21,7 @@ MESH = 2.5
 """what a constraint of a mesh costs, in those of a grid"""
 SINGLE = 0.6
 """what float32 costs, in those of float64; less on large grids"""
-LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.235}
+LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps that ``line`` wants, for each that an explicit solver needs for all edges; what lines
 do not take is swept, and wants all its own"""
 CALM = 0.15

@@ -120,40 +120,64 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
 
 @jit
 def solve_edges(lines, force, state):
-    """Solve every warp line, then every weft line; ``force`` holds the multipliers of both."""
+    """
+    Solve every warp line, every weft line, every weft line and every warp line again.
+
+    One solve of each leaves warp off by what moves weft, and that by a part that no finer step
+    makes small before an explicit one is stable: errors then fall off a cliff as substeps get few.
+    """
+    for g in range(len(lines.first)):
+        solve_warp(lines, g, force, state)
+        solve_weft(lines, g, force, state)
+        solve_weft(lines, g, force, state)
+        solve_warp(lines, g, force, state)
+
+
+@jit
+def solve_warp(lines, g, force, state):
+    """Solve every warp line of grid g; ``force`` holds the multipliers of warp and weft."""
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
     work, tile = lines.work[worker(state.team)], lines.tile[worker(state.team)]
     count = lanes(x)
-    for g in range(len(lines.first)):
-        start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
-        part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
-        if columns > 1:
-            base, tiles = lines.force[g, 0], max(1, rows // count)
-            one, other = share(state.team, tiles)
-            for begin in range(one * count, rows if other == tiles else other * count, count):
-                row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
-                top = start + row * stride
-                _gather(x, top, parts, part, stride, tile[0])
-                _gather(y, top, parts, part, stride, tile[1])
-                _gather(z, top, parts, part, stride, tile[2])
-                _gather(m, top, parts, part, stride, tile[3])
-                _gather(force, base + top, parts, part, stride, tile[4])
-                _solve(tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns,
-                       begin - row, lines.rest_length[g, 0], load(lines.warp[g], row), work,
-                       lines.axis[0], lines.tiny)
-                _scatter(tile[0], x, top, parts, part, stride)
-                _scatter(tile[1], y, top, parts, part, stride)
-                _scatter(tile[2], z, top, parts, part, stride)
-                _scatter(tile[4], force, base + top, parts, part, stride)
-            wait(state.team)
-        if rows > 1:
-            one, other = share(state.team, parts * part // count)
-            for q in range(one * count, other * count, count):
-                at = start + q
-                _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
-                       lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
-                       lines.tiny)
-            wait(state.team)
+    start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
+    part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
+    if columns > 1:
+        base, tiles = lines.force[g, 0], max(1, rows // count)
+        one, other = share(state.team, tiles)
+        for begin in range(one * count, rows if other == tiles else other * count, count):
+            row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
+            top = start + row * stride
+            _gather(x, top, parts, part, stride, tile[0])
+            _gather(y, top, parts, part, stride, tile[1])
+            _gather(z, top, parts, part, stride, tile[2])
+            _gather(m, top, parts, part, stride, tile[3])
+            _gather(force, base + top, parts, part, stride, tile[4])
+            _solve(tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns,
+                   begin - row, lines.rest_length[g, 0], load(lines.warp[g], row), work,
+                   lines.axis[0], lines.tiny)
+            _scatter(tile[0], x, top, parts, part, stride)
+            _scatter(tile[1], y, top, parts, part, stride)
+            _scatter(tile[2], z, top, parts, part, stride)
+            _scatter(tile[4], force, base + top, parts, part, stride)
+        wait(state.team)
+
+
+@jit
+def solve_weft(lines, g, force, state):
+    """Solve every weft line of grid g."""
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    work = lines.work[worker(state.team)]
+    count = lanes(x)
+    start, rows = lines.first[g], lines.rows[g]
+    part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
+    if rows > 1:
+        one, other = share(state.team, parts * part // count)
+        for q in range(one * count, other * count, count):
+            at = start + q
+            _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
+                   lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
+                   lines.tiny)
+        wait(state.team)
 
 
 @jit
