@@ -121,10 +121,11 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
 @jit
 def solve_edges(lines, force, state):
     """
-    Solve every warp line, every weft line, every weft line and every warp line again.
+    Solve every warp line and every weft line, and both again in reverse order.
 
-    One solve of each leaves warp off by what moves weft, and that by a part that no finer step
-    makes small before an explicit one is stable: errors then fall off a cliff as substeps get few.
+    Solved once each, warp lines are left as the weft then moved them. With few substeps that is
+    most of the error: the reference swing of 41 x 41 particles at 50 kN/m and 24 substeps is 25 mm
+    off after half a second, and 2 mm when both are solved again.
     """
     for g in range(len(lines.first)):
         solve_warp(lines, g, force, state)
