@@ -47,7 +47,7 @@ def pin_teleports():
     for setting in USUAL:
         yield Trial(setting, sheet(), 4.6, pins=jump, ended=2.2, speed=4.0 * MAX_SPEED,
                     recovers=0.01, tells=('pins_at_max_speed',), label='both')
-        yield Trial(setting, sheet(), 3.0, pins=one, ended=0.6, recovers=0.01, strain=3.0,
+        yield Trial(setting, sheet(FIRM), 3.0, pins=one, ended=0.6, recovers=0.01, strain=3.0,
                     tells=('pins_at_max_speed',), label='one, and back')
 
 
