@@ -177,7 +177,7 @@ def test_stiffness_changes_live_and_auto_follows(lockstep, tmp_path):
     soft = length()
     key = 'cloths.sheet.effects.stretch.weft'
     assert lockstep.get(key) == [5.0]
-    assert lockstep.set(**{key: 500.0}) == (True, '')
+    assert lockstep.set(**{key: 2000.0}) == (True, '')
     stiff = length()
     weight = 0.25 * 0.08 * 9.80665
     assert soft - 0.4 == pytest.approx(weight * 0.4 / (2.0 * 5.0 * 0.2), rel=0.2)
