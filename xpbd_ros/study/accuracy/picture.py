@@ -90,10 +90,9 @@ def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
         axis.set_ylim(min(low, max(study.floor, low / 30.0)) / 2.0,
                       min(max(errors), study.truth.size) * 1.5)
     if chosen is not None:
-        axis.plot([chosen.timing.ms_p50], [chosen.error(by)], marker='o', markersize=13,
-                  markerfacecolor='none', markeredgecolor=INK, markeredgewidth=1.6)
-        axis.annotate('recommended', (chosen.timing.ms_p50, chosen.error(by)), (-10, -14),
-                      fontsize=8, ha='right', textcoords='offset points')
+        axis.plot([chosen.timing.ms_p50], [chosen.error(by)], marker='o', markersize=11,
+                  markerfacecolor='none', markeredgecolor=INK, markeredgewidth=1.6,
+                  linestyle='none', label='recommended')
     axis.set_xlabel('CPU time of a frame, median [ms]', fontsize=8)
     axis.set_ylabel(f'{study.what} [m]', fontsize=8)
     axis.set_title(f'{study.scene.name}: what accuracy costs in time '
