@@ -184,6 +184,18 @@ def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
     assert not calm.was_calm((0.0, 1.0, 0.0), after, **kept)
 
 
+@pytest.mark.parametrize(('stiffness', 'redone'), [(0.01, 0), (1.0, 1)])
+def test_soft_diagonals_may_be_pressed_together_and_stiff_ones_not(stiffness, redone):
+    """A sheet sheared to 25°, warp and weft at rest: short diagonals lose 0.69 of their length."""
+    simulation = sheet(128, gravity=(0, 0, 0), pins=None, effects={
+        'stretch': {'warp': 1.0, 'weft': 1.0}, 'shear': {'stiffness': stiffness}})
+    x = simulation.state.x
+    x[0] += np.cos(np.radians(25.0)) * x[1]
+    x[1] *= np.sin(np.radians(25.0))
+    simulation.step()
+    assert simulation.stats()['explicit_redone'] == redone
+
+
 def test_a_gripper_that_starts_to_move_is_calm():
     simulation = compile_scene(load_scene('swing', {
         'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [9, 9],

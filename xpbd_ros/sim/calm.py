@@ -4,6 +4,10 @@ Whether a frame was calm: what an explicit step must show before it counts.
 Beyond its stability limit a leapfrog grows by a factor in every substep, so one frame is enough to
 tell: an edge is strained by far more than before or than is safe, or there is more energy than
 there was and than gravity and the pins can have given.
+
+What an edge adds to the stiffness that the substeps reckon with goes by its strain and its own
+stiffness. So the strain of one that is softer than others at its particles counts for less: soft
+diagonals may well be pressed together while warp and weft keep their length.
 """
 
 from typing import NamedTuple
@@ -30,18 +34,38 @@ class Calm(NamedTuple):
     """[m], shape (edges,)"""
     compliance: np.ndarray
     """[m/N], shape (edges,)"""
+    share: np.ndarray
+    """stiffness as part of the stiffest edge's at its particles, 0 … 1; shape (edges,)"""
+
+
+def calm_edges(lists: list) -> Calm:
+    """Return the edges of several lists (``distance.Edges``) to look at."""
+    def of(name, empty):
+        return np.concatenate([empty, *(getattr(edges, name) for edges in lists)])
+
+    particles = of('particles', np.zeros((0, 2), np.int64))
+    compliance = of('compliance', np.zeros(0))
+    least = np.full(particles.max(initial=-1) + 1, np.inf)    # compliance
+    np.minimum.at(least, particles, compliance[:, None])
+    share = least[particles].min(axis=1) / compliance
+    return Calm(particles, of('rest_length', np.zeros(0)), compliance, share)
 
 
 @jit
 def look(calm, x, v, mass, inv_mass):
-    """Return largest strain, energy of free particles and edges [J], of pinned particles [J]."""
+    """
+    Return the largest strain, as it counts, and energies [J].
+
+    These are of free particles and edges, and of pinned particles.
+    """
     strain, energy, pinned = 0.0, 0.0, 0.0
     for e in range(len(calm.rest_length)):
         i, j, rest = calm.particles[e, 0], calm.particles[e, 1], calm.rest_length[e]
         dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
         residual = np.sqrt(dx * dx + dy * dy + dz * dz) - rest
-        if rest > 0.0 and not abs(residual) <= strain * rest:    # not a number is more than any
-            strain = abs(residual) / rest
+        felt = calm.share[e] * abs(residual)
+        if rest > 0.0 and not felt <= strain * rest:    # not a number is more than any
+            strain = felt / rest
         energy += 0.5 * residual * residual / calm.compliance[e]
     for i in range(len(mass)):
         kinetic = 0.5 * mass[i] * (v[0, i]**2 + v[1, i]**2 + v[2, i]**2)

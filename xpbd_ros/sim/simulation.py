@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from xpbd_ros.sim import step
-from xpbd_ros.sim.calm import Calm, look, was_calm
+from xpbd_ros.sim.calm import calm_edges, look, was_calm
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
@@ -274,13 +274,9 @@ class ExplicitGuard:
 
     def collect(self) -> None:
         """Learn the edges as they stand now."""
-        lists = [built.constraints for built in self._simulation.effects.values()
-                 if built.constraints is not None and built.constraints.particles.shape[1] == 2]
-        self._edges = Calm(np.concatenate([np.zeros((0, 2), np.int64),
-                                           *(edges.particles for edges in lists)]),
-                           *(np.concatenate([np.zeros(0), *(getattr(edges, name)
-                                                            for edges in lists)])
-                             for name in ('rest_length', 'compliance')))
+        self._edges = calm_edges([
+            built.constraints for built in self._simulation.effects.values()
+            if built.constraints is not None and built.constraints.particles.shape[1] == 2])
 
     def advance(self) -> None:
         """Compute one frame."""
