@@ -38,6 +38,7 @@ class Listener:
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.heard: list[tuple[str, bytes]] = []
+        self._clients = {}
 
     def listen(self, kind, topic, qos=1000, raw=True):
         self.node.create_subscription(
@@ -56,11 +57,14 @@ class Listener:
             self.executor.spin_once(timeout_sec=0.01)
 
     def call(self, name):
-        client = self.node.create_client(Trigger, f'/xpbd_ros_replay/{name}')
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(Trigger, f'/xpbd_ros_replay/{name}')
+            self.until(self._clients[name].service_is_ready)
+            self.spin(0.3)    # or the server may not know yet where to send its answer
+        client = self._clients[name]
         self.until(client.service_is_ready)
         future = client.call_async(Trigger.Request())
         self.until(future.done)
-        self.node.destroy_client(client)
         return future.result().success, future.result().message
 
     def close(self):

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from sim.small import GRAVITY, run, simulate
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -155,3 +156,18 @@ def test_float32_keeps_its_digits_in_short_steps(method, integrator):
             frame = sheet.step()
         x[precision] = frame.x
     assert np.sqrt(((x['float32'] - x['float64'])**2).sum(1).mean()) < 1e-3
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', 'ndf2'])
+@pytest.mark.parametrize('effect', [{'damping': {'rate': 0.4}}, {'drag': {}},
+                                    {'force': {'per_mass': [0.0, 0.1, 0.0]}}], ids=repr)
+def test_float32_feels_forces_that_move_less_than_its_last_digit(effect, integrator):
+    """A fall of 0.5 m in 1280 substeps, in each of which they move it by less than 10 nm."""
+    def fall(precision, scene_effects):
+        return run(simulate((4, 3), (0.6, 0.4), pose={'position': [0.0, 0.5, 0.5]}, density=0.5,
+                            gravity=(0, 0, -GRAVITY), substeps=64, integrator=integrator,
+                            precision=precision, scene_effects=scene_effects), 20).x
+
+    plain, truth = fall('float64', {}), fall('float64', effect)
+    assert np.abs(truth - plain).max() > 3e-3
+    assert np.abs(fall('float32', effect) - truth).max() < 1e-4

@@ -40,7 +40,7 @@ class Damping(NamedTuple):
 @jit
 def damp(damping, state, substep):
     """Slow every free particle, and what constraints may do to it."""
-    x, v, w, slots = state.x, state.v, state.inv_mass, len(state.inv_mass)
+    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
     for q in range(0, slots, lanes(w)):
         step = step_of(state.history, w, q, substep.h)
         share = 1.0 / (1.0 + damping.rate[0] * step)
@@ -48,10 +48,8 @@ def damp(damping, state, substep):
         store(state.mobility, q, load(state.mobility, q) * share)
         for k in range(3):
             i = k * slots + q
-            before = load(v, i)
-            after = select(free, before * share, before)
-            store(v, i, after)
-            store(x, i, load(x, i) + step * (after - before))
+            vi = load(v, i)
+            store(v, i, select(free, vi * share, vi))
 
 
 class BuiltDamping(Built):

@@ -180,9 +180,6 @@ def _carry(drag, state, i, step):
     state.v[0, i] += dx
     state.v[1, i] += dy
     state.v[2, i] += dz
-    state.x[0, i] += step * dx
-    state.x[1, i] += step * dy
-    state.x[2, i] += step * dz
     return z[0] + z[1] + z[2]
 
 

@@ -58,15 +58,13 @@ class Force(NamedTuple):
 @jit
 def push(data, state, substep):
     """Move every free particle on."""
-    x, v, w, f, slots = state.x, state.v, state.inv_mass, data.f, len(state.inv_mass)
+    v, w, f, slots = state.v, state.inv_mass, data.f, len(state.inv_mass)
     for q in range(0, slots, lanes(w)):
         step = step_of(state.history, w, q, substep.h)
         rate = step * load(w, q)
         for k in range(3):
             i = k * slots + q
-            change = rate * load(f, i)
-            store(v, i, load(v, i) + change)
-            store(x, i, fma(step, change, load(x, i)))
+            store(v, i, fma(rate, load(f, i), load(v, i)))
 
 
 @stage(kick, Force)

@@ -19,7 +19,11 @@ from xpbd_ros.sim.written import written_out
 
 
 def force(effects, state, substep):
-    """Change predicted velocities v by some Δv, positions x by H Δv, and mobilities."""
+    """Change predicted velocities v, and mobilities; x = x̄ + H v is predicted anew after it."""
+
+
+def pushes(effects):
+    """Tell whether an effect takes part in ``force``."""
 
 
 def prepare(effects, state, substep):
@@ -117,17 +121,18 @@ def _is_none(state, name: str) -> bool:
     return isinstance(state[state.fields.index(name)], types.NoneType)
 
 
-@type_callable(finishes)
-def _type_finishes(typing):
-    return lambda effects: types.boolean
+def _tells_of(stub: Callable, question: Callable) -> None:
+    """Let Numba compile ``question`` as a constant: whether an effect takes part in ``stub``."""
+    type_callable(question)(lambda typing: lambda effects: types.boolean)
+
+    @lower_builtin(question, types.Any)
+    def tell(context, builder, signature, arguments):
+        return context.get_constant(types.boolean, any(
+            kernel_of(stub, effect) is not None for effect in signature.args[0]))
 
 
-@lower_builtin(finishes, types.Any)
-def _finishes(context, builder, signature, arguments):
-    return context.get_constant(types.boolean, any(
-        kernel_of(finish, effect) is not None for effect in signature.args[0]))
-
-
+_tells_of(force, pushes)
+_tells_of(finish, finishes)
 for _stub in (force, prepare, project, touch, bound, finish, kick):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)

@@ -208,6 +208,20 @@ def begin(state, substep):
 
 
 @jit
+def predict(state, substep):
+    """
+    x = x̄ + H v, where forces changed v since the substep began; what they touched has no history.
+
+    A force moves x by less than the last bit of it in a short substep. Added to x that would be
+    lost, and to v with it, which is made to fit x in the end.
+    """
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _predict(state, state.history, q, substep.h)
+    wait(state.team)
+
+
+@jit
 def update_velocity(state, substep):
     """v = (x - x̄) / H; what was touched has no history."""
     first, last = own(state)
@@ -263,6 +277,33 @@ def _begin_multistep(state, history, older_x, older_v, q, h):
         moved = _mean_velocity(vi, older_v, state.v, i, a, b) + step * state.gravity[k]
         store(state.v, i, select(free, moved, vi))
         store(state.x, i, select(free, x_mean + step * moved, xi))
+
+
+@jit(inline=True)
+def _predict(state, history, q, h):
+    if history is None:
+        _predict_euler(state, q, h)
+    else:
+        _predict_multistep(state, history, history.older_x, q, h)
+
+
+@jit(inline=True)
+def _predict_euler(state, q, h):
+    free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
+    for k in range(3):
+        i = k * slots + q
+        moved = load(state.x_prev, i) + h * load(state.v, i)
+        store(state.x, i, select(free, moved, load(state.x, i)))
+
+
+@jit(inline=True)
+def _predict_multistep(state, history, older_x, q, h):
+    free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
+    step, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    for k in range(3):
+        i = k * slots + q
+        start = mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        store(state.x, i, select(free, start + step * load(state.v, i), load(state.x, i)))
 
 
 @jit(inline=True)

@@ -7,9 +7,10 @@ Macklin et al., "Small steps in physics simulation", 2019.
 
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import bound, finish, finishes, force, prepare, react, touch
+from xpbd_ros.sim.stages import bound, finish, finishes, force, prepare, pushes, react, touch
 from xpbd_ros.sim.state import (
     begin,
+    predict,
     put_back,
     Substep,
     turned,
@@ -38,6 +39,8 @@ def advance(effects, state, method, frame_dt, substeps):
             now = turned(now)
             begin(now, substep)
         force(effects, now, substep)
+        if pushes(effects):
+            predict(now, substep)
         prepare(effects, now, substep)
         for _ in range(method.iterations):
             sweep(method, effects, now, substep)

@@ -22,6 +22,7 @@ from xpbd_ros.sim.stages import (
     prepare,
     project,
     project_back,
+    pushes,
     react,
     solve_lines,
     touch,
@@ -31,6 +32,7 @@ from xpbd_ros.sim.state import (
     at_start,
     begin,
     half_kick,
+    predict,
     put_back,
     set_mobility,
     Substep,
@@ -47,8 +49,9 @@ SWEEPS = {GaussSeidel: ((project, False),),
 """the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
-    add_moves, at_start, begin, finishes, flush_denormals, half_kick, lap, put_back, restore_mode,
-    set_mobility, Substep, turned, update_velocity, update_velocity_and_begin)}
+    add_moves, at_start, begin, finishes, flush_denormals, half_kick, lap, predict, pushes,
+    put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
+    update_velocity_and_begin)}
 
 
 def timed_step(effects: tuple, method: type):
@@ -85,6 +88,8 @@ class _Step:
         yield f'{inner}state = turned(state)'
         yield from self._integrate(inner, 'begin(state, substep)')
         yield from self._walk(each, force)
+        yield f'{each}if pushes(effects):'
+        yield from self._integrate(inner, 'predict(state, substep)')
         yield from self._walk(each, prepare)
         yield f'{each}for _ in range(method.iterations):'
         if self.method in SWEEPS:
