@@ -11,13 +11,13 @@ from xpbd_ros.sim.simulation import Solver
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
               'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
 """what goes with each method: BDF2 wants a sweep that is symmetric"""
-NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 3.5},
-      'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 7.0},
-      'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 7.0},
-      'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0},
-      'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 5.0}}
+NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 2.4},
+      'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 4.6},
+      'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 4.6},
+      'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 3.2},
+      'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 2.5}}
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
-MESH = 2.5
+MESH = {'edge': 2.5, 'hinge': 3.8}
 """what a constraint of a mesh costs, in those of a grid"""
 SINGLE = 0.6
 """what float32 costs, in those of float64; less on large grids"""
@@ -123,7 +123,7 @@ def cost(method: str, iterations: int, effects, state) -> float:
             on_meshes = sum(hasattr(part, 'particles') * part.particles.shape[1]
                             for part in map(_batch, built.parts) if hasattr(part, 'particles'))
             found += iterations * table[kind] * (len(built.constraints.particles)
-                                                 + (MESH - 1.0) * on_meshes)
+                                                 + (MESH[kind] - 1.0) * on_meshes)
     return found * (SINGLE if state.x.dtype == np.float32 else 1.0)
 
 
