@@ -181,7 +181,7 @@ def swing_settings(n: int, stiffness: float) -> list[dict]:
     return [*ladder('gauss_seidel', 'backward_euler', 0.3, 1.2),
             *ladder('line', 'backward_euler', 0.3),
             *ladder('line', 'bdf2', 0.12, 0.24, 0.34, 0.6),
-            *ladder('line', 'ndf2', 0.0718, 0.1, 0.14, 0.16, 0.33, 0.6),
+            *ladder('line', 'ndf2', 0.0775, 0.1, 0.14, 0.17, 0.33, 0.6),
             *ladder('gauss_seidel_symmetric', 'bdf2', 0.34, 0.6),
             {'method': 'explicit', 'integrator': 'leapfrog', 'substeps': stable(n, stiffness)},
             {'method': 'auto', 'integrator': None, 'substeps': None}]

@@ -23,6 +23,7 @@ from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.lines import solve_warp, solve_weft
 from xpbd_ros.sim.stages import kernel_of, prepare, project, solve_lines, touch, walk
 from xpbd_ros.sim.state import begin, forget, put_back, Substep, turned, update_velocity
 
@@ -142,13 +143,20 @@ def one_sweep(effects, state, substep):
     """Sweep on, and solve lines once along warp and once along weft."""
 
 
+@jit
+def solve_once(stretch, state, substep):
+    """Do half of what the line method does with its lines."""
+    solve_warp(stretch.lines, 0, stretch.edges.force, state)
+    solve_weft(stretch.lines, 0, stretch.edges.force, state)
+
+
 walk(one_sweep, lambda effect, state: (
-    kernel_of(solve_lines, effect) or kernel_of(project, effect)))
+    solve_once if kernel_of(solve_lines, effect) else kernel_of(project, effect)))
 
 
 @jit(cache_name='test')
 def advance_one_sweep(effects, state, frame_dt, substeps):
-    """Do what the line method does, once, and without its closing pass."""
+    """Do what the line method does without its second round and its closing pass."""
     h, now = frame_dt / substeps, state
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)

@@ -110,7 +110,7 @@ def project_mesh_stretch_back(stretch, state, substep):
 @stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):
-    """Solve every warp line, then every weft line."""
+    """Solve every line, twice."""
     lines.solve_edges(stretch.lines, stretch.edges.force, state)
 
 

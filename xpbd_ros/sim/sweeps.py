@@ -3,12 +3,9 @@ How a substep's constraints are swept: each method is a few walks over the scene
 
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
 reverse order, which BDF2 needs to stay stable. ``line`` (NUMERICS 5.8) solves the effects that
-have lines by whole lines, warp and weft, and sweeps the others; does both again, sweeping back;
-and closes with one Gauss-Seidel pass over the edges of the lines, with the same multipliers: it
-mends the single edges whose directions turned while the lines were solved. Lines solved once are
-left as the weft, and what has no lines, then moved them, which with few substeps is most of the
-error: the reference swing of 41 x 41 particles at 50 kN/m and 24 substeps is 25 mm off after half
-a second then, and 2 mm when all is done again. ``jacobi`` moves all
+have lines by whole lines, twice, sweeps the others forth before and back after, and
+closes with one Gauss-Seidel pass over the edges of the lines, with the same multipliers: it mends
+the single edges whose directions turned while the lines were solved. ``jacobi`` moves all
 particles at once, by a part of what each constraint asks for. ``explicit`` is the leapfrog
 (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are those where
 the substep starts. Where a frame begins and ends, v is moved by half of what acts there (``kick``
@@ -37,7 +34,7 @@ class Symmetric(NamedTuple):
 
 
 class Line(NamedTuple):
-    """Twice the lines and a pass over what has none; then a pass over the lines' edges."""
+    """Lines, between two passes over what has none; then a pass over the lines' edges."""
 
     iterations: int
 
@@ -58,12 +55,8 @@ METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'li
            'jacobi': Jacobi, 'explicit': Leapfrog}
 
 
-def lines(effects, state, substep):
-    """Solve whole lines, where an effect has them."""
-
-
 def forth(effects, state, substep):
-    """Sweep on over what has no lines."""
+    """Sweep on: whole lines where an effect has them."""
 
 
 def back(effects, state, substep):
@@ -78,15 +71,13 @@ def _has_lines(effect) -> bool:
     return kernel_of(solve_lines, effect) is not None
 
 
-walk(lines, lambda effect, state: kernel_of(solve_lines, effect))
-walk(forth, lambda effect, state: None if _has_lines(effect) else kernel_of(project, effect))
+walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect))
 walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
      backwards=True)
 walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
 
 
-WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back),
-         Line: (lines, forth, lines, back, close)}
+WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back), Line: (forth, back, close)}
 """of the methods that move particles one after another"""
 
 

@@ -75,11 +75,13 @@ def law_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
     if solver.method == 'line' and sheet.is_grid:
         others = np.concatenate([rows[name] for name in names if name != 'stretch']
                                 or [np.zeros(0, int)])
-        passes = [(FORTH, others), (BACK, others)]
+        passes = [(FORTH, others)]
         if 'stretch' in rows:
             edges, along = rows['stretch'], sheet.effects['stretch'].along
             lines = [(WHOLE, edges[along == WARP]), (WHOLE, edges[along == WEFT])]
-            passes = [*lines, (FORTH, others), *lines, (BACK, others), (FORTH, edges)]
+            passes += [*lines, *lines, (BACK, others), (FORTH, edges)]
+        else:
+            passes.append((BACK, others))
     elif solver.method in ('line', 'gauss_seidel_symmetric'):
         passes = [(FORTH, everything), (BACK, everything)]
     elif solver.method == 'jacobi':

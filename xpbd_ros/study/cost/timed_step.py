@@ -40,15 +40,14 @@ from xpbd_ros.sim.state import (
     update_velocity,
     update_velocity_and_begin,
 )
-from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Leapfrog, Line, lines, Symmetric
+from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Leapfrog, Line, Symmetric
 from xpbd_ros.study.cost.clock import lap
 
 SWEEPS = {GaussSeidel: ((project, False),),
           Symmetric: ((project, False), (project_back, True)),
-          Line: ((lines, False), (forth, False), (lines, False), (back, True), (close, False))}
+          Line: ((forth, False), (back, True), (close, False))}
 """the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
-"""stages that a walk of a sweep is of, one or the other"""
 NAMES = {each.__name__: each for each in (
     add_moves, at_start, begin, finishes, flush_denormals, half_kick, lap, predict, pushes,
     put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
@@ -120,7 +119,7 @@ class _Step:
         """Yield a call for each effect that takes part, and a reading of the clock."""
         order = range(len(self.effects))
         for k in reversed(order) if backwards else order:
-            stubs = SWEPT if stub in (*SWEPT, lines, forth, back, close) else (stub,)
+            stubs = SWEPT if stub in (project, project_back, forth, back, close) else (stub,)
             if any(kernel_of(one, typeof(self.effects[k])) for one in stubs):
                 self.names[stub.__name__] = stub
                 yield f'{indent}{stub.__name__}((effects[{k}],), {state}, substep)'
