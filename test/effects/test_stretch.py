@@ -162,7 +162,7 @@ def solve_densely(lines, number, edges, alpha, state, force):
 @pytest.mark.parametrize('pinned', [[], [0], [0, 7, 8, 19]])
 @pytest.mark.parametrize('grid', [(5, 7), (9, 4), (17, 3), (3, 17), (8, 8), (1, 20), (20, 1)])
 def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
-    """Warp, weft, weft, warp, twice over, whether or not lines fill whole vectors."""
+    """Warp, weft, warp, weft, twice over, whether or not lines fill whole vectors."""
     simulation = simulate(grid, (0.8, 0.6), effects={'stretch': stretch}, density=0.2,
                           method='line')
     state, data = simulation.state, simulation.effects['stretch'].data
@@ -178,7 +178,7 @@ def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
     run_stage(stages.prepare, data, state, Substep(0.004, 0.0, 1.0))
     for _ in range(2):
         run_stage(stages.solve_lines, data, state, Substep(0.004, 0.0, 1.0))
-        for lines in (slots, slots.T, slots.T, slots):
+        for lines in (slots, slots.T, slots, slots.T):
             solve_densely(lines, number, edges, edges.compliance, expected, force)
         moved = np.abs(expected.x - before).max()
         assert moved > 1e-4
