@@ -180,3 +180,11 @@ def test_a_mesh_is_checked_like_a_grid(tmp_path, capsys):
     assert 'disc: 61 particles, 0 constraints' in said
     assert 'note: cloths.c.mesh: 1 vertex that no triangle uses; left out' in said
     assert 'warning: colliders.rod: 0.1 m across, and particles are 0.169 m apart' in said
+
+
+@pytest.mark.parametrize(('scene', 'precision'), [
+    ('swing', 'float32'), ('towel', 'float64'), ('drum', 'float64')])
+def test_a_frame_is_expected_to_take_what_auto_reckons_with(scene, precision):
+    """Also in float32, on meshes, and with contacts."""
+    report = check(load_scene(scene, {'solver.precision': precision}))
+    assert f'about {report.frame_ms:.2g} ms per frame' in report.solver.reason

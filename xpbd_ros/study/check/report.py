@@ -5,7 +5,7 @@ from math import ceil, inf
 
 import numpy as np
 
-from xpbd_ros.scene.auto import INTEGRATOR, NS
+from xpbd_ros.scene.auto import cost, INTEGRATOR
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
@@ -62,14 +62,9 @@ def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:
-    """Return what a frame is expected to take [ms], contacts left out."""
-    table = NS[solver.method]
-    cost = table['slot'] * simulation.state.x.shape[1]
-    for built in simulation.effects.values():
-        if built.constraints is not None:
-            kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
-            cost += solver.iterations * table[kind] * len(built.constraints.particles)
-    return 1e-6 * solver.substeps * cost
+    """Return what a frame is expected to take by the table of ``scene.auto`` [ms]."""
+    return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
+                                         simulation.state)
 
 
 def _count(simulation: Simulation) -> int:
