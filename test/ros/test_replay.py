@@ -56,7 +56,8 @@ class Listener:
         while time.monotonic() < deadline:
             self.executor.spin_once(timeout_sec=0.01)
 
-    def call(self, name):
+    def call(self, name, *, after=0.0):
+        """Call a service, and look for its answer after some seconds."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(Trigger, f'/xpbd_ros_replay/{name}')
             self.until(self._clients[name].service_is_ready)
@@ -64,6 +65,7 @@ class Listener:
         client = self._clients[name]
         self.until(client.service_is_ready)
         future = client.call_async(Trigger.Request())
+        time.sleep(after)
         self.until(future.done)
         return future.result().success, future.result().message
 
@@ -184,6 +186,13 @@ def test_paused_at_the_end_it_waits_and_says_so(write_log, replay, listener):
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (0, '')
     assert out.endswith('ended after 5 messages\n')
+
+
+def test_who_lets_it_end_gets_an_answer_even_if_slow_to_look(write_log, replay, listener):
+    replay(write_log(frames=2), '--start-paused')
+    while listener.call('play_next')[0]:
+        pass
+    assert listener.call('resume', after=0.5) == (True, 'goes on at 0.017 s')
 
 
 def test_the_services_say_what_they_did(write_log, replay, listener):

@@ -37,6 +37,7 @@ TYPE = re.compile(r'(\w+)/msg/(\w+)')
 SERVE_PERIOD = 0.02    # s that a burst of messages keeps a service waiting at most
 STOP_PERIOD = 0.1      # s that a signal waits at most
 ACK_TIMEOUT = 2.0      # s at the end for subscribers that have not acknowledged all yet
+ANSWER_TIME = 1.0      # s that an answer of a service has to arrive: nothing acknowledges it
 
 
 def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[Counter[str], bool]:
@@ -134,6 +135,7 @@ class Replay:
             self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
             self._node.create_timer(1.0 / clock_hz, self._publish_clock,
                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._answered = -ANSWER_TIME
         self._rewind()
 
     def run(self, stopped: Callable[[], bool]) -> None:
@@ -212,23 +214,25 @@ class Replay:
         self._clock.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
     def _settle(self) -> None:
-        """Wait until reliable subscribers have all that was published."""
+        """Wait until subscribers and those who called a service have all that they are sent."""
         deadline = time.monotonic() + ACK_TIMEOUT
         for publisher in self._publishers.values():
             left = max(0.0, deadline - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))
+        time.sleep(max(0.0, self._answered + ANSWER_TIME - time.monotonic()))
 
     def _pause(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Stand still."""
         was = self._playhead.paused
         self._playhead.pause()
-        return told(answer, True, f'{"was" if was else "is"} paused at {self._where()}')
+        return self._told(answer, True, f'{"was" if was else "is"} paused at {self._where()}')
 
     def _resume(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Go on."""
         was = self._playhead.paused
         self._playhead.resume()
-        return told(answer, True, f'{"goes on" if was else "was playing"} at {self._where()}')
+        did = 'goes on' if was else 'was playing'
+        return self._told(answer, True, f'{did} at {self._where()}')
 
     def _toggle(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Do one or the other."""
@@ -237,13 +241,21 @@ class Replay:
     def _play_next(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Publish one message, while paused."""
         if not self._playhead.paused:
-            return told(answer, False, 'is playing; pause first')
+            return self._told(answer, False, 'is playing; pause first')
         if self._next is None:
-            return told(answer, False, f'no message after {self._where()}: the end of the log')
+            return self._told(answer, False,
+                              f'no message after {self._where()}: the end of the log')
         message = self._next
         self._playhead.jump(message.time_ns)
         self._publish_next()
-        return told(answer, True, f'{message.topic}, frame {message.frame}, at {self._where()}')
+        return self._told(answer, True,
+                          f'{message.topic}, frame {message.frame}, at {self._where()}')
+
+    def _told(self, answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
+        """Fill in an answer."""
+        self._answered = time.monotonic()
+        answer.success, answer.message = success, message
+        return answer
 
     def _where(self) -> str:
         """Return the log time from the start of the log, as text."""
@@ -255,9 +267,3 @@ def profile(qos: Qos) -> QoSProfile:
     return QoSProfile(depth=qos.depth,
                       reliability=ReliabilityPolicy[qos.reliability.upper()],
                       durability=DurabilityPolicy[qos.durability.upper()])
-
-
-def told(answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
-    """Fill in an answer."""
-    answer.success, answer.message = success, message
-    return answer

@@ -24,7 +24,7 @@ SINGLE = 0.6
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps that ``line`` wants, for each that an explicit solver needs for all edges; what lines
 do not take is swept, and wants all its own"""
-CALM = 0.15
+CALM = 0.08
 """the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
 LEAST = 4
 
