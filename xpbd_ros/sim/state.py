@@ -418,6 +418,29 @@ def add_moves(state):
     wait(state.team)
 
 
+@jit
+def kick_on(state, substep):
+    """
+    v += h F / m, with the moves h² F / m that were summed up, and x as v then says.
+
+    The moves themselves, added to x, would lose what is below its last bit, and v with it. What
+    moved x since it was predicted (soft pins) is kept.
+    """
+    w, v, move, slots = state.inv_mass, state.v, state.apart.move, len(state.inv_mass)
+    h = substep.h
+    first, last = own(state)
+    for q in range(first, last, lanes(w)):
+        free = load(w, q) > 0.0
+        for k in range(3):
+            i = k * slots + q
+            xi, start, vi = load(state.x, i), load(state.x_prev, i), load(v, i)
+            moved = xi - (start + h * vi)
+            vi = vi + load(move, i) * (1.0 / h)
+            store(v, i, select(free, vi, load(v, i)))
+            store(state.x, i, select(free, start + h * vi + moved, xi))
+    wait(state.team)
+
+
 @jit(inline=True)
 def stay(state, i, h):
     """Have a particle keep its velocity in ``half_kick``."""

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import kernel_of, kick, project, project_back, solve_lines, walk
-from xpbd_ros.sim.state import add_moves, at_start, clear_moves, half_kick, set_mobility
+from xpbd_ros.sim.state import add_moves, at_start, clear_moves, half_kick, kick_on, set_mobility
 from xpbd_ros.sim.written import written_out
 
 
@@ -93,7 +93,10 @@ def _sweep(writer, method, *values):
         writer.call(clear_moves, state)
         start = state if kind is Jacobi else writer.call(at_start, state)
         writer.call(project, effects, start, substep)
-        writer.call(add_moves, state)
+        if kind is Jacobi:
+            writer.call(add_moves, state)
+        else:
+            writer.call(kick_on, state, substep)
         return
     for walk_ in WALKS[kind]:
         writer.call(walk_, *values)

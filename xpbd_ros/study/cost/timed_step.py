@@ -32,6 +32,7 @@ from xpbd_ros.sim.state import (
     at_start,
     begin,
     half_kick,
+    kick_on,
     predict,
     put_back,
     set_mobility,
@@ -49,7 +50,7 @@ SWEEPS = {GaussSeidel: ((project, False),),
 """the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
-    add_moves, at_start, begin, finishes, flush_denormals, half_kick, lap, predict, pushes,
+    add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict, pushes,
     put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
     update_velocity_and_begin)}
 
@@ -97,7 +98,8 @@ class _Step:
                 yield from self._walk(inner, stub, backwards=backwards)
         else:
             yield from self._sum_up(inner, 'at_start(state)' if leaps else 'state')
-            yield from self._integrate(inner, 'add_moves(state)')
+            yield from self._integrate(
+                inner, 'kick_on(state, substep)' if leaps else 'add_moves(state)')
         yield from self._walk(inner, touch)
         yield from self._walk(inner, bound)
         yield f'{inner}pass'
