@@ -121,6 +121,7 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
         if method == 'explicit':
             for factor in (1, 2, 4):
                 add(Setting(method, 'leapfrog', factor * simulation.solver.substeps))
+            add(Setting(method, 'leapfrog', simulation.solver.substeps, precision='float32'))
             continue
         rungs = rungs_of(simulation, method, usual)
         barred = {one: name for name, built in simulation.effects.items()
