@@ -63,7 +63,7 @@ class Area(NamedTuple):
 @jit
 def prepare_area(area, state, substep):
     """Zero the multipliers."""
-    release_forces(area)
+    release_forces(state.apart, area.force)
 
 
 @stage(project, Area)

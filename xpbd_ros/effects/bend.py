@@ -135,7 +135,7 @@ class MeshBend(NamedTuple):
 @jit
 def prepare_bend(bend, state, substep):
     """Zero the multipliers."""
-    release_forces(bend)
+    release_forces(state.apart, bend.force)
 
 
 @stage(project, Curvature, shared=True)

@@ -44,7 +44,7 @@ class CrossBend(NamedTuple):
 @jit
 def prepare_cross_bend(bend, state, substep):
     """Zero the multipliers."""
-    release_forces(bend.edges)
+    release_forces(state.apart, bend.edges.force)
 
 
 @stage(project, CrossBend)

@@ -88,7 +88,7 @@ class Hinge(NamedTuple):
 @jit
 def prepare_hinge(hinge, state, substep):
     """Zero the multipliers."""
-    release_forces(hinge)
+    release_forces(state.apart, hinge.force)
 
 
 @stage(project, Hinge)

@@ -127,7 +127,7 @@ class Membrane(NamedTuple):
 @jit
 def prepare_membrane(membrane, state, substep):
     """Zero the multipliers."""
-    release_forces(membrane)
+    release_forces(state.apart, membrane.force)
 
 
 @stage(project, Membrane)

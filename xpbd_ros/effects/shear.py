@@ -42,7 +42,7 @@ class Shear(NamedTuple):
 @jit
 def prepare_shear(shear, state, substep):
     """Zero the multipliers."""
-    release_forces(shear.edges)
+    release_forces(state.apart, shear.edges.force)
 
 
 @stage(project, Shear, shared=True)

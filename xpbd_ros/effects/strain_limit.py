@@ -57,7 +57,7 @@ class StrainLimit(NamedTuple):
 @jit
 def prepare_limit(limit, state, substep):
     """Zero the forces."""
-    release_forces(limit)
+    release_forces(None, limit.force)
 
 
 @stage(touch, StrainLimit)

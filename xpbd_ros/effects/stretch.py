@@ -68,7 +68,7 @@ class MeshStretch(NamedTuple):
 @jit
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers, but for lines that cannot be."""
-    release_forces(stretch.edges)
+    release_forces(state.apart, stretch.edges.force)
     taut.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
@@ -76,7 +76,7 @@ def prepare_stretch(stretch, state, substep):
 @jit
 def prepare_mesh_stretch(stretch, state, substep):
     """Zero the multipliers."""
-    release_forces(stretch.edges)
+    release_forces(state.apart, stretch.edges.force)
 
 
 @stage(project, Stretch, shared=True)

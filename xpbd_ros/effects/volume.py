@@ -115,7 +115,7 @@ class Volume(NamedTuple):
 @jit
 def prepare_volume(volume, state, substep):
     """Zero the multipliers."""
-    release_forces(volume)
+    release_forces(state.apart, volume.force)
 
 
 @stage(project, Volume)

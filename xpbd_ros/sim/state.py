@@ -396,15 +396,12 @@ def set_mobility(state, h):
         store(state.mobility, q, load(state.inv_mass, q) * (h * h))
 
 
-@jit
-def clear_moves(state):
-    """Begin to sum up moves."""
-    move, slots = state.apart.move, len(state.inv_mass)
-    first, last = own(state)
-    for k in range(3):
-        for i in range(k * slots + first, k * slots + last, lanes(move)):
-            store(move, i, 0.0)
-    wait(state.team)
+@jit(inline=True)
+def _taken(move, i):
+    """Return moves from index i on, and begin to sum up anew."""
+    found = load(move, i)
+    store(move, i, 0.0)
+    return found
 
 
 @jit
@@ -414,7 +411,7 @@ def add_moves(state):
     first, last = own(state)
     for k in range(3):
         for i in range(k * slots + first, k * slots + last, lanes(x)):
-            store(x, i, load(x, i) + load(move, i))
+            store(x, i, load(x, i) + _taken(move, i))
     wait(state.team)
 
 
@@ -435,7 +432,7 @@ def kick_on(state, substep):
             i = k * slots + q
             xi, start, vi = load(state.x, i), load(state.x_prev, i), load(v, i)
             moved = xi - (start + h * vi)
-            vi = vi + load(move, i) * (1.0 / h)
+            vi = vi + _taken(move, i) * (1.0 / h)
             store(v, i, select(free, vi, load(v, i)))
             store(state.x, i, select(free, start + h * vi + moved, xi))
     wait(state.team)
@@ -458,6 +455,6 @@ def half_kick(state, h, share):
         for k in range(3):
             i = k * slots + q
             vi = load(v, i)
-            change = share / h * load(move, i) + share * h * state.gravity[k]
+            change = share / h * _taken(move, i) + share * h * state.gravity[k]
             store(v, i, select(free, vi + change, vi))
     wait(state.team)

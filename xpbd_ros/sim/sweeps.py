@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import kernel_of, kick, project, project_back, solve_lines, walk
-from xpbd_ros.sim.state import add_moves, at_start, clear_moves, half_kick, kick_on, set_mobility
+from xpbd_ros.sim.state import add_moves, at_start, half_kick, kick_on, set_mobility
 from xpbd_ros.sim.written import written_out
 
 
@@ -90,7 +90,6 @@ def _sweep(writer, method, *values):
     effects, state, substep = values
     kind = method[0].instance_class
     if kind in (Jacobi, Leapfrog):
-        writer.call(clear_moves, state)
         start = state if kind is Jacobi else writer.call(at_start, state)
         writer.call(project, effects, start, substep)
         if kind is Jacobi:
@@ -125,7 +124,6 @@ _kick_if_leapfrog(leave, 0.5)
 def _kick(effects, state, substep, share):
     """Move the velocities on by a share of a substep."""
     set_mobility(state, substep.h)
-    clear_moves(state)
     project(effects, state, substep)
     kick(effects, state, substep)
     half_kick(state, substep.h, share)

@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import intrinsic, overload
 import numpy as np
 
-from xpbd_ros.sim.jit import INNER, jit
+from xpbd_ros.sim.jit import INNER
 from xpbd_ros.sim.vector import fma, load, store
 
 
@@ -146,13 +146,19 @@ def _put(x, target, i, xi, step, d):
     return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
 
 
-@jit
-def release_forces(batch):
-    """Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4)."""
-    _zero(batch.force)
+def release_forces(apart, force):
+    """
+    Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4).
+
+    Those of explicit forces are new in every substep.
+    """
 
 
-@jit
-def _zero(force):    # Numba prunes a branch on None where that is an argument
-    if force is not None:
+@inline(release_forces)
+def _release_forces(apart, force):
+    if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
+        return lambda apart, force: None
+
+    def zero(apart, force):
         force[:] = 0.0
+    return zero

@@ -134,7 +134,6 @@ class _Step:
 
     def _sum_up(self, indent: str, where: str):
         """Yield a pass that adds up the moves of all constraints, from where they are read."""
-        yield f'{indent}state.apart.move[:] = 0.0'
         yield from self._integrate(indent, f'start = {where}')
         yield from self._walk(indent, project, state='start')
 
