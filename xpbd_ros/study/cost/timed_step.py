@@ -50,8 +50,8 @@ SWEEPS = {GaussSeidel: ((project, False),),
 """the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
-    add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict, pushes,
-    put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
+    add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict,
+    pushes, put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
     update_velocity_and_begin)}
 
 
