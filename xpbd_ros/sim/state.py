@@ -394,6 +394,7 @@ def set_mobility(state, h):
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
         store(state.mobility, q, load(state.inv_mass, q) * (h * h))
+    wait(state.team)
 
 
 @jit(inline=True)
