@@ -6,6 +6,7 @@ from pathlib import Path
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import xpbd_ros
@@ -98,6 +99,19 @@ def test_a_mistake_of_the_user_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(module, 'run', run)
     assert main(['run', 'towel']) == 2
     assert capsys.readouterr() == ('', 'xpbd_ros run: here: what is wrong\n')
+
+
+def test_too_little_memory_is_one_line(monkeypatch, capsys):
+    module = importlib.import_module('xpbd_ros.cli.run')
+
+    def run(arguments):
+        np.empty((1 << 48,))
+    monkeypatch.setattr(module, 'run', run)
+    assert main(['run', 'towel']) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count('\n')) == ('', 1)
+    assert err.startswith('xpbd_ros run: not enough memory (Unable to allocate 2.00 PiB')
+    assert err.endswith('give it fewer particles\n')
 
 
 def test_an_interrupt_is_one_line(monkeypatch, capsys):

@@ -252,6 +252,12 @@ BAD = {
                        '/dev/null/run: cannot be written: Not a directory'),
     'json exists': (['run', 'SCENE', '-o', 'run', '--json', 'bad.yaml'],
                     'bad.yaml: exists already'),
+    'json nowhere': (['run', 'SCENE', '--json', 'none/a.json'],
+                     'none/a.json: there is no folder '),
+    'picture nowhere': (['run', 'SCENE', '--picture', 'none/a.png'],
+                        'none/a.png: there is no folder '),
+    'long name': (['run', 'a' * 300], 'File name too long'),
+    'long settings': (['run', 'SCENE', '--settings', 'a' * 300], 'File name too long'),
 }
 
 

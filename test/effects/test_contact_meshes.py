@@ -7,6 +7,7 @@ from sim.small import GRAVITY, run, simulate
 from sim.test_field import ball, box
 import yaml
 
+from xpbd_ros.effects import contact
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
@@ -112,8 +113,16 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
     frame = simulation.step([PlaceCollider('crate', 'box', (1.0, 1.0, 0.2), Pose()), other])
     assert not frame.refused
     frame = particle({}, (0.0, 0.0, 0.2)).step([crate])
-    assert frame.refused[0][1] == ("collider 'crate': no room for the grid of a mesh "
-                                   '(effects.contact.mesh_nodes)')
+    nodes = field.values.size
+    assert frame.refused[0][1] == (f"collider 'crate': its grid has {nodes} nodes, and there is "
+                                   f'room for 0; raise effects.contact.mesh_nodes by {nodes}')
+
+
+def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypatch):
+    monkeypatch.setattr(contact, 'distance_field', None)
+    simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})
+    (_, why), = simulation.step([PlaceCollider('crate', 'mesh', corners(box()), Pose())]).refused
+    assert 'and there is room for 1000; raise effects.contact.mesh_nodes by ' in why
 
 
 def test_a_live_key_changes_nothing_of_a_mesh_though_its_file_is_gone(tmp_path):

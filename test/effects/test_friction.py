@@ -231,3 +231,11 @@ def test_a_strip_that_slides_round_a_cylinder_is_pulled_harder_where_it_leaves(m
     front, back = np.mean(pulls, 0)
     assert back > 0.3
     assert front / back == pytest.approx(np.exp(0.5 * np.pi * mu), rel=0.04)
+
+
+@pytest.mark.parametrize('method, integrator', [('line', 'bdf2'), ('explicit', 'leapfrog')])
+def test_cloth_that_touches_only_itself_rubs_without_colliders(method, integrator):
+    sheet = simulate((6, 6), effects={'stretch': {'warp': 60.0, 'weft': 40.0}}, method=method,
+                     integrator=integrator, substeps=40, scene_effects={
+                         'self_collision': {'thickness': 0.003}, 'friction': {}})
+    assert np.isfinite(run(sheet, 3).x).all()

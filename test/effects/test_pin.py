@@ -27,6 +27,24 @@ def sheet(grid=(5, 4), **options):
         'pin': {'max_pins': 3}, 'damping': {'rate': 0.0}}, **options)
 
 
+def test_pins_of_the_scene_are_told_of_before_the_first_frame():
+    simulation = sheet(pins={'hand': {'cloth': 'c', 'at': 'corner_00'}})
+    pin = simulation.frame().pins['hand']
+    assert pin.pose.position == tuple(simulation.frame().x[0])
+    assert not np.any([pin.linear, pin.angular, pin.force, pin.torque])
+
+
+def test_a_pin_that_turns_says_how_fast():
+    simulation = sheet(pins={'hand': {'cloth': 'c', 'at': 'corner_00'}})
+    turned = tuple(Rotation.from_rotvec([0.6, 0.0, 0.8]).as_quat())
+    simulation.step([MovePin('hand', Pose(simulation.frame().pins['hand'].pose.position, turned))])
+    before, after = (Rotation.from_quat(pin.pose.orientation) for pin in (
+        simulation.frame().pins['hand'], simulation.step().pins['hand']))
+    way = 60.0 * (after * before.inv()).as_rotvec()
+    assert way[0] > 0.1
+    np.testing.assert_allclose(simulation.frame().pins['hand'].angular, way, rtol=1e-6)
+
+
 def held(simulation, frame, name='hand'):
     """Return the numbers of the particles that a pin holds, in natural order."""
     return np.sort(frame.pins[name].particles)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from sim.shapes import disc, obj_text
-from sim.small import run, run_stage, simulate
+from sim.small import DOWN, GRAVITY, run, run_stage, run_until_still, simulate
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -127,6 +127,18 @@ def test_a_pin_has_the_velocity_that_it_goes_with():
     state.x[0, pinned] += 0.03
     run_stage(stages.prepare, data, state, Substep(h, 0.0, 1.0))
     assert (state.x - data.past.x)[0, pinned] * data.past.per_step[0] == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize('method', ['gauss_seidel', 'gauss_seidel_symmetric'])
+def test_it_exerts_nothing_at_rest_beside_a_pin_that_gives_way(method):
+    alpha = 1e-4
+    strand = simulate((2, 1), (1.0, 1.0), pose={'orientation': DOWN}, method=method, substeps=20,
+                      effects={'stretch': {'compliance': alpha}, 'rayleigh': {'time': 0.01}},
+                      pins={'top': {'cloth': 'c', 'at': 'corner_00', 'compliance': 1e-3}},
+                      scene_effects={'damping': {'rate': 20.0}})
+    x = run_until_still(strand, speed=1e-12).x
+    weight = strand.state.mass[strand.slot][1] * GRAVITY
+    assert np.linalg.norm(x[1] - x[0]) - 1.0 == pytest.approx(weight * alpha, rel=1e-6)
 
 
 def test_no_time_is_no_damping():

@@ -1,5 +1,6 @@
 """Configure, activate, deactivate, clean up, and again; and what cannot start says why."""
 
+from pathlib import Path
 import signal
 
 from lifecycle_msgs.msg import Transition
@@ -79,17 +80,23 @@ def test_cannot_be_configured_says_why_and_stays(cloth, values, reason):
 
 def test_cannot_record_where_something_is_says_so_and_stays_inactive(cloth, tmp_path):
     run = tmp_path / 'run'
+    run.mkdir()
     assert cloth.set(record__path=str(run)) == (True, '')
-    assert cloth.go('configure', 'activate', 'deactivate')
-    assert LogReader(run).whole
-    size = (run / 'run_0.mcap').stat().st_size
+    assert cloth.go('configure')
     assert not cloth.go('activate')
     assert cloth.state == 'inactive'
     cloth.node.wait_for('[ERROR]', f'{run}: exists already; a log goes into a folder of its own')
-    assert (run / 'run_0.mcap').stat().st_size == size
-    assert cloth.set(record__path=str(tmp_path / 'other')) == (True, '')
+    assert not list(run.iterdir())
+    other = tmp_path / 'other'
+    assert cloth.set(record__path=str(other)) == (True, '')
     assert cloth.go('activate', 'deactivate')
-    assert LogReader(tmp_path / 'other').whole
+    assert LogReader(other).whole
+    size = (other / 'other_0.mcap').stat().st_size
+    assert cloth.go('activate', 'deactivate'), 'what lies there is its own: it takes another'
+    *_, fresh = (line.split(' to ')[1] for line in cloth.node.said('recording to '))
+    assert Path(fresh) != other
+    assert LogReader(Path(fresh)).whole
+    assert (other / 'other_0.mcap').stat().st_size == size
     assert cloth.set(record__path='') == (True, '')
     assert cloth.go('cleanup')
 
@@ -144,6 +151,15 @@ def test_what_cannot_start_ends_with_2_and_one_clear_line(failed, name):
            and '[rcl]' not in line]    # which has its say before us
     assert len(bad) == 1, node.lines
     assert reason in bad[0]
+
+
+def test_parameters_that_nobody_has_are_said(start, towel):
+    node = start('-r', '__node:=strange', scene=towel, mode='lockstep', solver__subteps=99,
+                 solver__substeps=9)
+    assert "did you mean 'solver.substeps'?" in node.wait_for('parameter solver.subteps: ')
+    node.wait_for('running, mode lockstep')
+    assert len(node.said('[WARN]')) == 1
+    assert node.end() == 0
 
 
 def test_a_signal_ends_it_before_it_is_configured(start, peer, towel):

@@ -9,9 +9,11 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh
 from sim.shapes import disc, obj_text
+from sim.small import simulate
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from xpbd_ros.ros.messages import pin_markers
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
 
@@ -290,3 +292,14 @@ def test_diagnostics_say_how_it_is_doing(use):
     status = cloth.status(lambda status: float(status['real_time_factor']) > 0.0)
     assert status['message'] == 'stepping' or 'dropped' in status['message']
     assert cloth.set(mode='lockstep') == (True, '')
+
+
+def test_markers_of_pins_wipe_what_was_there_and_name_each_once():
+    """RViz wipes one namespace at a time, and takes a name that stands twice for a mistake."""
+    frame = simulate((3, 3), pins={'hand': {'cloth': 'c', 'at': 'corner_00'}}).step()
+    markers = pin_markers(frame, 'world', 0).markers
+    wiped = {marker.ns for marker in markers if marker.action == Marker.DELETEALL}
+    drawn = {marker.ns for marker in markers if marker.action == Marker.ADD}
+    assert wiped == drawn == {'pins', 'forces'}
+    assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
+    assert {m.ns for m in pin_markers(simulate((3, 3)).step(), 'world', 0).markers} == wiped

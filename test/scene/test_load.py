@@ -272,7 +272,10 @@ def test_a_settings_file_gives_overrides(tmp_path):
     name = write(tmp_path, b'solver: {substeps: 7, iterations: 2}\n', 'settings.yaml')
     assert settings_overrides(name) == {'solver.substeps': 7, 'solver.iterations': 2}
     for content, text in ((b'substeps: 7', "must hold one section, 'solver:'"),
-                          (b'solver: 3', 'must be a mapping (got 3)'),
+                          (b'solver: 3', 'solver: must be a mapping (got 3)'),
+                          (b'solver: {substep: 3}', "solver.substep: unknown key; did you mean "
+                                                    "'substeps'?"),
+                          (b'solver: {substeps: 0}', 'solver.substeps: '),
                           (b'\xff', 'cannot be read (')):
         name = write(tmp_path, content, 'settings.yaml')
         with pytest.raises(InputError) as error:

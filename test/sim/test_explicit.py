@@ -228,3 +228,22 @@ def test_it_takes_as_many_substeps_as_it_needs_or_refuses():
     for method, integrator in (('explicit', 'bdf2'), ('line', 'leapfrog')):
         with pytest.raises(InputError, match='goes with'):
             sheet(4, method, integrator)
+
+
+@pytest.mark.parametrize('also', ['hinge', 'bend', 'cross_bend'])
+@pytest.mark.parametrize('method, integrator', [
+    ('explicit', 'leapfrog'), ('gauss_seidel', 'backward_euler')])
+def test_an_effect_elsewhere_changes_nothing_here(method, integrator, also, tmp_path):
+    """A sheet of two triangles, and a loose one without a hinge."""
+    (tmp_path / 'two.obj').write_text(''.join(f'v {v}\n' for v in (
+        '0 0 0', '1 0 0', '1 1 0', '0 1 0', '3 0 0', '4 0 0', '3 1 0'))
+        + 'f 1 2 3\nf 1 3 4\nf 5 6 7\n')
+    found = []
+    for effects in ({}, {also: {'stiffness': 1e-3}}):
+        scene = simulate(mesh=str(tmp_path / 'two.obj'), gravity=(0.0, 0.0, 0.0), method=method,
+                         integrator=integrator, substeps=50,
+                         effects={'stretch': {'warp': 50.0, 'weft': 50.0}, **effects})
+        scene.state.x[:, scene.slot] *= 1.02
+        scene.state.x_prev[:] = scene.state.x
+        found.append(run(scene, 1).x[4:])
+    np.testing.assert_allclose(found[1], found[0], atol=1e-12)

@@ -14,7 +14,7 @@ from pathlib import Path
 import signal
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, STDOUT, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, STDOUT, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -63,7 +63,7 @@ def run(arguments) -> int:
     overrides = parse_keys(arguments.keys)
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     times = frames_of(arguments.times, scene, frames)
@@ -152,7 +152,8 @@ def tell(arguments, found, folder: Path, commands: dict) -> int:
     page = write_page(found, folder / 'accuracy.html', picture, said, chosen, settings)
     truth = found.truth
     numbers = {
-        'scene': found.scene.where, 'machine': found.machine, 'particles': found.particles,
+        'scene': str(Path(found.scene.where).absolute()), 'machine': found.machine,
+        'particles': found.particles,
         'frames': found.frames, 'frame_ms': 1e3 * found.frame_dt,
         'settings': [numbers_of(one, found.by) for one in found.rows],
         'refused': [vars(one) for one in found.refused],

@@ -7,7 +7,9 @@ of a frame. The exit code is 1 where there is something to warn about, 2 where t
 refused.
 """
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from pathlib import Path
+
+from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 
 EXAMPLE = 'xpbd_ros check towel --set solver.substeps=8'
 
@@ -16,7 +18,7 @@ def add_arguments(parser):
     """Declare what the verb takes."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
     parser.add_argument('--settings', metavar='FILE',
-                        help="a file with a 'solver:' block that takes the place of the scene's")
+                        help="a file with a 'solver:' block, to override the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     add_json_argument(parser)
@@ -29,11 +31,11 @@ def run(arguments) -> int:
     from xpbd_ros.study.check import check
     overrides = settings_overrides(arguments.settings) if arguments.settings else {}
     overrides.update(parse_keys(arguments.keys))
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
     scene = load_scene(arguments.scene, overrides)
     found = check(scene)
     write_json(arguments.json, {
-        'ok': found.ok, 'warnings': found.warnings, 'scene': scene.where,
+        'ok': found.ok, 'warnings': found.warnings, 'scene': str(Path(scene.where).absolute()),
         'stiffness': [{**vars(row), 'error': row.error} for row in found.stiffness],
         'numerical_damping': [vars(row) for row in found.decay],
         'solver': vars(found.solver), 'substeps_for': found.substeps_for,

@@ -12,7 +12,7 @@ All on one thread.
 
 from pathlib import Path
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
 
@@ -39,7 +39,7 @@ def run(arguments) -> int:
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
     for output in (arguments.json, arguments.picture):
-        refuse_existing(output)
+        check_output(output)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     commands = {}
@@ -51,7 +51,7 @@ def run(arguments) -> int:
     found = cost(scene, frames, commands=commands, progress=progress)
     here, most = machine(), limits()
     numbers = {
-        'machine': here, 'limits': most, 'scene': scene.where,
+        'machine': here, 'limits': most, 'scene': str(Path(scene.where).absolute()),
         'effects': [numbers_of(row, most) for row in found.effects],
         'others': [numbers_of(row, most) for row in found.others],
         'frame_ms': found.frame_ms, 'frame_ms_spread': found.frame_ms_spread,

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 
-from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -39,7 +39,7 @@ def run(arguments) -> int:
     need_ros('demo')
     if not 5.0 <= arguments.duration <= 600.0:
         raise InputError(f'--duration: must be from 5 to 600 s (got {arguments.duration:g})')
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
 
     def say(text: str) -> None:
         print(text, file=sys.stderr if arguments.json == '-' else sys.stdout, flush=True)

@@ -12,7 +12,7 @@ import os
 import sys
 
 from xpbd_ros import __version__
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 
 # Before numpy is there. Vectors of some ten thousand numbers gain nothing from threads, and lose
 # much where those wait for a core that is busy.
@@ -60,6 +60,13 @@ def run_verb(name: str, argv: list[str]) -> int:
         return 2
     except BrokenPipeError:
         return 0
+    except MemoryError as error:
+        print(f'xpbd_ros {name}: not enough memory ({error}); give it fewer particles',
+              file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f'xpbd_ros {name}: {brief(str(error.filename))}: {error.strerror}', file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(f'xpbd_ros {name}: interrupted', file=sys.stderr)
         return 130

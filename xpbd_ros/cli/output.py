@@ -31,6 +31,15 @@ def refuse_existing(destination: str | Path | None) -> None:
         raise InputError(f'{destination}: exists already; name another, or move it away')
 
 
+def check_output(destination: str | Path | None) -> None:
+    """Raise InputError if a named file cannot be made: it is there, or its folder is not."""
+    refuse_existing(destination)
+    if destination is not None and str(destination) != STDOUT:
+        folder = Path(destination).absolute().parent
+        if not folder.is_dir():
+            raise InputError(f'{destination}: there is no folder {folder}; make it first')
+
+
 @contextmanager
 def new_folder(destination: str | Path | None) -> Iterator[Path | None]:
     """

@@ -14,7 +14,7 @@ from pathlib import Path
 import re
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
@@ -47,7 +47,7 @@ def run(arguments) -> int:
     need_ros('replay')
     from xpbd_ros.ros.replay import replay
 
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
     log = LogReader(arguments.run)
     check(log, arguments)
     say = functools.partial(print, flush=True) if arguments.json != '-' else lambda text: None

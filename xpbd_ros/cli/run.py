@@ -12,7 +12,7 @@ import signal
 import time
 
 from xpbd_ros import __version__
-from xpbd_ros.cli.output import add_json_argument, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros
 from xpbd_ros.errors import InputError
@@ -36,7 +36,7 @@ def add_arguments(parser):
                         help="simulated seconds, instead of the scene's")
     parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
     parser.add_argument('--settings', metavar='FILE',
-                        help="a file with a 'solver:' block that takes the place of the scene's")
+                        help="a file with a 'solver:' block, to override the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     parser.add_argument('--picture', metavar='FILE',
@@ -60,7 +60,7 @@ def run(arguments) -> int:
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
     for output in (arguments.json, arguments.picture):
-        refuse_existing(output)
+        check_output(output)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     commands = commands_of('run', arguments.commands) if arguments.commands else {}

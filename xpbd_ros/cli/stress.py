@@ -11,7 +11,7 @@ import json
 import subprocess
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
@@ -33,7 +33,7 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Run the cases and print what came of them."""
     from xpbd_ros.study.stress.run import draw, known_ids, stress, table
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
     with new_folder(arguments.output) as folder:
         results = live = live_cases(arguments.case) if not arguments.quick else []
         if arguments.case in (None, *known_ids()) or not live:

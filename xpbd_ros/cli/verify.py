@@ -8,7 +8,7 @@ fail. The exit code is 1 where a case fails, or a control does not.
 
 from dataclasses import replace
 
-from xpbd_ros.cli.output import add_json_argument, new_folder, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
 from xpbd_ros.cli.progress import progress
 
 EXAMPLE = 'xpbd_ros verify --case V6'
@@ -28,7 +28,7 @@ def run(arguments) -> int:
     """Run the cases and print what came of them."""
     from xpbd_ros.study.cases.controls import controls
     from xpbd_ros.study.verify import draw, verify
-    refuse_existing(arguments.json)
+    check_output(arguments.json)
     with new_folder(arguments.output) as folder:
         answers = verify(arguments.case, slow=not arguments.quick, progress=progress)
     wrong = [one for one in controls() if arguments.case in (None, one.id)]

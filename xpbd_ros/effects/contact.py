@@ -33,6 +33,7 @@ to the plane that touches it right below.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,7 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, push_once
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.field import distance_field, Field
+from xpbd_ros.sim.field import distance_field, Field, grid_around
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.placed import ColliderState, motion_of, Placed
 from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
@@ -305,15 +306,13 @@ class BuiltContact(Built):
         room = 0 if grids is None else grids.values.size - sum(
             placed.field.values.size for other, placed in self.placed.items()
             if placed.field is not None and other != name)
-        if not room:
-            raise InputError('no room for the grid of a mesh (effects.contact.mesh_nodes)')
         vertices = np.array(corners).reshape(-1, 3)
-        field = distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
-                               gap=self.thickness)
-        if field.values.size > room:
-            raise InputError(f'its grid has {field.values.size} nodes, and there is room for '
-                             f'{room} (effects.contact.mesh_nodes)')
-        return field
+        nodes = prod(grid_around(vertices, gap=self.thickness)[0])    # before the work
+        if nodes > room:
+            raise InputError(f'its grid has {nodes} nodes, and there is room for {room}; raise '
+                             f'effects.contact.mesh_nodes by {nodes - room}')
+        return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
+                              gap=self.thickness)
 
     def remove(self, command, clock, state) -> str | None:
         """Take a collider away."""

@@ -119,6 +119,7 @@ class BuiltFriction(Built):
             if unknown:
                 raise InputError(f'effects.friction.pairs.{cloth.name}: unknown collider '
                                  f'{sorted(unknown)} (known: {", ".join(entries)})')
+        self.data = None
         if contact is None:
             return
         cloth_of = np.zeros(world.slots, np.int64)
@@ -132,11 +133,6 @@ class BuiltFriction(Built):
                              np.zeros(shape) if sticks else None)
         self.changes = None
         """the set of colliders that the coefficients are for"""
-
-    @property
-    def parts(self):
-        """All that the kernels get; nothing without colliders."""
-        return super().parts if self.contact else ()
 
     def _between_cloths(self) -> tuple[np.ndarray, np.ndarray]:
         """Return μ_k and μ_s by cloth and cloth: geometric means."""

@@ -37,7 +37,7 @@ from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
 from xpbd_ros.sim.pins import chosen, Held, PinState
-from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
+from xpbd_ros.sim.rotation import conjugate, interpolate, rotate, turn
 from xpbd_ros.sim.stages import kick, prepare, react, stage
 from xpbd_ros.sim.state import forget, places
 
@@ -241,7 +241,7 @@ class BuiltPin(Built):
     def reset(self, state, now_ns):
         for name in list(self.held):
             self._let_go(name, state)
-        self.states, self.slipped = {}, 0
+        self.slipped = 0
         self.free_slots.sort()
         for name, entry in self.entries.items():
             particles = chosen(name, entry, self.cloths, state.x)
@@ -256,6 +256,8 @@ class BuiltPin(Built):
             held = self._hold(name, particles, Pose(point), state, keyframes)
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)
+        self._wrench[:] = 0.0
+        self._note(np.inf)
 
     def _taken(self, state) -> np.ndarray:
         """Return which slots hold a particle that a pin holds, or none."""
@@ -385,13 +387,7 @@ class BuiltPin(Built):
 
     def end(self, clock, state):
         self._weigh(state, clock.dt)
-        self.states = {}
-        for held in self.held.values():
-            motion, wrench = held.motion, self._wrench[held.slot].copy()
-            linear = np.array([(b - a) / clock.dt for a, b in zip(motion.start.position,
-                                                                  motion.pose.position)])
-            self.states[held.name] = PinState(motion.pose, linear, wrench[:3], wrench[3:],
-                                              self.number[held.particles], motion.limited)
+        self._note(clock.dt)
         for name, pin in self.states.items():
             slip = self.held[name].slip
             if slip is not None and (force := float(length(pin.force))) > slip:
@@ -399,6 +395,17 @@ class BuiltPin(Built):
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
                                   f'and it holds {slip:g} N')
+
+    def _note(self, dt: float) -> None:
+        """Note how all pins are after a frame."""
+        self.states = {}
+        for held in self.held.values():
+            start, pose = held.motion.start, held.motion.pose
+            wrench = self._wrench[held.slot].copy()
+            self.states[held.name] = PinState(
+                pose, np.subtract(pose.position, start.position) / dt,
+                turn(start.orientation, pose.orientation) / dt, wrench[:3], wrench[3:],
+                self.number[held.particles], held.motion.limited)
 
     def news(self):
         self._news, news = [], self._news

@@ -16,10 +16,11 @@ from typing import NamedTuple
 from xpbd_ros.sim.effect import Built, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.multistep import step_at, usual_step
+from xpbd_ros.sim.multistep import usual_step
 from xpbd_ros.sim.records import new_records
 from xpbd_ros.sim.relax import Past
 from xpbd_ros.sim.stages import prepare, stage
+from xpbd_ros.sim.state import write_starts
 
 
 @dataclass(frozen=True)
@@ -38,17 +39,17 @@ class Rayleigh(NamedTuple):
 @stage(prepare, Rayleigh)
 @jit
 def keep_past(rayleigh, state, substep):
-    """x̄ = x - H v as predicted; what is pinned has the velocity that its pin gives it."""
+    """Write x̄; what is pinned has the velocity that its pin gives it."""
     past, h = rayleigh.past, substep.h
     usual = usual_step(state.history, h)
     past.per_step[0] = 1.0 / usual
+    write_starts(state, past.x, h)
     for i in range(len(state.inv_mass)):
-        step = step_at(state.history, i, h)
         for k in range(3):
-            way = step * state.v[k, i]
             if state.inv_mass[i] == 0.0:
                 way = (state.x[k, i] - state.x_prev[k, i]) * (usual / h)
-            past.x[k, i] = past.records[i, k] = state.x[k, i] - way
+                past.x[k, i] = state.x[k, i] - way
+            past.records[i, k] = past.x[k, i]
 
 
 class BuiltRayleigh(Built):

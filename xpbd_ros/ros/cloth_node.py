@@ -27,6 +27,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.inbox import Inbox
 from xpbd_ros.ros.inputs import read_pose, READERS
@@ -38,6 +39,7 @@ from xpbd_ros.ros.stepper import Stepper
 from xpbd_ros.ros.watch import Watch
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
+from xpbd_ros.scene.read import unknown
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import (
@@ -71,6 +73,7 @@ class ClothNode(LifecycleNode):
         self.simulation = None
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
+        self._recorded: set[Path] = set()
         self.watch: Watch | None = None
         self.failed = False
         """whether the stepper's thread ended on an error"""
@@ -146,6 +149,16 @@ class ClothNode(LifecycleNode):
         self.watch = Watch(simulation, target=scene.top.solver.error_target,
                            most=scene.top.solver.max_substeps)
         self._open_topics()
+        for text in self._strangers():
+            log.warning(text)
+
+    def _strangers(self) -> list[str]:
+        """Return what is wrong with parameters that were given and that nobody has."""
+        given = [name for name in self._parameter_overrides    # rclpy has no other way to them
+                 if not name.startswith('qos_overrides.') and not self.has_parameter(name)]
+        return [f'parameter {name}: {unknown(name, (*self._rows, *self._live), "parameter")}; '
+                'ignored. What cannot change while the scene runs stands in its file, or in '
+                "that of parameter 'settings'" for name in given]
 
     def _declare_live(self, live) -> dict:
         """Declare the scene's live keys; return those that a parameter file sets otherwise."""
@@ -245,7 +258,9 @@ class ClothNode(LifecycleNode):
         """Open the log and publish the start, once there is a time to stamp them with."""
         self._set_epoch()
         if self.value('record.path'):
-            self._start_recording(Path(self.value('record.path')))
+            folder = Path(self.value('record.path'))
+            again = folder.absolute() in self._recorded    # of an earlier activation
+            self._start_recording(fresh_folder('node') if again else folder)
         for topic, data in self.outputs.start().items():
             self._outlets[topic].publish(data)
         frame = self.simulation.frame()
@@ -424,6 +439,7 @@ class ClothNode(LifecycleNode):
             checkpoint_period=self.value('record.checkpoint_period'),
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')})
+        self._recorded.add(folder.absolute())
         self.get_logger().info(f'recording to {folder.absolute()}')
 
     def _stop_recording(self) -> None:
@@ -501,7 +517,6 @@ class ClothNode(LifecycleNode):
                 return folder.absolute()
             if self.recorder is not None:
                 raise InputError(f'already recording to {self.recorder.folder.absolute()}')
-            from xpbd_ros.log.folder import fresh_folder
             path = self.value('record.path')
             folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
             self._start_recording(folder)
@@ -549,6 +564,10 @@ class ClothNode(LifecycleNode):
                 self.stepper.switch(parameter.value)
             elif parameter.name == 'publish_rate':
                 self._publish_every = every(parameter.value, self.simulation)
+            elif self.recorder is not None and parameter.name == 'record.flush_period':
+                self.recorder.log.flush_period = parameter.value
+            elif self.recorder is not None and parameter.name == 'record.checkpoint_period':
+                self.recorder.checkpoint_period = parameter.value
 
 
 def every(rate: float, simulation) -> int:

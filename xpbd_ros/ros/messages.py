@@ -98,9 +98,8 @@ class Surface:
 
 def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
     """Return a ball at each pin and an arrow for the force of the cloth on it (1 N is 10 cm)."""
-    wipe = Marker(ns='pins', action=Marker.DELETEALL)
-    wipe.header.frame_id = frame_id
-    markers = [wipe]
+    # RViz wipes one namespace at a time, and takes each (ns, id) once in a message.
+    markers = [Marker(ns=each, id=-1, action=Marker.DELETEALL) for each in ('pins', 'forces')]
     for number, pin in enumerate(frame.pins.values()):
         ball = Marker(ns='pins', id=number, type=Marker.SPHERE, action=Marker.ADD)
         ball.pose.position = vector(Point, pin.pose.position)
@@ -136,7 +135,8 @@ def pin_states(frame: Frame, frame_id: str, time_ns: int) -> MultiDOFJointState:
         message.transforms.append(Transform(
             translation=vector(Vector3, pin.pose.position),
             rotation=quaternion(pin.pose.orientation)))
-        message.twist.append(Twist(linear=vector(Vector3, pin.linear)))
+        message.twist.append(Twist(linear=vector(Vector3, pin.linear),
+                                   angular=vector(Vector3, pin.angular)))
         message.wrench.append(Wrench(force=vector(Vector3, pin.force),
                                      torque=vector(Vector3, pin.torque)))
     return message

@@ -26,7 +26,7 @@ class Row:
 
 TABLE = (
     Row('scene', 'towel', 'scene file, or the name of a shipped scene'),
-    Row('settings', '', "a file with a 'solver:' block that takes the place of the scene's"),
+    Row('settings', '', "a file with a 'solver:' block, to override the scene's keys"),
     Row('frame_id', '', "TF frame of all messages; '' takes the scene's"),
     Row('autostart', True, 'configure and activate without being asked'),
     Row('mode', 'realtime', "'realtime': on a clock; 'lockstep': only on ~/step; 'fast': as fast "

@@ -48,8 +48,7 @@ class Recorder:
         self.outputs = outputs
         self.epoch_ns = epoch_ns
         self._name = name
-        self._checkpoint_frames = max(
-            1, round(checkpoint_period * outputs.simulation.frame_rate))
+        self.checkpoint_period = checkpoint_period
         self.log = LogWriter(folder, scene=outputs.scene_text, settings=settings or {},
                              flush_period=flush_period)
         for output in outputs.topics.values():
@@ -85,9 +84,9 @@ class Recorder:
             self._write_one(topic, INPUTS[topic], message, before_ns, frame.index)
         self._write_all(encoded, frame)
         self._write_all({'state_hash': outputs.hash()}, frame)
-        if frame.index % self._checkpoint_frames == 0:
+        period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))
+        if frame.index % period == 0:
             self._write_all(outputs.state(frame, self.epoch_ns + frame.time_ns), frame)
-
         self._write_guards(frame)
 
     def _write_one(self, topic: str, kind: type, message, time_ns: int, frame: int) -> None:

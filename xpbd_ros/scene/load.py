@@ -8,7 +8,7 @@ import yaml
 from xpbd_ros.effects import EFFECTS, load as load_effect, SECTIONS
 from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.materials import with_material
-from xpbd_ros.scene.model import ClothKeys, Scene, TopKeys, with_key
+from xpbd_ros.scene.model import ClothKeys, Scene, SolverKeys, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
 from xpbd_ros.share import share_folder
 
@@ -125,7 +125,11 @@ def settings_overrides(file: str) -> dict[str, Any]:
     raw = parse_yaml(text, file)
     if not isinstance(raw, dict) or set(raw) != {'solver'}:
         raise InputError(f"{file}: must hold one section, 'solver:'")
-    return {f'solver.{key}': value for key, value in mapping(raw['solver'], file).items()}
+    try:
+        read(SolverKeys, raw['solver'], 'solver')
+    except InputError as error:
+        raise InputError(f'{file}: {brief(str(error))}') from None
+    return {f'solver.{key}': value for key, value in raw['solver'].items()}
 
 
 def _resolved(raw: dict, folder: Path) -> dict:

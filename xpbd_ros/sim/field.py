@@ -58,9 +58,7 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     """
     vertices, triangles = _closed(np.asarray(vertices, float), triangles)
     low, high = vertices.min(0), vertices.max(0)
-    spacing = spacing or max(gap, float((high - low).max()) / FINEST)
-    pad = max(4.0 * gap, 2.0 * spacing)
-    shape = tuple(ceil(c / spacing) + 1 for c in (high - low + 2.0 * pad).tolist())
+    shape, spacing, pad = grid_around(vertices, gap=gap, spacing=spacing)
     if np.prod(shape, dtype=float) > MOST_NODES:
         raise InputError(f'a spacing of {spacing:g} m takes {" × ".join(map(str, shape))} nodes, '
                          f'more than {MOST_NODES}; use a larger one')
@@ -76,6 +74,14 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
     return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())))
+
+
+def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = None):
+    """Return shape, spacing and rim [m] of the grid that a surface's field takes."""
+    extent = vertices.max(0) - vertices.min(0)
+    spacing = spacing or max(gap, float(extent.max()) / FINEST)
+    pad = max(4.0 * gap, 2.0 * spacing)
+    return tuple(ceil(c / spacing) + 1 for c in (extent + 2.0 * pad).tolist()), spacing, pad
 
 
 def _closed(vertices, triangles):

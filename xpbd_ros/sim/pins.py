@@ -38,6 +38,8 @@ class PinState:
     pose: Pose
     linear: np.ndarray = field(compare=False)
     """velocity [m/s], shape (3,)"""
+    angular: np.ndarray = field(compare=False)
+    """velocity of the turn [rad/s], shape (3,)"""
     force: np.ndarray = field(compare=False)
     """of the cloth on the gripper [N], shape (3,)"""
     torque: np.ndarray = field(compare=False)

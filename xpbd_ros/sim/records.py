@@ -161,7 +161,7 @@ def to_records(state, records, first, last):
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
     for i in range(first, last, lanes(m)):
         store_row(records, i, load(x, i), load(y, i), load(z, i), load(m, i))
-    _zero(state.apart, first, last)
+    _zero(state.apart, first, last + lanes(m))    # as many as ``_back`` adds
 
 
 @jit

@@ -1,6 +1,8 @@
 """Unit quaternions (x, y, z, w) as plain floats; IEEE operations alone, so same bits anywhere."""
 
-from math import sqrt
+from math import atan2, sqrt
+
+import numpy as np
 
 from xpbd_ros.sim.jit import jit
 
@@ -49,6 +51,14 @@ def multiply(a, b) -> tuple[float, float, float, float]:
             aw * by - ax * bz + ay * bw + az * bx,
             aw * bz + ax * by - ay * bx + az * bw,
             aw * bw - ax * bx - ay * by - az * bz)
+
+
+def turn(a, b) -> np.ndarray:
+    """Return the rotation from a to b, the shorter way, as axis times angle [rad]."""
+    x, y, z, w = multiply(b, conjugate(a))
+    sine = sqrt(x * x + y * y + z * z)
+    angle = 2.0 * atan2(sine, abs(w)) * (1.0 if w >= 0.0 else -1.0)
+    return np.array((x, y, z)) * (angle / sine if sine > 0.0 else 0.0)
 
 
 def conjugate(q) -> tuple[float, float, float, float]:

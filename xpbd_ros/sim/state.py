@@ -361,6 +361,31 @@ def _update_multistep(state, history, older_x, q, h):
 
 
 @jit
+def write_starts(state, target, h):
+    """Write x̄ of all particles, shape (3, slots)."""
+    for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
+        _write_start(state, state.history, target, q, h)
+
+
+@jit(inline=True)
+def _write_start(state, history, target, q, h):
+    if history is None:
+        for k in range(3):
+            i = k * len(state.inv_mass) + q
+            store(target, i, load(state.x_prev, i))
+    else:
+        _write_mean(state, history, history.older_x, target, q, h)
+
+
+@jit(inline=True)
+def _write_mean(state, history, older_x, target, q, h):
+    _, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    for k in range(3):
+        i = k * len(state.inv_mass) + q
+        store(target, i, mean(load(state.x_prev, i), history.x, older_x, i, a, b))
+
+
+@jit
 def put_back(home, state):
     """Write what ``turned`` moved to where it was."""
     slots = len(state.inv_mass)
