@@ -140,6 +140,19 @@ def test_records_on_request_into_a_fresh_folder(running):
     assert running.record(False) == (True, other)
 
 
+def test_a_log_that_is_open_is_flushed_as_it_is_told_to_from_then_on(stepping, tmp_path):
+    run = tmp_path / 'run'
+    assert stepping.set(record__path=str(run), record__flush_period=3600.0) == (True, '')
+    assert stepping.record(True) == (True, str(run))
+    begin = (run / 'run_0.mcap').stat().st_size
+    stepping.step()
+    assert (run / 'run_0.mcap').stat().st_size == begin
+    assert stepping.set(record__flush_period=0.01) == (True, '')
+    stepping.peer.until(lambda: (run / 'run_0.mcap').stat().st_size > begin, 'a flush')
+    assert stepping.record(False)[0]
+    assert stepping.set(record__path='', record__flush_period=1.0) == (True, '')
+
+
 def test_records_where_it_is_told_to(stepping, tmp_path):
     assert stepping.set(record__path=str(tmp_path / 'here')) == (True, '')
     assert stepping.record(True) == (True, str(tmp_path / 'here'))
