@@ -259,8 +259,8 @@ class ClothNode(LifecycleNode):
         self._set_epoch()
         if self.value('record.path'):
             folder = Path(self.value('record.path'))
-            again = folder.absolute() in self._recorded    # of an earlier activation
-            self._start_recording(fresh_folder('node') if again else folder)
+            own = folder.exists() and folder.absolute() in self._recorded
+            self._start_recording(fresh_folder('node') if own else folder)
         for topic, data in self.outputs.start().items():
             self._outlets[topic].publish(data)
         frame = self.simulation.frame()
@@ -559,15 +559,16 @@ class ClothNode(LifecycleNode):
         keys = [SetKey(p.name, as_plain(p.value)) for p in parameters if p.name in self._live]
         if keys:
             self.inbox.put('parameters', keys)
+        recorder = self.recorder
         for parameter in parameters:
             if parameter.name == 'mode' and self.stepper is not None:
                 self.stepper.switch(parameter.value)
             elif parameter.name == 'publish_rate':
                 self._publish_every = every(parameter.value, self.simulation)
-            elif self.recorder is not None and parameter.name == 'record.flush_period':
-                self.recorder.log.flush_period = parameter.value
-            elif self.recorder is not None and parameter.name == 'record.checkpoint_period':
-                self.recorder.checkpoint_period = parameter.value
+            elif recorder is not None and parameter.name == 'record.flush_period':
+                recorder.log.flush_period = parameter.value
+            elif recorder is not None and parameter.name == 'record.checkpoint_period':
+                recorder.checkpoint_period = parameter.value
 
 
 def every(rate: float, simulation) -> int:
