@@ -1,4 +1,8 @@
-"""Unit quaternions (x, y, z, w) as plain floats; IEEE operations alone, so same bits anywhere."""
+"""
+Unit quaternions (x, y, z, w) as plain floats; IEEE operations alone, so same bits anywhere.
+
+``turn`` is only told to people: it takes an arc tangent, and nothing moves by it.
+"""
 
 from math import atan2, sqrt
 
