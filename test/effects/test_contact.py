@@ -211,6 +211,61 @@ def test_a_collider_told_to_jump_into_the_cloth_comes_at_max_speed_and_is_report
     assert np.abs(frame.v).max() < 0.2
 
 
+def wedge(degrees, *, walls=1, speed=0.0, flight=0.0, friction=0.0, high=0.0):
+    """
+    Return how deep a particle gets behind the planes of a corner, how far off, and what is told.
+
+    Each of ``walls`` leans over the floor by that angle; all move down, the particle flies in.
+    """
+    angle, lids = np.radians(degrees), {}
+    for k in range(walls):
+        turn = Rotation.from_euler('z', 90.0 * k, degrees=True)
+        lids[f'lid{k}'] = turn.apply([np.sin(angle), 0.0, -np.cos(angle)])
+    simulation = particle(
+        {'floor': {'plane': {}}, **{name: {'plane': {'normal': n.tolist()}, 'max_speed': 10.0,
+                                           'position': [0.0, 0.0, high]}
+                                    for name, n in lids.items()}},
+        (0.3, 0.3, 0.15 * np.tan(angle) + 0.5 * high), friction=friction, substeps=8,
+        gravity=(0.0, 0.0, 0.0))
+    ways = {name: simulation.frame().colliders[name].pose.orientation for name in lids}
+    simulation.state.v[:, simulation.slot] = [[-flight], [-flight if walls > 1 else 0.0], [0.0]]
+    deepest, told = 0.0, 0
+    for frame in range(12):
+        down = [0.0, 0.0, high - speed * (frame + 1) * simulation.frame_dt]
+        x = simulation.step([MoveCollider(name, Pose(tuple(down), way))
+                             for name, way in ways.items()]).x[0]
+        told += simulation.stats()['contacts_squeezed']
+        deepest = max(deepest, -x[2], *(-n @ (x - down) for n in lids.values()))
+    return deepest, np.linalg.norm(x), told
+
+
+@pytest.mark.parametrize('friction', [0.0, 0.4])
+@pytest.mark.parametrize('degrees', [4.0, 20.0, 60.0])
+def test_a_corner_that_closes_pushes_out_what_is_in_it(degrees, friction):
+    """The line where lid and floor meet goes at v / tan θ."""
+    speed = 0.5 * np.tan(np.radians(degrees))
+    for walls in (1, 2):
+        deepest, _, told = wedge(degrees, walls=walls, speed=6.0 * speed, friction=friction)
+        assert deepest <= 1e-9, walls
+        assert told == 0, walls
+
+
+@pytest.mark.parametrize('walls', [1, 2])
+def test_what_flies_into_a_corner_stays_in_front_of_both_sides(walls):
+    for degrees in (4.0, 20.0, 60.0):
+        deepest, far, told = wedge(degrees, walls=walls, flight=30.0)
+        assert deepest <= 1e-9, degrees
+        assert far < 10.0
+        assert told == 0
+
+
+def test_where_colliders_leave_no_room_it_is_told():
+    """A lid that goes through the floor, level with it: there is no way out."""
+    deepest, _, told = wedge(0.0, speed=1.0, high=0.1)
+    assert deepest > 0.01
+    assert told > 0
+
+
 def test_what_is_pinned_passes_through():
     simulation = usual((3, 3), colliders={'s': {'plane': {}}}, pins={
         'a': {'cloth': 'c', 'at': list(range(9)), 'target': [0.5, 0.5, -0.2]}})

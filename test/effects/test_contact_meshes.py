@@ -7,10 +7,10 @@ from sim.small import GRAVITY, run, simulate
 from sim.test_field import ball, box
 import yaml
 
-from xpbd_ros.effects import contact
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim import field
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, SetKey
 
 R = 0.01
@@ -91,17 +91,62 @@ def test_a_bullet_does_not_pass_a_thin_mesh(tmp_path, speed, substeps):
             assert side * simulation.step().x[0, 2] > 0.0
 
 
+def fallen(entry, turn, speed, thickness):
+    """Return how many of 121 particles that meet a plate along its normal end behind it."""
+    up = turn.apply([0.0, 0.0, 1.0])
+    simulation = simulate(
+        (11, 11), (0.08, 0.08), colliders={'s': {**entry, 'friction': 10.0}},
+        scene_effects={'contact': {'thickness': thickness}, 'friction': {}}, substeps=4,
+        gravity=(-GRAVITY * up).tolist(), pose={
+            'position': turn.apply([-0.041, -0.039, 0.05]).tolist(),
+            'orientation': turn.as_quat().tolist()})
+    simulation.state.v[:, simulation.slot] = -speed * up[:, None]
+    return int((run(simulation, 30).x @ up < 0.0).sum())
+
+
+@pytest.mark.parametrize(('plate', 'turn', 'speed'), [
+    (0.001, (0.0, 0.0, 0.0), 0.0), (0.002, (0.0, 0.0, 0.5), 30.0), (0.004, (1.0, 2.0, 0.3), 0.0),
+    (0.004, (-2.0, 0.1, 1.0), 3.0)])
+def test_nothing_passes_a_plate_thinner_than_the_usual_grid(tmp_path, plate, turn, speed):
+    """That is a 96th of the longest side, up to 6.25 mm."""
+    turn = Rotation.from_rotvec(turn)
+    vertices, faces = box(0.3, 0.05, 0.5 * plate)
+    entry = mesh(tmp_path / 'plate.obj', (turn.apply(vertices), faces))
+    assert fallen(entry, turn, speed, 0.002) == 0
+
+
+@pytest.mark.parametrize('plate', [0.0005, 0.005, 0.012])
+def test_a_plate_that_particles_would_pass_is_refused_with_the_way_out(tmp_path, plate):
+    """Each on the coarsest grid that will do, where there is one, nothing passes."""
+    def entry(spacing):
+        return mesh(tmp_path / 'plate.obj', box(0.05, 0.05, 0.5 * plate), spacing=spacing)
+    with pytest.raises(InputError) as error:
+        particle({'s': entry(0.0125)}, (0, 0, 0))
+    text = (f'small.yaml: colliders.s.mesh: {tmp_path}/plate.obj: is so thin in places that '
+            'particles pass it on a grid of ')
+    if plate < 0.001:
+        assert str(error.value) == text + ('0.000781 m, and a finer one takes more than 16000000 '
+                                           'nodes; make it thicker, or of boxes')
+        return
+    start, _, out = str(error.value).partition('0.0125 m; use a spacing of ')
+    assert start == text
+    spacing, _, end = out.partition(' m, ')
+    assert end == 'or leave it out'
+    assert plate / 4.0 < float(spacing) < plate
+    assert fallen(entry(float(spacing)), Rotation.identity(), 10.0, R) == 0
+
+
 def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
     """TRIANGLE_LIST; its grid has the place that the scene keeps for such."""
     crate = PlaceCollider('crate', 'mesh', corners(box()), Pose((0.0, 0.0, -0.2)))
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 400_000}, substeps=4)
     frame = run(simulation, 60, [crate])
     np.testing.assert_allclose(frame.x[0], [0.0, 0.0, R], atol=1e-6)
-    field = simulation.effects['contact'].placed['crate'].field
+    distances = simulation.effects['contact'].placed['crate'].field
     up = PlaceCollider('crate', 'mesh', crate.size, Pose((0.0, 0.0, -0.1)))
     frame = run(simulation, 100, [up])
     np.testing.assert_allclose(frame.x[0], [0.0, 0.0, 0.1 + R], atol=1e-6)
-    assert simulation.effects['contact'].placed['crate'].field is field, 'not built again'
+    assert simulation.effects['contact'].placed['crate'].field is distances, 'not built again'
     other = PlaceCollider('other', 'mesh', crate.size, Pose())
     frame = simulation.step([other])
     assert frame.refused[0][1].startswith("collider 'other': its grid has ")
@@ -113,16 +158,30 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
     frame = simulation.step([PlaceCollider('crate', 'box', (1.0, 1.0, 0.2), Pose()), other])
     assert not frame.refused
     frame = particle({}, (0.0, 0.0, 0.2)).step([crate])
-    nodes = field.values.size
+    nodes = distances.values.size
     assert frame.refused[0][1] == (f"collider 'crate': its grid has {nodes} nodes, and there is "
                                    f'room for 0; raise effects.contact.mesh_nodes by {nodes}')
 
 
 def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypatch):
-    monkeypatch.setattr(contact, 'distance_field', None)
+    monkeypatch.setattr(field, '_stamp', None)
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})
     (_, why), = simulation.step([PlaceCollider('crate', 'mesh', corners(box()), Pose())]).refused
     assert 'and there is room for 1000; raise effects.contact.mesh_nodes by ' in why
+
+
+def test_a_thin_mesh_without_room_for_a_finer_grid_is_refused_with_what_it_takes():
+    simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 10_000})
+    plate = PlaceCollider('plate', 'mesh', corners(box(0.04, 0.04, 0.003)), Pose())
+    (_, why), = simulation.step([plate]).refused
+    start, _, more = why.partition(', and there is room for 10000; raise effects.contact.')
+    assert start.startswith("collider 'plate': its grid has ")
+    more = int(more.removeprefix('mesh_nodes by '))
+    simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 10_000 + more})
+    assert not simulation.step([plate]).refused
+    placed = simulation.effects['contact'].placed['plate'].field
+    assert placed.values.size == 10_000 + more
+    assert placed.values.min() < -0.5 * placed.spacing
 
 
 def test_a_live_key_changes_nothing_of_a_mesh_though_its_file_is_gone(tmp_path):
@@ -174,6 +233,21 @@ def test_a_bullet_does_not_pass_a_ridge():
     for _ in range(3):
         frame = simulation.step()
         assert frame.x[0, 0] < 0.0 or frame.x[0, 2] > 1.0
+
+
+@pytest.mark.parametrize('speed', [1e13, 1e160, 1e300, np.inf, np.nan])
+def test_a_particle_that_leaves_the_world_holds_nothing_up(tmp_path, speed):
+    """Its way meets ground at 1e12 cells, or nowhere: the frame ends, and is taken back."""
+    simulation = simulate((5, 1), (0.2, 0.2), pose={'position': [0.0, 0.0, R]}, colliders={
+        'ground': {'heights': {'size': [2.0, 2.0], 'values': [[0.0] * 20] * 20}},
+        'ball': {'sphere': {'radius': 0.5}, 'position': [0.1, 0.0, -0.5]},
+        'crate': mesh(tmp_path / 'box.obj', box(0.5, 0.5, 0.5), spacing=0.1)},
+        scene_effects={'contact': {'thickness': R}, 'friction': {}})
+    for k in range(3):
+        simulation.state.v[k, simulation.slot[2]] = speed
+        simulation.step()
+        assert simulation.stats()['frames_taken_back'] == k + 1
+        assert np.isfinite(simulation.frame().x).all()
 
 
 def test_files_are_found_beside_the_scene(tmp_path):

@@ -125,6 +125,24 @@ def test_a_turntable_carries_what_lies_on_it_round():
     assert np.linalg.norm(frame.v) == pytest.approx(0.2, rel=0.01)
 
 
+@pytest.mark.parametrize('speed', [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)])
+def test_a_surface_that_turns_carries_round_and_not_along_the_tangent(speed):
+    """
+    At 3 rad/s for 2 s: on the circle about the axis where the surface is at rest.
+
+    That is the table's position, or where its other velocity and the turn cancel.
+    """
+    simulation = on_a_plane(substeps=4)
+    axis = np.array([0.0, speed[0] / 3.0])
+    start = np.array([0.15, 0.1])
+    simulation.state.x[:, 0] = (*start, R)
+    simulation.state.v[:2, 0] = 3.0 * np.array([axis[1] - start[1], start[0] - axis[0]])
+    table = MoveCollider('table', Pose(), Twist(speed, (0.0, 0.0, 3.0)))
+    frame = run(simulation, 120, [table])
+    radius = np.linalg.norm(start - axis)
+    assert np.linalg.norm(frame.x[0, :2] - axis) == pytest.approx(radius, abs=5e-6)
+
+
 def test_cloth_rides_on_a_table_that_moves_and_turns_without_slipping():
     """With a large coefficient it keeps its place in the table's axes."""
     simulation = with_effects((5, 5), substeps=4, pins={}, colliders={

@@ -185,6 +185,60 @@ def test_a_lifetime_ends_by_itself_unless_renewed():
     np.testing.assert_allclose(frame.x[0], start, atol=1e-15)
 
 
+def test_a_target_renews_a_lifetime_too():
+    simulation = sheet()
+    simulation.step([Grasp('hand', Pose(), 0.01, lifetime_ns=100_000_000)])
+    for _ in range(20):
+        assert 'hand' in simulation.step([MovePin('hand', Pose())]).pins
+    for _ in range(5):
+        assert 'hand' in simulation.step().pins
+    assert 'hand' not in simulation.step().pins
+
+
+def test_commands_of_one_message_act_together_or_not_at_all():
+    """Whatever they would do to one another: what is let go may be grasped, but not twice."""
+    simulation = sheet()
+    corners = [tuple(simulation.frame().x[i].tolist()) for i in (0, 4, 15, 19)]
+    a, b, c, d = (Grasp(name, Pose(corner), 0.01) for name, corner in zip('abcd', corners))
+    again = Grasp('e', Pose(corners[0]), 0.01)
+    up = MovePin('a', Pose((0.0, 0.0, 0.05)))
+    frame = simulation.step([(a, b, c, d)])
+    assert frame.refused == ((a, 'all 3 pins are in use (effects.pin.max_pins); nothing of it was '
+                                 'done'),)
+    assert (dict(frame.pins), frame.applied) == ({}, ())
+    assert (frame.inv_mass > 0.0).all()
+    assert simulation.step([(a, again)]).pins == {}
+    frame = simulation.step([(a, Release('a'), again, b)])
+    assert (list(frame.pins), frame.refused) == (['e', 'b'], ())
+    frame = simulation.step([(ReleaseAll(), a), (up, MovePin('nobody', Pose()))])
+    assert frame.refused == ((up, "pin 'nobody' holds nothing (holding: a); nothing of it was "
+                                  'done'),)
+    assert frame.pins['a'].pose.position == corners[0], 'it was not moved'
+    assert simulation.step([(up, Release('a'), ReleaseAll())]).refused == ()
+
+
+def test_uneven_arrival_of_targets_does_not_shake_what_hangs_there():
+    """30 Hz, 10 ms more or less: the force on the pin is as smooth as with targets in time."""
+    def forces(uneven):
+        simulation = sheet(pins={'hand': {'cloth': 'c', 'at': 'edge_0x'}})
+        start = np.array(simulation.frame().pins['hand'].pose.position)
+        late = np.random.default_rng(3).uniform(0.0, uneven, 40)
+        waiting = [(k / 30.0 + late[k], k / 30.0) for k in range(40)]
+        found = []
+        for frame in range(110):
+            asked = []
+            while waiting and waiting[0][0] <= frame / 60.0 + 1e-6:
+                t = waiting.pop(0)[1]
+                height = 0.05 * (1.0 - np.cos(np.pi * min(t, 1.0)))
+                asked.append(MovePin('hand', Pose((*start[:2], float(start[2] + height))), None,
+                                     10**9 + round(t * 1e9)))
+            found.append(simulation.step(asked).pins['hand'].force)
+        return np.array(found)
+    even, uneven = forces(0.0), forces(0.02)
+    jumps = [np.abs(np.diff(found[30:, 2])).max() for found in (even, uneven)]
+    assert jumps[1] <= 1.2 * jumps[0]
+
+
 def test_a_grasp_of_a_pin_that_holds_moves_it():
     simulation = sheet()
     simulation.step([Grasp('hand', Pose(), 0.01)])

@@ -44,10 +44,9 @@ def settle(simulation, held, rounds, h=0.01):
     built.hold(state.inv_mass)
     state.mobility[:] = state.inv_mass * h**2
     for _ in range(rounds):
+        state.reaction[:] = 0.0
         for stage in (stages.prepare, *[stages.project, stages.project_back] * 10):
             run_stage(stage, built.data, state, Substep(h, 0.0, 1.0))
-    state.reaction[:] = 0.0
-    run_stage(stages.react, built.data, state, Substep(h, 0.0, 1.0))
     return simulation.frame().x, simulation.natural(state.reaction)
 
 

@@ -2,9 +2,16 @@
 
 import numpy as np
 
+FLAT = 1e-9
+"""an edge that does not get further than this from a triangle's plane lies in it [m]"""
+
 
 def crossings(x, triangles, block=512):
-    """Return how many pairs of edge and triangle, without a particle in common, cross."""
+    """
+    Return how many pairs of edge and triangle, without a particle in common, cross.
+
+    What lies flat in one plane does not, whatever its last bits say.
+    """
     edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
     a, b, c = (x[triangles[:, k]] for k in range(3))
     count = 0
@@ -13,6 +20,8 @@ def crossings(x, triangles, block=512):
         way, found = q - p, None
         up, down = volume(a - p, b - p, c - p), volume(a - q, b - q, c - q)
         found = up * down < 0.0
+        size = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+        found &= np.minimum(np.abs(up), np.abs(down)) > FLAT * size
         sides = [volume(s - p, t - p, way) for s, t in ((a, b), (b, c), (c, a))]
         found &= (np.min(sides, 0) > 0.0) | (np.max(sides, 0) < 0.0)
         found &= ~(some[:, None, :, None] == triangles[None, :, None, :]).any((2, 3))

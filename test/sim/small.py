@@ -70,7 +70,7 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
              colliders: dict | None = None, pose: dict | None = None, density: float = 1.0,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
              substeps: int | None = 1, iterations: int = 1, scale: float = 1.0,
-             method: str = 'gauss_seidel', integrator: str = 'backward_euler',
+             method: str = 'gauss_seidel', integrator: str | None = 'backward_euler',
              precision: str = 'float64') -> Simulation:
     """
     Return the simulation of one cloth, ``c``.
@@ -81,9 +81,10 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
     """
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
-        'solver': {'method': method, 'integrator': integrator, 'iterations': iterations,
+        'solver': {'method': method, 'iterations': iterations,
                    'precision': precision, 'compliance_scale': scale,
-                   **({} if substeps is None else {'substeps': substeps})},
+                   **{key: value for key, value in (
+                       ('integrator', integrator), ('substeps', substeps)) if value is not None}},
         'cloths': {'c': {**({'mesh': {'file': disc_file() if mesh is True else mesh}} if mesh else
                             {'grid': {'size': list(size), 'resolution': list(grid)}}),
                          'density': density, 'friction': friction, 'pose': pose or {},

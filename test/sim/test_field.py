@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.colliders import BOX, grid_distance, Grids, shape_distance, SPHERE
@@ -102,6 +103,19 @@ def test_faces_may_look_anywhere_vertices_may_be_double_and_pieces_may_overlap()
     phi = field.values.ravel()
     assert (inside == (phi < 0.0))[np.abs(phi) > 1e-6].all()
     assert inside.sum() > 500
+
+
+@pytest.mark.parametrize('turn', [None, 1, 2])
+@pytest.mark.parametrize('thick', [0.004, 0.01, 0.03])
+def test_what_is_thin_has_a_grid_on_which_it_is_not_lost(thick, turn):
+    """Each point halfway through a plate is inside, and its distance not far off."""
+    turn = Rotation.identity() if turn is None else Rotation.random(random_state=turn)
+    vertices, faces = box(0.1, 0.08, 0.5 * thick)
+    field = distance_field(turn.apply(vertices), faces, gap=0.01)
+    points = np.random.default_rng(1).uniform(-0.07, 0.07, (500, 3)) * [1.0, 1.0, 0.0]
+    phi, _ = look_up(field, turn.apply(points))
+    assert phi.max() < -0.05 * thick
+    assert field.spacing == 0.01 if thick > 0.02 else field.spacing < 0.01
 
 
 def test_the_spacing_is_the_gap_unless_that_is_too_fine():

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 
-from xpbd_ros.sim.rotation import conjugate, from_z_axis, interpolate, multiply, rotate
+from xpbd_ros.sim.rotation import conjugate, flow, from_z_axis, interpolate, multiply, rotate
 
 
 @pytest.fixture
@@ -44,3 +45,18 @@ def test_z_turns_to_any_direction(normal):
     assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-14)
     unit = np.array(normal) / np.abs(normal).max()
     np.testing.assert_allclose(rotate(*q, 0.0, 0.0, 1.0), unit / np.linalg.norm(unit), atol=1e-14)
+
+
+@pytest.mark.parametrize('angle', [0.0, 1e-9, 0.1, 1.0, 3.0, 40.0])
+def test_a_flow_is_the_exponential_of_its_twist(angle):
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        w, v = random.normal(size=(2, 3))
+        w *= angle / np.linalg.norm(w)
+        twist = np.zeros((4, 4))
+        twist[:3, :3] = np.cross(np.eye(3), w)
+        twist[:3, 3] = v
+        q, t = flow(tuple(w.tolist()), tuple(v.tolist()))
+        expected = expm(twist)
+        np.testing.assert_allclose(Rotation(q).as_matrix(), expected[:3, :3], atol=1e-12)
+        np.testing.assert_allclose(t, expected[:3, 3], atol=1e-12)

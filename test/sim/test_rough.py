@@ -181,7 +181,7 @@ def test_one_plain_sweep_of_lines_with_bdf2_is_wilder(kinds, substeps):
 
         def bare(commands, sheet=sheet):
             for command in commands:
-                sheet._apply(command, None)
+                sheet._apply((command,), None)
             advance_one_sweep(sheet._tuple, sheet.state, sheet.frame_dt, substeps)
         for key, most in plain.items():
             sheet._reset()

@@ -25,13 +25,19 @@ GRIDS = [[(1, 1)], [(1, 7)], [(7, 1)], [(2, 2)], [(2, 9)], [(3, 3)], [(4, 2)], [
 AROUND = pytest.mark.parametrize('grids', GRIDS)
 
 
-def cloths(grids, precision='float64', **solver):
+def spacing(columns, rows, square):
+    """Return the sides of a cell: of a sheet 1 m × 1.5 m, or all alike."""
+    return (0.1, 0.1) if square else (1.0 / max(columns - 1, 1), 1.5 / max(rows - 1, 1))
+
+
+def cloths(grids, precision='float64', square=False, **solver):
     """Return cloths with all elastic effects."""
     return compile_scene(scene_from_mapping({
         'solver': {'method': 'gauss_seidel', 'substeps': 1, 'precision': precision, **solver},
-        'cloths': {f'c{k}': {'grid': {'size': [1.0, 1.5], 'resolution': list(grid)},
-                             'density': 1.0, 'effects': EFFECTS}
-                   for k, grid in enumerate(grids)}}, where='x', name='x'))
+        'cloths': {f'c{k}': {'grid': {'size': [d * max(n - 1, 1) for d, n in zip(
+            spacing(*grid, square), grid)], 'resolution': list(grid)},
+            'density': 1.0, 'effects': EFFECTS}
+            for k, grid in enumerate(grids)}}, where='x', name='x'))
 
 
 def batches(simulation, effect):
@@ -39,10 +45,11 @@ def batches(simulation, effect):
     return [getattr(part, 'edges', part) for part in simulation.effects[effect].parts]
 
 
-def expected(grids, effect):
+def expected(grids, effect, square=False):
     """Return all constraints, as tuples of particles in natural order, by brute force."""
     found, first = [], 0
     for columns, rows in grids:
+        dx, dy = spacing(columns, rows, square)
         particle = partial(lambda start, width, j, c: start + j * width + c, first, columns)
         for j in range(rows):
             for c in range(columns):
@@ -50,8 +57,9 @@ def expected(grids, effect):
                     found += [frozenset((particle(j, c), particle(j + b, c + a)))
                               for a, b in ((1, 0), (0, 1)) if c + a < columns and j + b < rows]
                 elif effect == 'shear' and j + 1 < rows and c + 1 < columns:
-                    found += [frozenset((particle(j, c), particle(j + 1, c + 1))),
-                              frozenset((particle(j + 1, c), particle(j, c + 1)))]
+                    diagonals = [frozenset((particle(j, c), particle(j + 1, c + 1))),
+                                 frozenset((particle(j + 1, c), particle(j, c + 1)))]
+                    found += diagonals if dx == dy else [diagonals[0] | diagonals[1]]
                 elif effect == 'bend':
                     found += [tuple(particle(j + k * b, c + k * a) for k in (0, 1, 2))
                               for a, b in ((1, 0), (0, 1))
@@ -64,14 +72,15 @@ def expected(grids, effect):
 
 @AROUND
 @pytest.mark.parametrize('precision', ['float64', 'float32'])
-@pytest.mark.parametrize('effect', EFFECTS)
-def test_every_constraint_of_a_grid_appears_once(effect, precision, grids):
-    simulation = cloths(grids, precision)
+@pytest.mark.parametrize('effect, square', [*((name, False) for name in EFFECTS),
+                                            ('shear', True)])
+def test_every_constraint_of_a_grid_appears_once(effect, square, precision, grids):
+    simulation = cloths(grids, precision, square)
     lists = [numbers(simulation, these.particles) for these in simulation.effects[effect].by_part]
     assert all((particles >= 0).all() for particles in lists)
     found = Counter((tuple if effect == 'bend' else frozenset)(p)
                     for particles in lists for p in particles.tolist())
-    assert found == expected(grids, effect)
+    assert found == expected(grids, effect, square)
     assert not found or set(found.values()) == {1}
 
 

@@ -83,11 +83,12 @@ class _Stub:
         return stub
 
 
-def test_what_is_broken_off_leaves_nobody_waiting():
+@pytest.mark.parametrize('worker', [0, 1])
+def test_what_is_broken_off_leaves_nobody_waiting(worker):
     crew, seen = Crew(3), np.zeros(24, np.int64)
 
     def broken(effects, state):
-        if state.team.worker == 0:
+        if state.team.worker == worker:
             raise KeyboardInterrupt
         _in_step(state.team, seen, 1)
 

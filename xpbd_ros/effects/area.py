@@ -20,13 +20,22 @@ import numpy as np
 
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import Held, hold, room_for
+from xpbd_ros.sim.held import (
+    collect,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stages import prepare, project, project_back, stage
 from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
 from xpbd_ros.sim.vector import both, fma, lanes, load, root, select
 
@@ -55,8 +64,8 @@ class Area(NamedTuple):
     force: np.ndarray | None
     """f, multiplier over H² [N/m], negative in tension, shape (triangles,); None where nobody
     asks"""
-    held: Held | None
-    """None in a scene without pins"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Area)
@@ -70,31 +79,35 @@ def prepare_area(area, state, substep):
 @jit
 def project_area(area, state, substep):
     """One pass over all triangles."""
-    _project(area, state, False)
+    _project(area, state, substep, False)
 
 
 @stage(project_back, Area)
 @jit
 def project_area_back(area, state, substep):
     """Do the same pass in reverse."""
-    _project(area, state, True)
+    _project(area, state, substep, True)
 
 
 @jit
-def _project(area, state, reverse):
+def _project(area, state, substep, reverse):
     first, last = area.slots[0], area.slots[1]
     to_records(state, area.records, first, last)
-    _project_packs(area.records, state.apart, area.particles, area.rest_area, area.compliance,
-                   area.force, reverse)
+    for number in range(segment_count(area.packs)):
+        begin, end, a, b = segment(area.packs, number, len(area.rest_area), reverse)
+        _note(area.packs, a, b, area.records, state.apart, area.force)
+        _project_packs(area.records, state.apart, area.particles, area.rest_area,
+                       area.compliance, area.force, begin, end, reverse)
+        collect(area.packs, a, b, area.force, substep.end - substep.begin, state.reaction)
     from_records(state, area.records, first, last)
 
 
 @jit
-def _project_packs(records, apart, particles, rest_area, compliance, force, reverse):
-    count, step = len(compliance), lanes(compliance)
+def _project_packs(records, apart, particles, rest_area, compliance, force, begin, end, reverse):
+    step = lanes(compliance)
     p0, p1, p2 = particles[0], particles[1], particles[2]
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
         x0, y0, z0, m0 = load_records(records, p0, q)
         x1, y1, z1, m1 = load_records(records, p1, q)
         x2, y2, z2, m2 = load_records(records, p2, q)
@@ -119,26 +132,25 @@ def _project_packs(records, apart, particles, rest_area, compliance, force, reve
         put_records(records, apart, p2, q, x2, y2, z2, m2, m2 * df, hx, hy, hz)
 
 
-@stage(react, Area)
 @jit
-def react_area(area, state, substep):
-    """Forces on pinned particles: f ∇C."""
-    part, held, x = substep.end - substep.begin, area.held, state.x
-    for k in range(held.count[0]):
-        i, j, l = held.particles[k, 0], held.particles[k, 1], held.particles[k, 2]
-        ax, ay, az = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
-        bx, by, bz = x[0, l] - x[0, i], x[1, l] - x[1, i], x[2, l] - x[2, i]
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        twice = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if twice == 0.0:
-            continue
-        f = part * area.force[held.index[k]] * 0.5 / twice
-        for axis, g, h in ((0, by * nz - bz * ny, ny * az - nz * ay),
-                           (1, bz * nx - bx * nz, nz * ax - nx * az),
-                           (2, bx * ny - by * nx, nx * ay - ny * ax)):
-            state.reaction[axis, j] += f * g
-            state.reaction[axis, l] += f * h
-            state.reaction[axis, i] -= f * (g + h)
+def _note(packs, first, last, x, apart, force):
+    """Note ∇C of the triangles of a pack; without an area no multiplier changes."""
+    if packs is not None:
+        remember(packs, first, last, apart, force)
+        for k in range(first, last):
+            i, j, l = packs.held.particles[k]
+            ax, ay, az = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            bx, by, bz = x[l, 0] - x[i, 0], x[l, 1] - x[i, 1], x[l, 2] - x[i, 2]
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            twice = np.sqrt(nx * nx + ny * ny + nz * nz)
+            if twice == 0.0:
+                continue
+            gradient = packs.gradient[k - first, 0]
+            for axis, g, h in ((0, by * nz - bz * ny, ny * az - nz * ay),
+                               (1, bz * nx - bx * nz, nz * ax - nx * az),
+                               (2, bx * ny - by * nx, nx * ay - ny * ax)):
+                gradient[1, axis], gradient[2, axis] = 0.5 * g / twice, 0.5 * h / twice
+                gradient[0, axis] = -0.5 * (g + h) / twice
 
 
 class Triangles:
@@ -201,11 +213,11 @@ class BuiltArea(Built):
             padded(rest, order, 0.0, dtype),
             padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
             zeros(count, dtype) if world.forces else None,
-            room_for(count, 3) if world.pins else None)
+            packs_for(room_for(count, 3)) if world.pins else None)
         self.constraints = Triangles.of(self.data)
 
     def hold(self, inv_mass):
-        hold(self.data.held, self.constraints, inv_mass)
+        hold_packs(self.data.packs, self.constraints, inv_mass, len(self.data.rest_area))
 
 
 EFFECT = Effect('area', Parameters, BuiltArea)

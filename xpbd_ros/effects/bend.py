@@ -13,20 +13,21 @@ geometric mean of both for the twist.
 
 On any other mesh a hinge (x0, x1) with opposite particles x2, x3 and rest areas A0, A1 has
 
-    C = Σ K_i x_i / sqrt(A0 + A1),   K = (c03+c04, c01+c02, -c01-c03, -c02-c04),   α = 1 / B
+    C = Σ K_i x_i / sqrt(A0 + A1),   K = (c03+c04, c01+c02, -c01-c03, -c02-c04),   α = 1 / b
 
 with c01 = cot(e, x2-x0), c02 = cot(e, x3-x0), c03 = cot(-e, x2-x1), c04 = cot(-e, x3-x1) at rest
-(Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). The hinges of a regular
-grid see the curvature of every other particle only, so a sheet free to relax would be a quarter
-too soft; hence the stencils above.
+(Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). Each hinge of a flat
+mesh has a b of its own, so that the sheet bends as a plate (``sim.plate``). The hinges of a
+regular grid see the curvature of every other particle only, so a sheet free to relax would be a
+quarter too soft; hence the stencils above.
 
 All gradients are constant weights k_i: no singularity, no wrap at 180°. In force form, with
 mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / H²,
 
     Δf = -(C + α f) / (W + α),   x_i += m_i k_i Δf.
 
-Limits: a flat rest shape, deformations that keep lengths. Hinges of an irregular mesh are 6 to
-43 % too stiff, by the direction (NUMERICS 2.5).
+Limits: a flat rest shape, deformations that keep lengths. Where warp and weft differ by much more
+than tenfold the hinges of most meshes cannot follow; a note says what they give instead.
 """
 
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ from xpbd_ros.sim.isometric import isometric_weights, project_packs
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.plate import plate, shortfall
 from xpbd_ros.sim.records import from_records, to_records
 from xpbd_ros.sim.runs import grid_runs, join, listed, Runs
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
@@ -294,16 +296,21 @@ def _twist_compliance(cloth, warp: float, weft: float) -> np.ndarray:
         return np.full((1, cloth.block.row_stride), dx * dy / (2.0 * np.sqrt(warp * weft)))
 
 
-def _on_meshes(cloths, world) -> list[MeshBend]:
-    dtype = world.state.x.dtype
+def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
+    """Return the hinges of meshes, and what they cannot do."""
+    dtype, notes, compliance = world.state.x.dtype, [], []
     particles = np.concatenate([cloth.slots[cloth.mesh.hinges] for cloth, _ in cloths])
     weight = np.concatenate([isometric_weights(cloth.mesh.positions[cloth.mesh.hinges])
                              for cloth, _ in cloths])
-    compliance = world.compliance_scale * np.concatenate([
-        1.0 / _rigidity_across(cloth.mesh, *chosen.rigidity) for cloth, chosen in cloths])
+    for cloth, chosen in cloths:
+        found = plate(cloth.mesh, *chosen.rigidity)
+        with np.errstate(over='ignore', divide='ignore'):
+            compliance.append(world.compliance_scale / found.rigidity)
+        short = shortfall(found, *chosen.rigidity)
+        notes += [f'cloths.{cloth.name}.effects.bend: {short}'] if short else []
     if not len(particles):
-        return []
-    order = pack(particles)
+        return [], notes
+    compliance, order = np.concatenate(compliance), pack(particles)
     return [MeshBend(
         world.records,
         np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
@@ -311,14 +318,7 @@ def _on_meshes(cloths, world) -> list[MeshBend]:
         padded(weight, order, 0.0, dtype).T.copy(),
         padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
         zeros((3, len(order)), dtype) if world.forces else None,
-        _room(len(order), 4) if world.pins else None)]
-
-
-def _rigidity_across(mesh, warp: float, weft: float) -> np.ndarray:
-    """Return B of each hinge [N m]: what it bends lies across its edge."""
-    e = mesh.positions[mesh.hinges[:, 1]] - mesh.positions[mesh.hinges[:, 0]]
-    along = (e @ mesh.warp)**2 / (e**2).sum(1)
-    return weft * along + warp * (1.0 - along)
+        _room(len(order), 4) if world.pins else None)], notes
 
 
 def _room(count: int, width: int) -> Held:
@@ -330,12 +330,13 @@ class BuiltBend(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        parts = []
-        for make, of_kind in ((_on_grids, True), (_on_meshes, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if (cloth.mesh.grid is not None) == of_kind]
-            if cloths:
-                parts += make(cloths, world)
+        on_grids, on_meshes = ([(cloth, chosen) for cloth, chosen in parameters.items()
+                                if (cloth.mesh.grid is not None) == of_kind]
+                               for of_kind in (True, False))
+        parts = _on_grids(on_grids, world) if on_grids else []
+        if on_meshes:
+            more, self.notes = _on_meshes(on_meshes, world)
+            parts += more
         self.data, *self.also = parts or [None]
         self.lists = [Linear.of(part) for part in parts]
         none = np.zeros(0, np.int64)

@@ -33,7 +33,6 @@ to the plane that touches it right below.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from math import prod
 from typing import NamedTuple
 
 import numpy as np
@@ -48,10 +47,11 @@ from xpbd_ros.sim.commands import (
     RemoveAllColliders,
     RemoveCollider,
 )
-from xpbd_ros.sim.contacts import Contacts, move_colliders, new_contacts, push_once
+from xpbd_ros.sim.contacts import Contacts, count_behind, move_colliders, new_contacts, push_all
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.field import distance_field, Field, grid_around
+from xpbd_ros.sim.field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.motion import delays
 from xpbd_ros.sim.placed import ColliderState, motion_of, Placed
 from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
 from xpbd_ros.sim.stages import finish, kick, prepare, stage, touch
@@ -59,8 +59,6 @@ from xpbd_ros.sim.state import stay
 
 CANDIDATES = 16
 """room for candidates, per particle"""
-CORNER = 8
-"""most passes, so that what one collider holds back does not end behind another"""
 NOT_SOUGHT = -1
 """count of candidates before the first iteration of a substep"""
 
@@ -94,7 +92,7 @@ def forget_contacts(contact, state, substep):
     """Move the colliders, and leave the pairs of the substep before."""
     begin_waiting(contact.wait)
     if substep.begin == 0.0:
-        contact.contacts.count[1] = 0
+        contact.contacts.count[1] = contact.contacts.count[4] = 0
     contact.contacts.count[0] = NOT_SOUGHT
     move_colliders(contact.contacts, substep)
 
@@ -124,12 +122,7 @@ def push_out(contact, state, substep):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
-    for _ in range(CORNER):
-        push_once(contact.contacts, state)
-        if not contact.contacts.count[2]:
-            break
-    if contact.contacts.count[3]:
-        push_once(contact.contacts, state, True)
+    push_all(contact.contacts, state)
 
 
 @stage(finish, Contact)
@@ -137,6 +130,8 @@ def push_out(contact, state, substep):
 def calm(contact, state, substep):
     """Take back the velocity that came from undoing an old overlap; let bounce what bounces."""
     contacts, h = contact.contacts, substep.h
+    if contacts.count[3]:
+        contacts.count[4] += count_behind(contacts, state)
     for k in range(contacts.count[0]):
         still = min(contacts.overlap[k], contacts.push[k])
         if still > 0.0:
@@ -160,6 +155,7 @@ class BuiltContact(Built):
     """All colliders of a scene: those that it names, and room for those to come."""
 
     ns_per_particle = 30.0
+    pulls_taut = True
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -179,6 +175,8 @@ class BuiltContact(Built):
         self.colliders: Colliders = new_colliders(capacity, nodes, places)
         self.contacts = new_contacts(self.colliders, room, parameters.thickness,
                                      world.slots)
+        if 'self_collision' in world.built:
+            world.built['self_collision'].heed(self.contacts)
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
@@ -187,6 +185,7 @@ class BuiltContact(Built):
         self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
                          RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
         self.placed: dict[str, Placed] = {}
+        self._fields: dict[tuple, Field] = {}    # of meshes that are to be placed
         self.changes = 0
         """how often it has become another set of colliders"""
 
@@ -257,69 +256,85 @@ class BuiltContact(Built):
         if placed.twist is not None:
             self.colliders.twist[c] = (*placed.twist.linear, *placed.twist.angular)
 
-    def _unknown(self, name: str) -> str:
-        return f"unknown collider '{name}' (known: {', '.join(self.placed) or 'none'})"
+    def refusal(self, commands, state):
+        nodes = {name: 0 if placed.field is None else placed.field.values.size
+                 for name, placed in self.placed.items()}
+        self._fields = {}
+        for command in commands:
+            if isinstance(command, RemoveAllColliders):
+                nodes = {}
+                continue
+            name = command.collider
+            if isinstance(command, PlaceCollider):
+                if name not in nodes and len(nodes) == len(self.colliders.shape):
+                    return (f"collider '{name}': all {len(nodes)} colliders are in use "
+                            '(effects.contact.max_colliders)')
+                nodes[name] = nodes.get(name, 0) if self._has_shape(command) else 0
+                if command.shape == 'mesh' and not nodes[name]:
+                    try:
+                        field = self._field(command.size, sum(nodes.values()))
+                    except InputError as error:
+                        return f"collider '{name}': {error}"
+                    self._fields[name, command.size] = field
+                    nodes[name] = field.values.size
+            elif name not in nodes:
+                return f"unknown collider '{name}' (known: {', '.join(nodes) or 'none'})"
+            elif isinstance(command, RemoveCollider):
+                del nodes[name]
+        return None
 
-    def move(self, command, clock, state) -> str | None:
+    def _has_shape(self, command) -> bool:
+        """Tell whether the collider that a command places is there with that very shape."""
+        placed = self.placed.get(command.collider)
+        return placed is not None and getattr(placed.entry, command.shape) == shape_of(
+            command.shape, command.size)
+
+    def move(self, command, clock, state) -> None:
         """Set where a collider goes, and the velocity of its surface where that is given."""
-        if command.collider not in self.placed:
-            return self._unknown(command.collider)
         placed, twist = self.placed[command.collider], command.twist
+        placed.renew(clock.begin_ns)
         placed.motion.aim(command.pose, None, command.stamp_ns, clock.begin_ns)
         given = twist is not None and any((*twist.linear, *twist.angular))
         placed.twist = twist if given else None
         self._write_twist(list(self.placed).index(command.collider), placed)
-        return None
 
-    def place(self, command, clock, state) -> str | None:
+    def place(self, command, clock, state) -> None:
         """Add a collider; or, if it is there already, let it have this shape and go there."""
         name, placed = command.collider, self.placed.get(command.collider)
-        if placed is None and len(self.placed) == len(self.colliders.shape):
-            return (f"collider '{name}': all {len(self.placed)} colliders are in use "
-                    '(effects.contact.max_colliders)')
-        shape = shape_of(command.shape, command.size)
-        same = placed is not None and getattr(placed.entry, command.shape) == shape
-        field = placed.field if same else None
-        if command.shape == 'mesh' and not same:
-            try:
-                field = self._field(name, command.size)
-            except InputError as error:
-                return f"collider '{name}': {error}"
+        shape, same = shape_of(command.shape, command.size), self._has_shape(command)
         if placed is None:
             entry = Entry(position=command.pose.position, orientation=command.pose.orientation,
                           **{command.shape: shape})
             self.placed[name] = placed = Placed(entry, motion_of(entry, 0.0))
         else:
             placed.motion.aim(command.pose, None, 0, clock.begin_ns)
-        placed.expires_ns = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
+        placed.lifetime_ns = command.lifetime_ns
+        placed.renew(clock.begin_ns)
         if not same:
             placed.entry = replace(placed.entry, **{placed.entry.shape: None,
                                                     command.shape: shape})
-            placed.field, placed.heights = field, None
+            placed.field, placed.heights = self._fields.get((name, command.size)), None
             placed.motion.lever = max(placed.reach, 0.0) or 1.0
             self._changed()
-        return None
 
-    def _field(self, name: str, corners: tuple[float, ...]) -> Field:
+    def _field(self, corners: tuple[float, ...], taken: int) -> Field:
         """Return the distances to a mesh that has come, if there is room for them."""
         grids = self.colliders.grids
-        room = 0 if grids is None else grids.values.size - sum(
-            placed.field.values.size for other, placed in self.placed.items()
-            if placed.field is not None and other != name)
+        room = 0 if grids is None else grids.values.size - taken
         vertices = np.array(corners).reshape(-1, 3)
-        nodes = prod(grid_around(vertices, gap=self.thickness)[0])    # before the work
-        if nodes > room:
-            raise InputError(f'its grid has {nodes} nodes, and there is room for {room}; raise '
-                             f'effects.contact.mesh_nodes by {nodes - room}')
-        return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
-                              gap=self.thickness)
+        try:
+            return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
+                                  gap=self.thickness, room=min(room, MOST_NODES))
+        except NoRoomError as error:
+            if error.nodes > MOST_NODES:
+                raise
+            raise InputError(f'its grid has {error.nodes} nodes, and there is room for {room}; '
+                             'raise effects.contact.mesh_nodes by '
+                             f'{error.nodes - room}') from None
 
-    def remove(self, command, clock, state) -> str | None:
+    def remove(self, command, clock, state) -> None:
         """Take a collider away."""
-        if command.collider not in self.placed:
-            return self._unknown(command.collider)
         self._remove([command.collider])
-        return None
 
     def remove_all(self, command, clock, state) -> None:
         """Take all colliders away."""
@@ -356,9 +371,11 @@ class BuiltContact(Built):
         return {**({} if grids is None else {'collider_grid_bytes': grids.values.nbytes}),
                 'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
+                'contacts_squeezed': int(self.contacts.count[4]),
                 'colliders': len(self.placed),
                 'colliders_at_max_speed': sum(
-                    placed.motion.limited for placed in self.placed.values())}
+                    placed.motion.limited for placed in self.placed.values()),
+                **delays('collider_target', [each.motion for each in self.placed.values()])}
 
 
 EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

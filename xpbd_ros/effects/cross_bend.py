@@ -18,7 +18,6 @@ import numpy as np
 
 from xpbd_ros.sim import distance
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.hinges import all_hinges, dihedral, slenderness
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import dot, length
@@ -51,21 +50,21 @@ def prepare_cross_bend(bend, state, substep):
 @jit
 def project_cross_bend(bend, state, substep):
     """One pass over all edges."""
-    distance.project_packs(bend.edges, state, False)
+    distance.project_packs(bend.edges, state, substep, False)
 
 
 @stage(project_back, CrossBend)
 @jit
 def project_cross_bend_back(bend, state, substep):
     """Do the same pass in reverse."""
-    distance.project_packs(bend.edges, state, True)
+    distance.project_packs(bend.edges, state, substep, True)
 
 
 @stage(react, CrossBend)
 @jit
 def react_cross_bend(bend, state, substep):
-    """Forces on pinned particles."""
-    distance.react_edges(bend.edges, state, substep)
+    """Forces between pinned particles."""
+    distance.react_edges(bend.edges.packs.held, bend.edges.force, state, substep)
 
 
 def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -115,7 +114,7 @@ class BuiltCrossBend(Built):
         self.constraints = distance.Edges.of(self.data.edges)
 
     def hold(self, inv_mass):
-        hold(self.data.edges.held, self.constraints, inv_mass)
+        distance.hold_edges(self.data.edges, self.constraints, inv_mass)
 
 
 EFFECT = Effect('cross_bend', Parameters, BuiltCrossBend)

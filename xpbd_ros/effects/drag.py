@@ -12,12 +12,13 @@ sawtooth is free of drag. (On a grid, where diagonals alternate, it takes the pa
 area that of its mass, so that a flat sheet stays flat.) With D_i, the sum of these matrices at a
 particle, Z = H w D_i and u_i at the velocity that the integrator starts from, a substep adds
 
-    Δv = (1 + Z + Z²)⁻¹ (Z + Z²) u_i.
+    Δv = Z u_i / max(1, trace Z).
 
-That is H w D_i u_i up to Z³, so that a cloth that is held feels the whole force, and never more
-than u_i, whatever the step: light cloth in a storm takes on the wind's velocity and stays with it,
-where an explicit force would throw it about (NUMERICS 2.13). Where Z is too large to be resolved
-BDF2 starts anew, since its v̄ would overshoot.
+So cloth that is held feels the whole force, and none is given more than u_i, whatever the step:
+light cloth in a storm takes on the wind's velocity and stays with it, where a force without that
+bound would throw it about (NUMERICS 2.13). A step with trace Z > 1 is too long: the force is less
+by that. ``auto`` gives so many substeps that the scene's wind stays below RESOLVED of it; where
+that is passed BDF2 starts anew, since its v̄ would overshoot.
 
 Limits: no lift from separated flow, no lee, no added mass of air. Coefficients and normals are
 those of the substep's start: first order in time. A strip of one row has no triangles.
@@ -39,7 +40,7 @@ from xpbd_ros.sim.stages import force, react, stage
 from xpbd_ros.sim.vector import fma, lanes, larger, root, select
 
 RESOLVED = 0.5
-"""largest trace of Z with which BDF2 goes on"""
+"""largest trace of Z that ``auto`` allows the scene's wind, and with which BDF2 goes on"""
 
 
 @dataclass(frozen=True)
@@ -154,33 +155,16 @@ def _times(z, x, y, w):
 
 @jit(inline=True)
 def _carry(drag, state, i, step):
-    """Δv = (1 + Z + Z²)⁻¹ (Z + Z²) u, by the factors L D Lᵀ of the sum; return trace Z."""
+    """Δv = Z u / max(1, trace Z); return trace Z."""
     s = step * state.inv_mass[i] * drag.share[i]
     a, b, u = drag.along[i], drag.across[i], drag.u[i]
-    z = (s * a[0], s * a[1], s * a[2], s * b[0], s * b[1], s * b[2])
-    px, py, pz = _times(z, u[0], u[1], u[2])
-    px, py, pz = _times(z, u[0] + px, u[1] + py, u[2] + pz)
-    xx = z[0] + z[0] * z[0] + z[5] * z[5] + z[4] * z[4]
-    yy = z[1] + z[5] * z[5] + z[1] * z[1] + z[3] * z[3]
-    zz = z[2] + z[4] * z[4] + z[3] * z[3] + z[2] * z[2]
-    yz = z[3] + z[5] * z[4] + z[1] * z[3] + z[3] * z[2]
-    zx = z[4] + z[0] * z[4] + z[5] * z[3] + z[4] * z[2]
-    xy = z[5] + z[0] * z[5] + z[5] * z[1] + z[4] * z[3]
-    d0 = 1.0 + xx
-    l1, l2 = xy / d0, zx / d0
-    d1 = 1.0 + (yy - l1 * xy)
-    e = yz - l1 * zx
-    l3 = e / d1
-    d2 = 1.0 + (zz - l2 * zx - l3 * e)
-    py -= l1 * px
-    pz -= l2 * px + l3 * py
-    dz = pz / d2
-    dy = py / d1 - l3 * dz
-    dx = px / d0 - l1 * dy - l2 * dz
-    state.v[0, i] += dx
-    state.v[1, i] += dy
-    state.v[2, i] += dz
-    return z[0] + z[1] + z[2]
+    trace = s * (a[0] + a[1] + a[2])
+    s /= max(1.0, trace)
+    dx, dy, dz = _times((a[0], a[1], a[2], b[0], b[1], b[2]), u[0], u[1], u[2])
+    state.v[0, i] += s * dx
+    state.v[1, i] += s * dy
+    state.v[2, i] += s * dz
+    return trace
 
 
 @stage(react, Drag)
@@ -197,11 +181,16 @@ def react_drag(drag, state, substep):
             state.reaction[2, i] += share * fz
 
 
-def shares(mesh) -> np.ndarray:
-    """Return what each particle takes of its triangles at rest, shape (particles,)."""
+def areas(mesh) -> np.ndarray:
+    """Return the area of each particle's triangles at rest [m²], shape (particles,)."""
     corners = mesh.positions[mesh.triangles]
     area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    total = np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.positions))
+    return np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.positions))
+
+
+def shares(mesh) -> np.ndarray:
+    """Return what each particle takes of its triangles at rest, shape (particles,)."""
+    total = areas(mesh)
     if mesh.grid is None:
         return np.full(len(total), 1.0 / 3.0)
     return np.divide(mesh.area, total, out=np.zeros(len(total)), where=total > 0.0)
@@ -225,6 +214,23 @@ class BuiltDrag(Built):
             np.array([triangles.min(initial=0), triangles.max(initial=-1) + 1]),
             padded(triangles, order, world.slots - 1, np.int32).T.copy(), share,
             *(new_records(world.slots, dtype) for _ in range(4)))
+        self._parameters, self._cloths, self._mass = parameters, world.cloths, world.state.mass
+        self._speed = 0.0
+        """of the scene's wind, at most [m/s]"""
+        if wind is not None:
+            self._speed = sum(float(np.linalg.norm(velocity)) for velocity in (
+                wind.parameters.velocity, wind.parameters.gust))
+
+        self.pulls_taut = self._speed > 0.0
+
+    def least_substeps(self, frame_dt):
+        """So many that no particle at rest has trace Z > RESOLVED in the scene's wind."""
+        keys, most = self._parameters, 0.0
+        grip = keys.density * self._speed * (0.5 * keys.normal + 2.0 * keys.tangential)
+        for cloth in self._cloths:
+            area = shares(cloth.mesh) * areas(cloth.mesh)
+            most = max(most, float((area / self._mass[cloth.slots]).max(initial=0.0)))
+        return frame_dt * grip * most / RESOLVED
 
 
 EFFECT = Effect('drag', Parameters, BuiltDrag)

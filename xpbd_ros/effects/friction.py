@@ -26,6 +26,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, push_once, shortened, surface_motion
+from xpbd_ros.sim.corners import leave_corners
 from xpbd_ros.sim.effect import Built, check_static, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.stages import stage, touch
@@ -98,6 +99,7 @@ def resist(friction, state, substep):
         s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
     if contacts.count[2]:    # at such speeds friction too moves a particle far
         push_once(contacts, state)
+    leave_corners(contacts, state)
 
 
 class BuiltFriction(Built):

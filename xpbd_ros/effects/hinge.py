@@ -10,13 +10,14 @@ n2 = (x3 - x0) × e (``sim.hinges``; NUMERICS 2.4),
 
 with the energy B |e|² C² / (2 (A0 + A1)) of the rest shape, so α = (A0 + A1) / (B |e|²) [1/(N m)].
 In force form Δf = -(C + α f) / (W + α), x_i += m_i g_i Δf, with W = Σ m_i |g_i|². The angle goes
-on beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last.
+on beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last. On a
+flat mesh each hinge has a B of its own, so that the sheet bends as a plate (``sim.plate``).
 
 A hinge whose triangle has no height (below 1e-12 of its edge; 5e-4 in float32) has no angle: it is
 left alone until it has one.
 
-Limits: within a substep a fold turns by less than half a turn. On an irregular mesh the rigidity
-depends on the triangles, 1.06 to 1.4 of B on a cylinder (NUMERICS 2.5).
+Limits: within a substep a fold turns by less than half a turn. On a curved irregular mesh the
+rigidity depends on the triangles, 1.06 to 1.4 of B on a cylinder (NUMERICS 2.5).
 """
 
 from dataclasses import dataclass
@@ -29,14 +30,24 @@ from xpbd_ros.sim import closest
 from xpbd_ros.sim.angle import angle_of
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
-from xpbd_ros.sim.held import Held, hold, room_for
+from xpbd_ros.sim.held import (
+    collect,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
 from xpbd_ros.sim.hinges import all_hinges, dihedral, rigidity, slenderness
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot, length
 from xpbd_ros.sim.packs import pack, padded
+from xpbd_ros.sim.plate import plate, shortfall
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stages import prepare, project, project_back, stage
 from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
 from xpbd_ros.sim.vector import both, fma, lanes, load, nearest, root, select, store
 
@@ -80,8 +91,8 @@ class Hinge(NamedTuple):
     """as seen last [rad], whole turns included; shape (hinges,)"""
     force: np.ndarray | None
     """f [N m], shape (hinges,); None where nobody asks"""
-    held: Held | None
-    """None in a scene without pins"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Hinge)
@@ -95,33 +106,37 @@ def prepare_hinge(hinge, state, substep):
 @jit
 def project_hinge(hinge, state, substep):
     """One pass over all hinges."""
-    _project(hinge, state, False)
+    _project(hinge, state, substep, False)
 
 
 @stage(project_back, Hinge)
 @jit
 def project_hinge_back(hinge, state, substep):
     """Do the same pass in reverse."""
-    _project(hinge, state, True)
+    _project(hinge, state, substep, True)
 
 
 @jit
-def _project(hinge, state, reverse):
+def _project(hinge, state, substep, reverse):
     first, last = hinge.slots[0], hinge.slots[1]
     to_records(state, hinge.records, first, last)
-    _project_packs(hinge.records, state.apart, hinge.particles, hinge.rest_angle,
-                   hinge.compliance, hinge.angle, hinge.force,
-                   (4096.0 * np.finfo(state.x.dtype).eps)**2, reverse)
+    for number in range(segment_count(hinge.packs)):
+        begin, end, a, b = segment(hinge.packs, number, len(hinge.rest_angle), reverse)
+        _note(hinge.packs, a, b, hinge.records, state.apart, hinge.force)
+        _project_packs(hinge.records, state.apart, hinge.particles, hinge.rest_angle,
+                       hinge.compliance, hinge.angle, hinge.force,
+                       (4096.0 * np.finfo(state.x.dtype).eps)**2, begin, end, reverse)
+        collect(hinge.packs, a, b, hinge.force, substep.end - substep.begin, state.reaction)
     from_records(state, hinge.records, first, last)
 
 
 @jit
 def _project_packs(records, apart, particles, rest_angle, compliance, angle, force, flat,
-                   reverse):
+                   begin, end, reverse):
     i0, i1, i2, i3 = particles[0], particles[1], particles[2], particles[3]
-    count, step = len(rest_angle), lanes(rest_angle)
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
+    step = lanes(rest_angle)
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
         x0, y0, z0, m0 = load_records(records, i0, q)
         x1, y1, z1, m1 = load_records(records, i1, q)
         x2, y2, z2, m2 = load_records(records, i2, q)
@@ -169,33 +184,27 @@ def _project_packs(records, apart, particles, rest_angle, compliance, angle, for
 
 @jit(inline=True)
 def way(x, i, j):
-    """Return the vector from one particle to another."""
-    return x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+    """Return the vector from one record to another."""
+    return x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
 
 
-@stage(react, Hinge)
 @jit
-def react_hinge(hinge, state, substep):
-    """Forces on pinned particles: g_i f."""
-    part, held, x = substep.end - substep.begin, hinge.held, state.x
-    for h in range(held.count[0]):
-        i0, i1, i2, i3 = (held.particles[h, 0], held.particles[h, 1], held.particles[h, 2],
-                          held.particles[h, 3])
-        f = part * hinge.force[held.index[h]]
-        if f == 0.0:    # or without an angle
-            continue
-        e, a, b = way(x, i0, i1), way(x, i0, i2), way(x, i0, i3)
-        n, o = closest.cross(e, a), closest.cross(b, e)
-        l, n_n, o_o = np.sqrt(closest.dot(e, e)), closest.dot(n, n), closest.dot(o, o)
-        if n_n == 0.0 or o_o == 0.0:
-            continue
-        t1, t2 = closest.dot(a, e) / l, closest.dot(b, e) / l
-        for k in range(3):
-            u, v = f * n[k] / n_n, f * o[k] / o_o
-            state.reaction[k, i0] += (l - t1) * u + (l - t2) * v
-            state.reaction[k, i1] += t1 * u + t2 * v
-            state.reaction[k, i2] -= l * u
-            state.reaction[k, i3] -= l * v
+def _note(packs, first, last, records, apart, force):
+    """Note g_i of the hinges of a pack; without an angle no multiplier changes."""
+    if packs is not None:
+        remember(packs, first, last, apart, force)
+        for h in range(first, last):
+            i0, i1, i2, i3 = packs.held.particles[h]
+            e, a, b = way(records, i0, i1), way(records, i0, i2), way(records, i0, i3)
+            n, o = closest.cross(e, a), closest.cross(b, e)
+            l, n_n, o_o = np.sqrt(closest.dot(e, e)), closest.dot(n, n), closest.dot(o, o)
+            if n_n == 0.0 or o_o == 0.0:
+                continue
+            t1, t2, g = closest.dot(a, e) / l, closest.dot(b, e) / l, packs.gradient[h - first, 0]
+            for k in range(3):
+                u, v = n[k] / n_n, o[k] / o_o
+                g[0, k], g[1, k] = (l - t1) * u + (l - t2) * v, t1 * u + t2 * v
+                g[2, k], g[3, k] = -l * u, -l * v
 
 
 class Angles:
@@ -249,12 +258,17 @@ class BuiltHinge(Built):
         for cloth, chosen in parameters.items():
             mesh = cloth.mesh
             these, share = all_hinges(mesh)
+            if mesh.grid is not None:
+                b = share * rigidity(mesh, these, *chosen.rigidities)
+            else:
+                found = plate(mesh, *chosen.rigidities)
+                b, short = found.rigidity, shortfall(found, *chosen.rigidities)
+                self.notes += [f'cloths.{cloth.name}.effects.hinge: {short}'] if short else []
             corners = mesh.positions[these]
             particles.append(cloth.slots[these])
             rest.append(dihedral(corners))
             with np.errstate(over='ignore', divide='ignore'):
-                compliance.append(world.compliance_scale / (
-                    share * rigidity(mesh, these, *chosen.rigidities) * slenderness(corners)))
+                compliance.append(world.compliance_scale / (b * slenderness(corners)))
         dtype = world.state.x.dtype
         particles, rest, compliance = map(np.concatenate, (particles, rest, compliance))
         order = pack(particles)
@@ -267,12 +281,12 @@ class BuiltHinge(Built):
             padded(particles, order, world.slots - 1, np.int32).T.copy(), rest,
             padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype), angle,
             zeros(len(order), dtype) if world.forces else None,
-            room_for(len(order), 4) if world.pins else None)
+            packs_for(room_for(len(order), 4)) if world.pins else None)
         self._before = angle.copy()
         self.constraints = Angles.of(self.data)
 
     def hold(self, inv_mass):
-        hold(self.data.held, self.constraints, inv_mass)
+        hold_packs(self.data.packs, self.constraints, inv_mass, len(self.data.rest_angle))
 
     def begin(self, clock, state):
         self._before[:] = self.data.angle

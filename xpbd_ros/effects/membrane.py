@@ -36,13 +36,22 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import hold, room_for
+from xpbd_ros.sim.held import (
+    collect,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot, length, Mesh
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stages import prepare, project, project_back, stage
 from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces, row
 from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
 
@@ -119,8 +128,8 @@ class Membrane(NamedTuple):
     """α11, α12, α22, α33 [1/(N m)], shape (4, triangles)"""
     force: np.ndarray | None
     """f [N m], shape (3, triangles); None where nobody asks"""
-    held: Held | None
-    """None in a scene without pins"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Membrane)
@@ -134,35 +143,41 @@ def prepare_membrane(membrane, state, substep):
 @jit
 def project_membrane(membrane, state, substep):
     """One pass over all triangles."""
-    _project(membrane, state, False)
+    _project(membrane, state, substep, False)
 
 
 @stage(project_back, Membrane)
 @jit
 def project_membrane_back(membrane, state, substep):
     """Do the same pass in reverse."""
-    _project(membrane, state, True)
+    _project(membrane, state, substep, True)
 
 
 @jit
-def _project(membrane, state, reverse):
+def _project(membrane, state, substep, reverse):
     first, last = membrane.slots[0], membrane.slots[1]
     to_records(state, membrane.records, first, last)
-    _project_packs(membrane.records, state.apart, membrane.particles, membrane.inverse,
-                   membrane.compliance, row(membrane.force, 0), row(membrane.force, 1),
-                   row(membrane.force, 2), 4.0 * np.finfo(state.x.dtype).eps, reverse)
+    for number in range(segment_count(membrane.packs)):
+        begin, end, a, b = segment(membrane.packs, number, membrane.particles.shape[1], reverse)
+        _note(membrane.packs, a, b, membrane.records, state.apart, membrane.force)
+        _project_packs(membrane.records, state.apart, membrane.particles, membrane.inverse,
+                       membrane.compliance, row(membrane.force, 0), row(membrane.force, 1),
+                       row(membrane.force, 2), 4.0 * np.finfo(state.x.dtype).eps, begin, end,
+                       reverse)
+        collect(membrane.packs, a, b, membrane.force, substep.end - substep.begin,
+                state.reaction)
     from_records(state, membrane.records, first, last)
 
 
 @jit
 def _project_packs(records, apart, particles, inverse, compliance, force1, force2, force3, least,
-                   reverse):
+                   begin, end, reverse):
     i0, i1, i2 = particles[0], particles[1], particles[2]
     p_1, q_1, p_2, q_2 = inverse[0], inverse[1], inverse[2], inverse[3]
     a_11, a_12, a_22, a_33 = compliance[0], compliance[1], compliance[2], compliance[3]
-    count, step = len(p_1), lanes(p_1)
-    for t in range(0, count, step):
-        k = count - step - t if reverse else t
+    step = lanes(p_1)
+    for t in range(begin, end, step):
+        k = begin + end - step - t if reverse else t
         x0, y0, z0, m0 = load_records(records, i0, k)
         x1, y1, z1, m1 = load_records(records, i1, k)
         x2, y2, z2, m2 = load_records(records, i2, k)
@@ -221,24 +236,20 @@ def _project_packs(records, apart, particles, inverse, compliance, force1, force
                     fma(p2, py, q2 * qy), fma(p2, pz, q2 * qz))
 
 
-@stage(react, Membrane)
 @jit
-def react_membrane(membrane, state, substep):
-    """Forces on pinned particles: Jᵀ f."""
-    part, held, x = substep.end - substep.begin, membrane.held, state.x
-    for h in range(held.count[0]):
-        i0, i1, i2 = held.particles[h, 0], held.particles[h, 1], held.particles[h, 2]
-        p1, q1, p2, q2 = (held.inverse[h, 0], held.inverse[h, 1], held.inverse[h, 2],
-                          held.inverse[h, 3])
-        t = held.index[h]
-        t1, t2, t3 = membrane.force[0, t], membrane.force[1, t], membrane.force[2, t]
-        for k in range(3):
-            d, e = x[k, i1] - x[k, i0], x[k, i2] - x[k, i0]
-            f, g = p1 * d + p2 * e, q1 * d + q2 * e
-            p, q = part * (f * t1 + g * t3), part * (g * t2 + f * t3)
-            state.reaction[k, i0] -= (p1 + p2) * p + (q1 + q2) * q
-            state.reaction[k, i1] += p1 * p + q1 * q
-            state.reaction[k, i2] += p2 * p + q2 * q
+def _note(packs, first, last, x, apart, force):
+    """Note the rows of J of the triangles of a pack."""
+    if packs is not None:
+        remember(packs, first, last, apart, force)
+        for h in range(first, last):
+            i0, i1, i2 = packs.held.particles[h]
+            p1, q1, p2, q2 = packs.held.inverse[h]
+            rows = packs.gradient[h - first]
+            for k in range(3):
+                d, e = x[i1, k] - x[i0, k], x[i2, k] - x[i0, k]
+                f, g = p1 * d + p2 * e, q1 * d + q2 * e
+                for c, p, q in ((0, -(p1 + p2), -(q1 + q2)), (1, p1, q1), (2, p2, q2)):
+                    rows[0, c, k], rows[1, c, k], rows[2, c, k] = p * f, q * g, p * g + q * f
 
 
 class Triangles:
@@ -357,11 +368,12 @@ class BuiltMembrane(Built):
             padded(inverse, order, 0.0, dtype).T.copy(),
             padded(compliance, order, none, dtype).T.copy(),
             zeros((3, len(order)), dtype) if world.forces else None,
-            Held(*room_for(len(order), 3), np.zeros((len(order), 4))) if world.pins else None)
+            packs_for(Held(*room_for(len(order), 3), np.zeros((len(order), 4))), 3)
+            if world.pins else None)
         self.constraints = Triangles.of(self.data)
 
     def hold(self, inv_mass):
-        hold(self.data.held, self.constraints, inv_mass)
+        hold_packs(self.data.packs, self.constraints, inv_mass, self.data.particles.shape[1])
 
 
 EFFECT = Effect('membrane', Parameters, BuiltMembrane)

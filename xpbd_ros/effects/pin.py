@@ -19,12 +19,19 @@ A pin with a slip force lets go at the end of a frame in which the cloth pulled 
 The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, f being the
 constraint forces (mean over the frame) and a the acceleration that the pin forces on them; the
 torque is about the pin's pose, world axes. On a spring it is Σ f, the particles' weight in it.
+An integrator with a history lets a force act on velocities over several substeps: with its weights
+a and b (``multistep``), the impulse of a force f in substep n is
+
+    J_n = H f + a J_{n-1} - b J_{n-2}.
+
+So f is the mean of J / h, and with it pins and weight give the cloth all of its momentum.
 
 Limits: nothing stops a pin, neither cloth nor collider; its velocity changes where frames meet.
 What a pin with a compliance holds counts as free: colliders push it and tethers do not start
 there. Cloth does not slide in a pin: it is held or let go.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -35,9 +42,10 @@ from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import length
-from xpbd_ros.sim.motion import check_motion, monotone_cubic, Motion
-from xpbd_ros.sim.pins import chosen, Held, PinState
-from xpbd_ros.sim.rotation import conjugate, interpolate, rotate, turn
+from xpbd_ros.sim.motion import check_motion, delays, monotone_cubic, Motion
+from xpbd_ros.sim.multistep import weights_at
+from xpbd_ros.sim.pins import chosen, Held, PinStates
+from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
 from xpbd_ros.sim.stages import kick, prepare, react, stage
 from xpbd_ros.sim.state import forget, places
 
@@ -92,6 +100,12 @@ class Pin(NamedTuple):
     """pose at the frame's start: x y z, qx qy qz qw; shape (max_pins, 7)"""
     goal: np.ndarray
     """pose at the frame's end, shape (max_pins, 7)"""
+    force: np.ndarray
+    """of the constraints on each, mean over the frame [N], shape (particles, 3)"""
+    last: np.ndarray
+    """J_{n-1} / h by slot [N], shape (slots, 3)"""
+    older: np.ndarray
+    """J_{n-2} / h by slot [N], shape (slots, 3)"""
 
 
 class Spring(NamedTuple):
@@ -103,8 +117,6 @@ class Spring(NamedTuple):
     """n α of each particle's spring [m/N], shape (particles,)"""
     place: np.ndarray
     """where the pin wants it at the substep's end [m], shape (particles, 3)"""
-    force: np.ndarray
-    """of each particle on its pin, mean over the frame [N], shape (particles, 3)"""
 
 
 @jit(inline=True)
@@ -155,34 +167,58 @@ def kick_springs(spring, state, substep):
             move[a, i] += per * (goal[a] - x[a, i])
 
 
+@jit(inline=True)
+def deliver(pin, k, axis, f, part, a, b, share):
+    """Add the impulse J of a force f on a held particle as ``part`` of the mean over the frame."""
+    i = pin.particle[k]
+    now = share * f + a * pin.last[i, axis] - b * pin.older[i, axis]
+    pin.older[i, axis], pin.last[i, axis] = pin.last[i, axis], now
+    pin.force[k, axis] += part * now
+
+
+@stage(react, Pin)
+@jit
+def take_reactions(pin, state, substep):
+    """Add up what the constraints exerted on pinned particles in this substep."""
+    part = substep.end - substep.begin
+    for k in range(pin.count[0]):
+        i = pin.particle[k]
+        share, a, b = weights_at(state.history, i)
+        for axis in range(3):
+            deliver(pin, k, axis, state.reaction[axis, i] / part, part, a, b, share)
+            state.reaction[axis, i] = 0.0
+
+
 @stage(react, Spring)
 @jit
 def stretch_springs(spring, state, substep):
     """Add up what the springs are pulled with: (x - p - R q) / (n α)."""
     pin, part = spring.pin, substep.end - substep.begin
     for k in range(pin.count[0]):
-        i, per = pin.particle[k], part / spring.compliance[k]
-        for a in range(3):
-            spring.force[k, a] += per * (state.x[a, i] - spring.place[k, a])
+        i = pin.particle[k]
+        share, a, b = weights_at(state.history, i)
+        for axis in range(3):
+            f = (state.x[axis, i] - spring.place[k, axis]) / spring.compliance[k]
+            deliver(pin, k, axis, f, part, a, b, share)
 
 
 @jit
 def weigh_pinned(pin, state, v_before, dt, wrench):
     """Add Σ f + Σ m (g - a) and its torque for each pin, of shape (max_pins, 6) [N, N m]."""
-    f, m, v, g = state.reaction, state.mass, state.v, state.gravity
+    m, v, g = state.mass, state.v, state.gravity
     for k in range(pin.count[0]):
-        i = pin.particle[k]
+        i, f = pin.particle[k], pin.force[k]
         add_wrench(pin, state.x, k, (
-            f[0, i] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
-            f[1, i] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
-            f[2, i] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
+            f[0] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
+            f[1] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
+            f[2] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
 
 
 @jit
 def weigh_springs(spring, state, wrench):
     """Add the forces of the springs and their torque for each pin."""
     for k in range(spring.pin.count[0]):
-        f = spring.force[k]
+        f = spring.pin.force[k]
         add_wrench(spring.pin, state.x, k, (f[0], f[1], f[2]), wrench)
 
 
@@ -216,21 +252,21 @@ class BuiltPin(Built):
             self.number[cloth.slots] = np.arange(cloth.particles.start, cloth.particles.stop)
         poses = np.zeros((slots, 7)), np.zeros((slots, 7))
         poses[0][:, 6] = poses[1][:, 6] = 1.0
-        self.data = _room(count, poses)
+        self.data = _room(count, world.slots, poses)
         self.usual = parameters
         self.scale = world.compliance_scale
         if parameters.compliance or any(entry.compliance for entry in self.entries.values()):
-            self.also = (Spring(_room(count, poses), np.ones(count), np.zeros((count, 3)),
+            self.also = (Spring(_room(count, world.slots, poses), np.ones(count),
                                 np.zeros((count, 3))),)
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
-        self.states: dict[str, PinState] = {}
+        self._wrench = np.zeros((slots, 6))
+        self.states = self._states(np.inf)
         self.changed = True
         """whether the pinned set is new since somebody last looked"""
         self.slipped = 0
         """how many pins have let go by themselves since the start"""
         self._v_before = np.zeros((3, 0))
-        self._wrench = np.zeros((slots, 6))
         self._news: list[str] = []
         self.commands = self._commands()
 
@@ -257,7 +293,7 @@ class BuiltPin(Built):
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)
         self._wrench[:] = 0.0
-        self._note(np.inf)
+        self.states = self._states(np.inf)
 
     def _taken(self, state) -> np.ndarray:
         """Return which slots hold a particle that a pin holds, or none."""
@@ -283,6 +319,8 @@ class BuiltPin(Built):
         if not compliance:
             state.inv_mass[particles] = 0.0
         forget(state, particles)
+        for pin in self._lists:
+            pin.last[particles] = pin.older[particles] = 0.0
         self.held[name] = held
         self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
                                                                   *pose.orientation)
@@ -302,6 +340,10 @@ class BuiltPin(Built):
         self.changed = True
 
     @property
+    def _lists(self) -> list[Pin]:
+        return [self.data, *(spring.pin for spring in self.also)]
+
+    @property
     def _pinned(self) -> list[Held]:
         return [held for held in self.held.values() if not held.compliance]
 
@@ -309,32 +351,53 @@ class BuiltPin(Built):
     def _sprung(self) -> list[Held]:
         return [held for held in self.held.values() if held.compliance]
 
-    def grasp(self, command, clock, state) -> str | None:
-        """Hold the free particles near a point, or, if the pin holds already, go there."""
-        expires = clock.begin_ns + command.lifetime_ns if command.lifetime_ns else None
-        if command.pin in self.held:
-            self.held[command.pin].expires_ns = expires
-            self.held[command.pin].motion.aim(command.pose, None, 0, clock.begin_ns)
-            return None
-        if not self.free_slots:
-            return f'all {len(self.data.start)} pins are in use (effects.pin.max_pins)'
-        distance = length(places(state.x) - command.pose.position)
-        distance[self._taken(state)] = np.inf
-        near = np.flatnonzero(distance <= command.radius)
-        if not len(near):
-            return (f"pin '{command.pin}': no free particle within {command.radius:g} m of "
-                    f'{[round(c, 4) for c in command.pose.position]}; the nearest is '
-                    f'{distance.min():.3g} m away')
-        self._hold(command.pin, near, command.pose, state).expires_ns = expires
+    def refusal(self, commands, state):
+        holds = {name: held.particles for name, held in self.held.items()}
+        taken = self._taken(state) if any(isinstance(c, Grasp) for c in commands) else None
+        for command in commands:
+            gone = list(holds) if isinstance(command, ReleaseAll) else []
+            if isinstance(command, Grasp):
+                if command.pin in holds:
+                    continue
+                if len(holds) == len(self.data.start):
+                    return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
+                near, nearest = self._near(command, taken, state)
+                if not len(near):
+                    return (f"pin '{command.pin}': no free particle within {command.radius:g} m "
+                            f'of {[round(c, 4) for c in command.pose.position]}; the nearest is '
+                            f'{nearest:.3g} m away')
+                holds[command.pin], taken[near] = near, True
+            elif not isinstance(command, ReleaseAll):
+                if command.pin not in holds:
+                    return (f"pin '{command.pin}' holds nothing (holding: "
+                            f'{", ".join(holds) or "none"})')
+                gone = [command.pin] if isinstance(command, Release) else []
+            for name in gone:
+                particles = holds.pop(name)
+                if taken is not None:
+                    taken[particles] = False
         return None
 
-    def release(self, command, clock, state) -> str | None:
+    def _near(self, command, taken, state) -> tuple[np.ndarray, float]:
+        """Return the slots of what a grasp takes, and how far the nearest free particle is [m]."""
+        distance = length(places(state.x) - command.pose.position)
+        distance[taken] = np.inf
+        return np.flatnonzero(distance <= command.radius), float(distance.min())
+
+    def grasp(self, command, clock, state) -> None:
+        """Hold the free particles near a point, or, if the pin holds already, go there."""
+        held = self.held.get(command.pin)
+        if held is None:
+            near, _ = self._near(command, self._taken(state), state)
+            held = self._hold(command.pin, near, command.pose, state)
+        else:
+            held.motion.aim(command.pose, None, 0, clock.begin_ns)
+        held.lifetime_ns = command.lifetime_ns
+        held.renew(clock.begin_ns)
+
+    def release(self, command, clock, state) -> None:
         """Let go."""
-        if command.pin not in self.held:
-            return (f"pin '{command.pin}' holds nothing (holding: "
-                    f'{", ".join(self.held) or "none"})')
         self._let_go(command.pin, state)
-        return None
 
     def release_all(self, command, clock, state) -> None:
         """Let go of everything."""
@@ -348,32 +411,32 @@ class BuiltPin(Built):
         forget(state, held.particles)
         self._changed()
 
-    def move(self, command, clock, state) -> str | None:
+    def move(self, command, clock, state) -> None:
         """Set where a pin goes."""
-        if command.pin not in self.held:
-            return (f"pin '{command.pin}' holds nothing (holding: "
-                    f'{", ".join(self.held) or "none"})')
-        self.held[command.pin].motion.aim(command.pose, command.twist, command.stamp_ns,
-                                          clock.begin_ns)
-        return None
+        held = self.held[command.pin]
+        held.renew(clock.begin_ns)
+        held.motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
 
     def begin(self, clock, state):
         for name in [n for n, held in self.held.items()
                      if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]:
             self._let_go(name, state)
-        for held in self.held.values():
-            held.motion.advance(clock.end_ns, clock.dt)
-            start, pose = held.motion.start, held.motion.pose
-            self.data.start[held.slot] = (*start.position, *start.orientation)
-            self.data.goal[held.slot] = (*pose.position, *pose.orientation)
+        motions = [held.motion for held in self.held.values()]
+        for motion in motions:
+            motion.advance(clock.end_ns, clock.dt)
+        if motions:
+            slots = [held.slot for held in self.held.values()]
+            self.data.start[slots] = rows(motion.start for motion in motions)
+            self.data.goal[slots] = rows(motion.pose for motion in motions)
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
         self._v_before = state.v.take(pinned, axis=1)    # of one layout, even if it is empty
-        self.again()
+        for pin in self._lists:
+            pin.force[:] = 0.0
 
     def again(self):
-        for spring in self.also:
-            spring.force[:] = 0.0
+        for pin in self._lists:
+            pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
     def compile(self, state):
         self._v_before = state.v.take(self.data.particle[:self.data.count[0]], axis=1)
@@ -387,25 +450,20 @@ class BuiltPin(Built):
 
     def end(self, clock, state):
         self._weigh(state, clock.dt)
-        self._note(clock.dt)
-        for name, pin in self.states.items():
-            slip = self.held[name].slip
-            if slip is not None and (force := float(length(pin.force))) > slip:
+        self.states = self._states(clock.dt)
+        for name, held in list(self.held.items()):
+            slip = held.slip
+            if slip is not None and (force := float(length(self._wrench[held.slot, :3]))) > slip:
                 self._let_go(name, state)
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
                                   f'and it holds {slip:g} N')
 
-    def _note(self, dt: float) -> None:
-        """Note how all pins are after a frame."""
-        self.states = {}
-        for held in self.held.values():
-            start, pose = held.motion.start, held.motion.pose
-            wrench = self._wrench[held.slot].copy()
-            self.states[held.name] = PinState(
-                pose, np.subtract(pose.position, start.position) / dt,
-                turn(start.orientation, pose.orientation) / dt, wrench[:3], wrench[3:],
-                self.number[held.particles], held.motion.limited)
+    def _states(self, dt: float) -> PinStates:
+        """Return how all pins are after a frame."""
+        slots = [held.slot for held in self.held.values()]
+        return PinStates(list(self.held.values()), self.data.start[slots], self.data.goal[slots],
+                         self._wrench[slots], self.number, dt)
 
     def news(self):
         self._news, news = [], self._news
@@ -418,14 +476,22 @@ class BuiltPin(Built):
         self._changed()
 
     def stats(self):
+        motions = [held.motion for held in self.held.values()]
         return {'pins': len(self.held), 'pins_slipped': self.slipped,
-                'pins_at_max_speed': sum(h.motion.limited for h in self.held.values())}
+                'pins_at_max_speed': sum(motion.limited for motion in motions),
+                **delays('pin_target', motions)}
 
 
-def _room(count: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:
+def rows(poses: Iterable[Pose]) -> list[tuple[float, ...]]:
+    """Return poses as x y z, qx qy qz qw."""
+    return [(*pose.position, *pose.orientation) for pose in poses]
+
+
+def _room(count: int, slots: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:
     """Return a list for so many particles, none of them held."""
     return Pin(np.zeros(1, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64),
-               np.zeros((count, 3)), *poses)
+               np.zeros((count, 3)), *poses, np.zeros((count, 3)), np.zeros((slots, 3)),
+               np.zeros((slots, 3)))
 
 
 def _write(pin: Pin, held: list[Held]) -> None:

@@ -32,7 +32,7 @@ from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import cross, dot
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import load_records, PACK, store_records
-from xpbd_ros.sim.stages import bound, prepare, project, project_back, react, stage, touch
+from xpbd_ros.sim.stages import bound, prepare, project, project_back, stage, touch
 from xpbd_ros.sim.unturned import keep_places, turn_back
 from xpbd_ros.sim.update import at_the_end, divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import fma, lanes, load, splat, store
@@ -156,12 +156,15 @@ def project_pressure(pressure, state, substep):
         x, y, z = gradient[0, i], gradient[1, i], gradient[2, i]
         weight += mobility[i] * (x * x + y * y + z * z)
     alpha, f = splat(mobility, pressure.compliance[0]), recall(state.apart, force, 0)
+    before = force[0] if at_the_end(state.apart) else 0.0
     df = -misfit(splat(mobility, residual), alpha, f) / divisor(
         state.apart, splat(mobility, weight), alpha)
     for lane in range(0, len(force), lanes(mobility)):
         keep(force, lane, f, df)
     for k in range(3):
         _move(state.x[k], row(moves(state.apart), k), mobility, gradient[k], first, last, df)
+    _press(pressure, state.inv_mass, (substep.end - substep.begin) * (force[0] - before),
+           state.reaction)
 
 
 @jit
@@ -170,16 +173,14 @@ def _move(x, to, mobility, gradient, first, last, df):
         put(x, to, i, load(x, i), load(mobility, i) * df, load(gradient, i))
 
 
-@stage(react, Pressure)
 @jit
-def react_pressure(pressure, state, substep):
-    """Forces on pinned particles: f ∇C."""
-    part, w, gradient = substep.end - substep.begin, state.inv_mass, pressure.gradient
-    differentiate(pressure, state)
-    for i in range(pressure.slots[0], pressure.slots[1]):
-        if w[i] == 0.0:
-            for k in range(3):
-                state.reaction[k, i] += part * pressure.force[0] * gradient[k, i]
+def _press(pressure, inv_mass, df, reaction):
+    """Add the forces on pinned particles: Δf ∇C."""
+    if reaction is not None:
+        for i in range(pressure.slots[0], pressure.slots[1]):
+            if inv_mass[i] == 0.0:
+                for k in range(3):
+                    reaction[k, i] += df * pressure.gradient[k, i]
 
 
 class Gas:

@@ -5,23 +5,22 @@ C = n · Σ b x - r ≥ 0,   ∇C = b n,   for two points of cloths that are nea
 
 With ``mode: surface`` the points are the closest ones of a particle and a triangle or of two edges
 that share no particle, with ``particles`` the particles themselves. n points from the one to the
-other where the substep starts, and stays through it; r is the thickness, but at most half of their
-distance at rest, so that nothing pushes against the cloth's own make. Such pairs are found by
-``sim.nearby`` once per frame, again where something moves further, and kept apart as unilateral
+other and stays through the substep (``sim.listing``); r is the thickness, but at most half of
+their distance at rest, so that nothing pushes against the cloth's own make. Such pairs are found
+by ``sim.nearby`` once per frame, again where something moves further, and kept apart as unilateral
 constraints with friction by ``sim.touches``; an overlap that was there before comes apart at no
 more than DEPENETRATION, which leaves no velocity.
 
-Surfaces do not pass through one another: where a substep starts, a plane across n parts the two
-sides of each near pair, and what would get past it stops before (A. Chen et al., "Offset geometric
-contact", 2025, bound the way itself). As the way is straight, no crossing begins within the
-substep either. Planes move as what is pinned does on average, or all particles, so that cloth
-falls and is carried freely.
+Surfaces do not pass through one another: each pair that could must part along one direction
+through the whole substep (``sim.planes``). What would not is pushed apart, in turn with what
+colliders push, until both are content; where that does not come to an end, what is left is held
+back (``sim.holding``).
 
 Limits: particles alone are tight only from a thickness of about their spacing on, and pass through
 faster than half of it per substep. What crosses at the start stays as it is or comes apart by
 itself. Across a seam only what shares a particle is let be. A strip of one row has no surface.
-What pins force through one another gets through. A stop before a plane takes momentum. The cost is
-linear in particles while edges are of like length.
+What pins or colliders leave no room for gets through, and is counted. Holding back takes momentum.
+The cost is linear in particles while edges are of like length.
 """
 
 from dataclasses import dataclass
@@ -32,25 +31,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contacts import DEPENETRATION
+from xpbd_ros.sim.contacts import Contacts, DEPENETRATION, push_all
+from xpbd_ros.sim.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.holding import go_share, hold_back, left_over, mark, rest_step
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.nearby import (
-    at,
-    corners,
-    EDGES,
-    gone,
-    kept,
-    length,
-    Nearby,
-    new_nearby,
-    POINTS,
-    seek,
-    survey,
-    TRIANGLES,
-    way,
-)
-from xpbd_ros.sim.planes import part_sides, Planes, stop_all
+from xpbd_ros.sim.listing import list_close
+from xpbd_ros.sim.nearby import common_step, gone, Nearby, new_nearby, seek, survey
+from xpbd_ros.sim.planes import new_planes, part_sides, Planes
 from xpbd_ros.sim.stages import bound, finish, kick, prepare, react, stage, touch
 from xpbd_ros.sim.state import stay
 from xpbd_ros.sim.touches import calm_down, new_touches, press, push_apart, rub, Rubbing, Touches
@@ -59,6 +47,8 @@ NOT_SOUGHT = -1
 """count of pairs before the first iteration of a substep"""
 SLACK = 0.25
 """of the thickness: how far pushes may move what does not move by itself"""
+ROUNDS = 24
+"""in which pushes that keep momentum must part all pairs"""
 LISTED = 4
 """pairs listed in a search, per pair that may touch"""
 
@@ -83,6 +73,8 @@ class SelfCollision(NamedTuple):
     touches: Touches
     planes: Planes | None
     """None where only particles are looked at"""
+    contacts: Contacts | None
+    """with colliders; None in a scene without"""
 
 
 @stage(prepare, SelfCollision)
@@ -99,11 +91,19 @@ def forget_touches(effect, state, substep):
 @stage(touch, SelfCollision)
 @jit
 def keep_apart(effect, state, substep):
-    """Push apart what is too near, let it rub, and stop what would get through."""
+    """Push apart what is too near, and let it rub."""
     if effect.touches.count[0] == NOT_SOUGHT or strays(effect.near, state):
-        find_touches(effect, effect.near, effect.touches, state, substep)
+        common_step(effect.near, state)
+        stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
     push_apart(effect.touches, state)
     rub(effect.touches.rubbing, effect.touches, state)
+
+
+@jit
+def stir_contacts(contacts, most):
+    """Let contacts reckon with what pushes between cloths can still do."""
+    if contacts is not None:
+        contacts.stir[0] = most
 
 
 @jit
@@ -116,97 +116,68 @@ def strays(near, state):
 
 
 @jit
-def find_touches(effect, near, touches, state, substep):
-    """List the pairs that may touch in this substep, and the gap that each has to keep."""
-    thickness = effect.thickness[0]
-    most = survey(near, state, SLACK * thickness)
-    if near.margin[0] == 0.0 or most > 0.5 * near.margin[0]:
+def find_pairs(effect, state, substep, both):
+    """Find what can get near in this substep; return the furthest that a particle may get."""
+    near, touches, thickness = effect.near, effect.touches, effect.thickness[0]
+    most, side = survey(near, state.x, SLACK * thickness)
+    if near.margin[0] == 0.0 or side > 0.5 * near.margin[0]:
         seek(near, thickness, (1.0 - substep.begin) / (substep.end - substep.begin))
-    touches.count[0] = 0
-    list_touches(effect.planes, near, near.surface, touches, touches.rubbing, state.inv_mass,
-                 thickness, DEPENETRATION * substep.h)
-
-
-@jit
-def list_touches(planes, near, surface, touches, rubbing, w, thickness, apart):
-    """List what can get within the thickness in this substep."""
-    x, go, past, slot, m, kind = near.x, near.travel, near.strayed, near.slot, 0, POINTS
-    for c in range(near.kind_end[2]):
-        while c >= near.kind_end[kind]:
-            kind += 1
-        i, j, k, l = corners(surface, kind, near.first[c], near.second[c])
-        if kind == EDGES:
-            reach = thickness + max(go[i], go[j]) + max(go[k], go[l])
-            moved = max(past[i], past[j]) + max(past[k], past[l])
-        else:
-            reach = thickness + go[i] + max(go[j], go[k], go[l])
-            moved = past[i] + max(past[j], past[k], past[l])
-        if near.distance[c] - moved >= reach:
-            continue
-        v, b = way(kind, x, i, j, k, l)
-        distance = length(v)
-        pi, pj, pk, pl = slot[i], slot[j], slot[k], slot[l]
-        if distance >= reach or (w[pi] * b[0] == 0.0 and w[pj] * b[1] == 0.0
-                                 and w[pk] * b[2] == 0.0 and w[pl] * b[3] == 0.0):
-            continue
-        # edges that are nearest at an end: a particle and a triangle say the same
-        inside = kind != EDGES or b[0] > 0.0 and b[1] > 0.0 and b[2] < 0.0 and b[3] < 0.0
-        near_enough = distance <= reach - thickness
-        if not inside and not near_enough:
-            continue
-        size = distance
-        if distance == 0.0:
-            v = across(kind, at(x, i), at(x, j), at(x, k), at(x, l))
-            size = length(v)
-            if size == 0.0:
-                continue
-        if m == len(touches.gap):
-            touches.count[1] += 1
-            continue
-        if near.keep[c] < 0.0:
-            near.keep[c] = kept(near.cloth, near.rest, kind, thickness, i, j, k, l)
-        for a in range(3):
-            touches.normal[m, a] = v[a] / size
-        touches.gap[m] = min(near.keep[c], distance + apart) if inside else -np.inf
-        touches.overlap[m] = max(0.0, touches.gap[m] - distance)
-        touches.push[m] = 0.0
-        touches.particles[m, 0], touches.weight[m, 0] = pi, b[0]
-        touches.particles[m, 1], touches.weight[m, 1] = pj, b[1]
-        if planes is not None:
-            touches.particles[m, 2], touches.weight[m, 2] = pk, b[2]
-            touches.particles[m, 3], touches.weight[m, 3] = pl, b[3]
-            planes.side[m] = (2 if kind == EDGES else 1) if near_enough else 0
-            number = planes.number
-            number[m, 0], number[m, 1], number[m, 2], number[m, 3] = i, j, k, l
-        if rubbing is not None:
-            for a in range(3):
-                rubbing.slip[m, a] = 0.0
-        m += 1
-    touches.count[0] = m
-
-
-@jit
-def across(kind, p, q, r, s):
-    """Return a direction in which a pair that meets can come apart."""
-    if kind == POINTS:
-        return 0.0, 0.0, 1.0
-    if kind == TRIANGLES:
-        u = r[0] - q[0], r[1] - q[1], r[2] - q[2]
-        v = s[0] - q[0], s[1] - q[1], s[2] - q[2]
-    else:
-        u = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-        v = s[0] - r[0], s[1] - r[1], s[2] - r[2]
-    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
+    list_close(near, near.surface, effect.planes, touches, touches.rubbing, state, thickness,
+               DEPENETRATION * substep.h, both)
+    return most
 
 
 @stage(bound, SelfCollision)
 @jit
 def stop(effect, state, substep):
-    """Let nothing past its planes; where colliders moved it far, look for pairs once more."""
-    if strays(effect.near, state):
-        find_touches(effect, effect.near, effect.touches, state, substep)
-    part_sides(effect.planes, effect.near, effect.touches, state)
-    stop_all(effect.planes, effect.near, state.x, state.inv_mass, state.history)
+    """Let nothing through: push apart what would get there, in turn with what colliders push."""
+    near, planes = effect.near, effect.planes
+    leave(effect.contacts, state)
+    for turn in range(ROUNDS):
+        if strays(near, state):
+            common_step(near, state)
+            find_pairs(effect, state, substep, False)
+            if strays(near, state):    # there is no room for all pairs
+                break
+        if part_sides(planes, near, state) == 0:
+            return
+        push_again(effect.contacts, state, turn >= ROUNDS // 2)
+    give_way(effect, near, planes, effect.contacts, state, substep)
+
+
+@jit
+def leave(contacts, state):
+    """Lead out what cloths have pushed into a corner between colliders."""
+    if contacts is not None:
+        leave_corners(contacts, state)
+
+
+@jit
+def push_again(contacts, state, eased):
+    """Let colliders push out what was pushed into them; at last only so far that it is out."""
+    if contacts is not None:
+        push_all(contacts, state, eased)
+
+
+@jit
+def give_way(effect, near, planes, contacts, state, substep):
+    """Hold back what pushes cannot part, as seen from what it rests on."""
+    if planes is None:
+        for i in range(len(near.slot)):
+            go_share(near, state, i, 1.0)
+    else:    # Numba prunes the branch that is not taken
+        planes.held[:] = False
+        mark(planes, near, state)
+        rest_step(near, planes.held, contacts, state, substep)
+        find_pairs(effect, state, substep, False)
+        planes.held[:] = False
+        for i in range(len(near.slot)):
+            j = near.slot[i]
+            if gone(state.x, near.x, near.step, j, i) > near.travel[i]:
+                planes.held[j] = True
+        mark(planes, near, state)
+        hold_back(planes, near, state)
+        near.count[3] += left_over(planes, near, contacts, state)
 
 
 @stage(finish, SelfCollision)
@@ -253,9 +224,12 @@ class BuiltSelfCollision(Built):
         self.data = SelfCollision(
             np.array([parameters.thickness]), new_nearby(world.cloths, LISTED * room, surface,
                                                          kin(world)),
-            new_touches(room, 4 if surface else 2), None if not surface else Planes(
-                np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros(count),
-                np.zeros((2, 4))))
+            new_touches(room, 4 if surface else 2),
+            new_planes(LISTED * room, count, world.slots) if surface else None, None)
+
+    def heed(self, contacts: Contacts) -> None:
+        """Let nothing through colliders either."""
+        self.data = self.data._replace(contacts=contacts)
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
         """Have friction, with μ_k and μ_s by cloth and cloth."""
@@ -278,7 +252,8 @@ class BuiltSelfCollision(Built):
                 'self_pairs': int(near.kind_end[2]),
                 'self_searches': int(near.count[0]),
                 'self_without_room': int(near.count[1] + touches.count[1]),
-                'self_stopped': int(near.count[2])}
+                'self_stopped': int(near.count[2]),
+                'self_squeezed': int(near.count[3])}
 
 
 def kin(world) -> np.ndarray | None:

@@ -1,13 +1,18 @@
 """
-Shear: elastic edges along both diagonals of every cell.
+Shear: elastic edges along both diagonals of square cells; the slant of oblong ones.
 
-C = |x1 - x2| - L (``sim.distance``).
+Diagonals of square cells: C = |x1 - x2| - L (``sim.distance``). On cells of dx × dy with diagonals
+of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m], which gives the sheet the
+shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (NUMERICS 2.7).
 
-On cells of dx × dy with diagonals of length l, each has the stiffness
-k = stiffness l² / (2 dx dy) [N/m], which gives the sheet the shear modulus C66 = stiffness and
-adds as much to C12 (NUMERICS 2.7); on square cells k = stiffness.
+On oblong cells such edges would add stiffness (dx/dy)² to C11 and stiffness (dy/dx)² to C22, up to
+many times the warp of a soft knit. There each cell has one constraint instead, the difference of
+its diagonals (``sim.slant``), with α = 4 dx dy / (stiffness l²). It gives C66 = stiffness whatever
+the cell, and adds nothing to C11, C22 and C12. A cell is square where its sides differ by no more
+than a thousandth (``sim.mesh``).
 
-Limits: it also adds stiffness (dx/dy)² to C11 and stiffness (dy/dx)² to C22.
+Limits: Poisson's ratio is what comes of C12: stiffness / (weft + stiffness) on square cells, 0 on
+oblong ones.
 """
 
 from dataclasses import dataclass
@@ -16,11 +21,12 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import distance
+from xpbd_ros.sim import distance, slant
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.mesh import is_square
 from xpbd_ros.sim.runs import grid_runs, join, Shape
+from xpbd_ros.sim.slant import Slant
 from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
 from xpbd_ros.sim.update import release_forces
 
@@ -33,7 +39,7 @@ class Parameters:
 
 
 class Shear(NamedTuple):
-    """Data of the kernels."""
+    """Data of the kernels: square cells."""
 
     edges: distance.GridEdges
 
@@ -49,51 +55,107 @@ def prepare_shear(shear, state, substep):
 @jit
 def project_shear(shear, state, substep):
     """One pass over all diagonals."""
-    distance.project_edges(shear.edges, state, False)
+    distance.project_edges(shear.edges, state, substep, False)
 
 
 @stage(project_back, Shear, shared=True)
 @jit
 def project_shear_back(shear, state, substep):
     """Do the same pass in reverse."""
-    distance.project_edges(shear.edges, state, True)
+    distance.project_edges(shear.edges, state, substep, True)
 
 
 @stage(react, Shear)
 @jit
 def react_shear(shear, state, substep):
-    """Forces on pinned particles."""
-    distance.react_edges(shear.edges, state, substep)
+    """Forces between pinned particles."""
+    distance.react_edges(shear.edges.stops.held, shear.edges.force, state, substep)
+
+
+@stage(prepare, Slant)
+@jit
+def prepare_slant(slants, state, substep):
+    """Zero the multipliers."""
+    release_forces(state.apart, slants.force)
+
+
+@stage(project, Slant, shared=True)
+@jit
+def project_slant(slants, state, substep):
+    """One pass over all oblong cells."""
+    slant.project_slants(slants, state, substep, False)
+
+
+@stage(project_back, Slant, shared=True)
+@jit
+def project_slant_back(slants, state, substep):
+    """Do the same pass in reverse."""
+    slant.project_slants(slants, state, substep, True)
+
+
+@stage(react, Slant)
+@jit
+def react_slant(slants, state, substep):
+    """Forces between pinned particles."""
+    slant.react_slants(slants, state, substep)
+
+
+def _on_square_cells(cloths, world) -> Shear:
+    """Return the rising and the falling diagonals."""
+    runs, rest, alpha, time = [], [], [], []
+    for number, (cloth, chosen) in enumerate(cloths):
+        block, (dx, dy) = cloth.block, cloth.mesh.spacing
+        rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
+        runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
+                                      Shape(((0, 1), (1, 0)), rows, columns, 1)],
+                              world.slots, families=2 * number, shapes_before=2 * number))
+        square = dx * dx + dy * dy
+        rest += [np.sqrt(square)] * 2
+        time += [distance.relaxation(world, cloth)] * 2
+        alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
+                             / (chosen.stiffness * square)))
+    return Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha, world=world,
+                                     time=distance.times(time)))
+
+
+def _on_oblong_cells(cloths, world) -> Slant:
+    """Return the cells."""
+    runs, alpha, time = [], [], []
+    for number, (cloth, chosen) in enumerate(cloths):
+        block, (dx, dy) = cloth.block, cloth.mesh.spacing
+        runs.append(grid_runs(block, [slant.slant_shape(block.rows, block.columns)], world.slots,
+                              families=number, shapes_before=number))
+        time.append(distance.relaxation(world, cloth))
+        with np.errstate(over='ignore'):
+            alpha.append(np.full((1, 1), world.compliance_scale * 4.0 * dx * dy
+                                 / (chosen.stiffness * (dx * dx + dy * dy))))
+    return slant.slants(join(runs), alpha, world=world, time=distance.times(time))
 
 
 class BuiltShear(Built):
-    """The rising and the falling diagonals of every cloth that shears."""
+    """The cells of every cloth that shears: square ones and oblong ones."""
 
     def __init__(self, parameters, world):
         super().__init__()
-        runs, rest, alpha, time = [], [], [], []
-        for number, (cloth, chosen) in enumerate(parameters.items()):
+        for cloth in parameters:
             if cloth.mesh.grid is None:
                 raise InputError(f'cloths.{cloth.name}.effects.shear: a mesh has no diagonals; '
                                  'its edges resist shear as they stretch, and membrane takes '
                                  'moduli')
-            block, (dx, dy) = cloth.block, cloth.mesh.spacing
-            rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
-            runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
-                                          Shape(((0, 1), (1, 0)), rows, columns, 1)],
-                                  world.slots, families=2 * number,
-                                  shapes_before=2 * number))
-            square = dx * dx + dy * dy
-            rest += [np.sqrt(square)] * 2
-            time += [distance.relaxation(world, cloth)] * 2
-            alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
-                                 / (chosen.stiffness * square)))
-        self.data = Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha,
-                                              world=world, time=distance.times(time)))
-        self.constraints = distance.Edges.of(self.data.edges)
+        parts = []
+        for make, square in ((_on_square_cells, True), (_on_oblong_cells, False)):
+            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
+                      if is_square(cloth.mesh.spacing) == square]
+            if cloths:
+                parts.append(make(cloths, world))
+        self.data, *self.also = parts
+        self.lists = [slant.Slants.of(part) if isinstance(part, Slant)
+                      else distance.Edges.of(part.edges) for part in parts]
+        self.constraints = slant.Slants.joined(self.lists)
 
     def hold(self, inv_mass):
-        hold(self.data.edges.held, self.constraints, inv_mass)
+        for part, these in zip(self.parts, self.lists):
+            distance.hold_edges(getattr(part, 'edges', part), these, inv_mass)
 
 
 EFFECT = Effect('shear', Parameters, BuiltShear)

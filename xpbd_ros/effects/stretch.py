@@ -24,7 +24,6 @@ import numpy as np
 
 from xpbd_ros.sim import distance, lines, taut
 from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
-from xpbd_ros.sim.held import hold
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.mesh import edge_areas
 from xpbd_ros.sim.runs import grid_runs, join, Shape
@@ -83,43 +82,49 @@ def prepare_mesh_stretch(stretch, state, substep):
 @jit
 def project_stretch(stretch, state, substep):
     """One pass over all edges."""
-    distance.project_edges(stretch.edges, state, False)
+    distance.project_edges(stretch.edges, state, substep, False)
 
 
 @stage(project, MeshStretch)
 @jit
 def project_mesh_stretch(stretch, state, substep):
     """One pass over all edges."""
-    distance.project_packs(stretch.edges, state, False)
+    distance.project_packs(stretch.edges, state, substep, False)
 
 
 @stage(project_back, Stretch, shared=True)
 @jit
 def project_stretch_back(stretch, state, substep):
     """Do the same pass in reverse."""
-    distance.project_edges(stretch.edges, state, True)
+    distance.project_edges(stretch.edges, state, substep, True)
 
 
 @stage(project_back, MeshStretch)
 @jit
 def project_mesh_stretch_back(stretch, state, substep):
     """Do the same pass in reverse."""
-    distance.project_packs(stretch.edges, state, True)
+    distance.project_packs(stretch.edges, state, substep, True)
 
 
 @stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):
     """Solve every line, twice."""
-    lines.solve_edges(stretch.lines, stretch.edges.force, state)
+    lines.solve_edges(stretch.lines, stretch.edges, state, substep)
 
 
 @stage(react, Stretch)
-@stage(react, MeshStretch)
 @jit
 def react_stretch(stretch, state, substep):
-    """Forces on pinned particles."""
-    distance.react_edges(stretch.edges, state, substep)
+    """Forces between pinned particles."""
+    distance.react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
+
+
+@stage(react, MeshStretch)
+@jit
+def react_mesh_stretch(stretch, state, substep):
+    """Forces between pinned particles."""
+    distance.react_edges(stretch.edges.packs.held, stretch.edges.force, state, substep)
 
 
 def _on_grids(cloths, world) -> Stretch:
@@ -204,7 +209,7 @@ class BuiltStretch(Built):
 
     def hold(self, inv_mass):
         for part, edges in zip(self.parts, self.lists):
-            hold(part.edges.held, edges, inv_mass)
+            distance.hold_edges(part.edges, edges, inv_mass)
         if self._blocks:
             taut.hold(self.data.taut, self._blocks, inv_mass)
 

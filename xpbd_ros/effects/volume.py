@@ -40,13 +40,22 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.distance import softest
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import hold, room_for
+from xpbd_ros.sim.held import (
+    collect,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.packs import pack, padded
 from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stages import prepare, project, project_back, stage
 from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces, row
 from xpbd_ros.sim.vector import fma, lanes, larger, load, root, select
 
@@ -105,8 +114,8 @@ class Volume(NamedTuple):
     force: np.ndarray | None
     """f of C_D and of C_H, multipliers over H² [J], shape (2, tetrahedra); None where nobody
     asks"""
-    held: Held | None
-    """None in a scene without pins"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
     work: np.ndarray
     """room for F, cof F and FᵀF - 1 of one tetrahedron, shape (3, 3, 3)"""
 
@@ -122,22 +131,27 @@ def prepare_volume(volume, state, substep):
 @jit
 def project_volume(volume, state, substep):
     """One pass over all tetrahedra."""
-    _project(volume, state, False)
+    _project(volume, state, substep, False)
 
 
 @stage(project_back, Volume)
 @jit
 def project_volume_back(volume, state, substep):
     """Do the same pass in reverse."""
-    _project(volume, state, True)
+    _project(volume, state, substep, True)
 
 
 @jit
-def _project(volume, state, reverse):
+def _project(volume, state, substep, reverse):
     first, last = volume.slots[0], volume.slots[1]
     to_records(state, volume.records, first, last)
-    _project_packs(volume.records, state.apart, volume.particles, volume.inverse,
-                   volume.compliance, row(volume.force, 0), row(volume.force, 1), reverse)
+    for number in range(segment_count(volume.packs)):
+        begin, end, a, b = segment(volume.packs, number, volume.particles.shape[1], reverse)
+        _note(volume.packs, volume.work, a, b, volume.records, state.apart, volume.force)
+        _project_packs(volume.records, state.apart, volume.particles, volume.inverse,
+                       volume.compliance, row(volume.force, 0), row(volume.force, 1), begin, end,
+                       reverse)
+        collect(volume.packs, a, b, volume.force, substep.end - substep.begin, state.reaction)
     from_records(state, volume.records, first, last)
 
 
@@ -227,11 +241,11 @@ def strained(d1, d2, d3, b):
 
 
 @jit
-def _project_packs(records, apart, particles, inverse, compliance, fd, fh, reverse):
+def _project_packs(records, apart, particles, inverse, compliance, fd, fh, begin, end, reverse):
     count, step = particles.shape[1], lanes(inverse)
     p0, p1, p2, p3 = particles[0], particles[1], particles[2], particles[3]
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
         x0, y0, z0, m0 = load_records(records, p0, q)
         x1, y1, z1, m1 = load_records(records, p1, q)
         x2, y2, z2, m2 = load_records(records, p2, q)
@@ -271,50 +285,55 @@ def _project_packs(records, apart, particles, inverse, compliance, fd, fh, rever
         put_records(records, apart, p3, q, x3, y3, z3, m3, m3, dx, dy, dz)
 
 
-@stage(react, Volume)
 @jit
-def react_volume(volume, state, substep):
-    """Forces on pinned particles: f_D ∇C_D + f_H ∇C_H."""
-    part, held, x = substep.end - substep.begin, volume.held, state.x
-    f, c, e = volume.work[0], volume.work[1], volume.work[2]
-    for k in range(held.count[0]):
-        corners, b, index = held.particles[k], held.inverse[k], held.index[k]
-        for a in range(3):
-            for axis in range(3):
-                f[axis, a] = 0.0
-                for i in range(3):
-                    f[axis, a] += (x[axis, corners[i + 1]] - x[axis, corners[0]]) * b[i, a]
-        for a in range(3):
-            n, o = (a + 1) % 3, (a + 2) % 3
-            c[0, a] = f[1, n] * f[2, o] - f[2, n] * f[1, o]
-            c[1, a] = f[2, n] * f[0, o] - f[0, n] * f[2, o]
-            c[2, a] = f[0, n] * f[1, o] - f[1, n] * f[0, o]
-        for a in range(3):
-            for n in range(3):
-                e[a, n] = (f[0, a] * f[0, n] + f[1, a] * f[1, n] + f[2, a] * f[2, n]
-                           - (1.0 if a == n else 0.0))
-        j = f[0, 0] * c[0, 0] + f[1, 0] * c[1, 0] + f[2, 0] * c[2, 0] - 1.0
-        norm = 0.0
-        for a in range(3):
-            norm += f[0, a] * f[0, a] + f[1, a] * f[1, a] + f[2, a] * f[2, a]
-        norm = np.sqrt(norm)
-        longer = (e[0, 0] + e[1, 1] + e[2, 2]) / (norm + REST)
-        square = 17.0 / 9.0 * j * j + longer * longer / 3.0
-        for a in range(3):
-            n, o = (a + 1) % 3, (a + 2) % 3
-            minor = e[n, n] * e[o, o] - e[n, o] * e[n, o]
-            square -= minor + (e[0, a] * (e[1, n] * e[2, o] - e[1, o] * e[2, n]))
-        per = volume.force[0, index] / np.sqrt(square) if square > 0.0 else 0.0
-        for a in range(3):
-            for axis in range(3):
-                turn = f[axis, a] / norm if norm > 0.0 else (axis == a) / REST
-                stress = (per * (f[axis, a] - c[axis, a] + 8.0 / 9.0 * j * c[axis, a]
-                                 + longer / 3.0 * turn)
-                          + volume.force[1, index] * c[axis, a])
-                for i in range(3):
-                    pull = part * stress * b[i, a]
-                    state.reaction[axis, corners[i + 1]] += pull
-                    state.reaction[axis, corners[0]] -= pull
+def _note(packs, work, first, last, x, apart, force):
+    """Note ∇C_D and ∇C_H of the tetrahedra of a pack."""
+    if packs is not None:
+        remember(packs, first, last, apart, force)
+        for k in range(first, last):
+            _differentiate(packs.held.particles[k], packs.held.inverse[k], x, work,
+                           packs.gradient[k - first])
+
+
+@jit
+def _differentiate(corners, b, x, work, gradient):
+    f, c, e = work[0], work[1], work[2]
+    for a in range(3):
+        for axis in range(3):
+            f[axis, a] = 0.0
+            for i in range(3):
+                f[axis, a] += (x[corners[i + 1], axis] - x[corners[0], axis]) * b[i, a]
+    for a in range(3):
+        n, o = (a + 1) % 3, (a + 2) % 3
+        c[0, a] = f[1, n] * f[2, o] - f[2, n] * f[1, o]
+        c[1, a] = f[2, n] * f[0, o] - f[0, n] * f[2, o]
+        c[2, a] = f[0, n] * f[1, o] - f[1, n] * f[0, o]
+    for a in range(3):
+        for n in range(3):
+            e[a, n] = (f[0, a] * f[0, n] + f[1, a] * f[1, n] + f[2, a] * f[2, n]
+                       - (1.0 if a == n else 0.0))
+    j = f[0, 0] * c[0, 0] + f[1, 0] * c[1, 0] + f[2, 0] * c[2, 0] - 1.0
+    norm = 0.0
+    for a in range(3):
+        norm += f[0, a] * f[0, a] + f[1, a] * f[1, a] + f[2, a] * f[2, a]
+    norm = np.sqrt(norm)
+    longer = (e[0, 0] + e[1, 1] + e[2, 2]) / (norm + REST)
+    square = 17.0 / 9.0 * j * j + longer * longer / 3.0
+    for a in range(3):
+        n, o = (a + 1) % 3, (a + 2) % 3
+        minor = e[n, n] * e[o, o] - e[n, o] * e[n, o]
+        square -= minor + (e[0, a] * (e[1, n] * e[2, o] - e[1, o] * e[2, n]))
+    per = 1.0 / np.sqrt(square) if square > 0.0 else 0.0
+    gradient[:] = 0.0
+    for a in range(3):
+        for axis in range(3):
+            turn = f[axis, a] / norm if norm > 0.0 else (axis == a) / REST
+            shape = per * (f[axis, a] - c[axis, a] + 8.0 / 9.0 * j * c[axis, a]
+                           + longer / 3.0 * turn)
+            for i in range(3):
+                for m, slope in ((0, shape), (1, c[axis, a])):
+                    gradient[m, i + 1, axis] += slope * b[i, a]
+                    gradient[m, 0, axis] -= slope * b[i, a]
 
 
 class Tetrahedra:
@@ -403,12 +422,13 @@ class BuiltVolume(Built):
             padded(inverse, order, 0.0, dtype).T.copy(),
             padded(compliance, order, 1.0, dtype).T.copy(),
             zeros((2, count), dtype) if world.forces else None,
-            Held(*room_for(count, 4), np.zeros((count, 3, 3))) if world.pins else None,
+            packs_for(Held(*room_for(count, 4), np.zeros((count, 3, 3))), 2)
+            if world.pins else None,
             np.zeros((3, 3, 3)))
         self.constraints = Tetrahedra.of(self.data)
 
     def hold(self, inv_mass):
-        hold(self.data.held, self.constraints, inv_mass)
+        hold_packs(self.data.packs, self.constraints, inv_mass, self.data.particles.shape[1])
 
 
 EFFECT = Effect('volume', Parameters, BuiltVolume)

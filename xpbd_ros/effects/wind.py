@@ -69,12 +69,13 @@ class BuiltWind(Built):
         self.commands = {SetWind: self.set}
         self._start_ns = 0
 
-    def set(self, command, clock, state) -> str | None:
+    def refusal(self, commands, state):
+        return next((f'wind: {list(command.velocity)} is faster than {FASTEST:g} m/s'
+                     for command in commands if max(map(abs, command.velocity)) > FASTEST), None)
+
+    def set(self, command, clock, state) -> None:
         """Change the velocity."""
-        if max(map(abs, command.velocity)) > FASTEST:
-            return f'wind: {list(command.velocity)} is faster than {FASTEST:g} m/s'
         self.velocity = np.array(command.velocity)
-        return None
 
     def begin(self, clock, state):
         for velocity, now_ns in ((self.data.start, clock.begin_ns), (self.data.goal,

@@ -26,6 +26,10 @@ LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 do not take is swept, and wants all its own"""
 CALM = 0.08
 """the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
+TAUT = 1 / 3
+"""the same where colliders or wind may pull cloth taut: in steps of backward Euler, which what
+touches takes, lines that zigzag across themselves are stable up to a strain of about 3/4 of its
+square, a twelfth"""
 LEAST = 4
 
 
@@ -49,9 +53,11 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
 
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
     the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
-    them for a millimetre on a metre (NUMERICS 5.8), with NDF2 a fifth; Gauss-Seidel needs all, to
-    be as stiff as asked, also for what lines leave to it. ``explicit`` itself takes the bound of
-    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.
+    them for a millimetre on a metre (NUMERICS 5.8), with NDF2 a fifth, and where colliders or wind
+    may pull it taut a third; Gauss-Seidel needs all, to be as stiff as asked, also for what lines
+    leave to it. An effect may want some whatever the edges do (``Built.least_substeps``).
+    ``explicit`` itself takes the bound of ``stability_limit``. ``budget_ms`` bounds the substeps
+    by the cost table above.
     """
     barred = {method: name for name, built in effects.items() for method in built.not_with}
     method = keys.method
@@ -87,9 +93,11 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         if method == 'explicit' and keys.substeps < needed:
             reason += f'; {ceil(min(needed, 1e9))} would be stable however it turns'
         return Solver(substeps=keys.substeps, reason=reason, **chosen)
-    wanted = share(method, integrator) * needed
+    wanted = max([share(method, integrator) * needed,
+                  *(built.least_substeps(frame_dt) for built in effects.values())])
     if method == 'line':
-        wanted = max(wanted, swept)
+        taut = any(built.pulls_taut for built in effects.values())
+        wanted = max(wanted, swept, TAUT * needed if taut else 0.0)
     if method == 'explicit':
         if wanted > affordable:
             raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
@@ -158,7 +166,7 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
         if built.constraints is None:
             continue
         size = built.constraints.particles.shape[1]
-        if size == 2:
+        if size == 2 or name == 'shear':
             for part, edges in zip(built.parts, built.by_part):
                 rate = largest_rate(edges, state.mass)
                 if hasattr(part, 'lines'):
@@ -172,7 +180,11 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
 
 
 def largest_rate(edges, mass) -> float:
-    """Return the largest (1/m1 + 1/m2) / (2 α) of some edges [1/s²]; inf where one is rigid."""
+    """
+    Return the largest Σ 1/m / (2 α) of some edges, or slants of cells [1/s²].
+
+    inf where one is rigid.
+    """
     if not len(edges.particles):
         return 0.0
     if (edges.compliance == 0.0).any():

@@ -72,6 +72,7 @@ def compile_scene(scene: Scene) -> Simulation:
             retune=Retune(scene, tuple(cloths), state, effects),
             notes=[*(f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
                      for text in cloth.mesh.notes),
+                   *(text for built in effects.values() for text in built.notes),
                    *_too_coarse(cloths, state),
                    *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:

@@ -8,9 +8,10 @@ stretched by a sixth, C11 pulled along warp, C22 along weft, C12 the mean of bot
 modulus at 45° (half of the fourth number, which multiplies the tensor's strain); of bending the
 mean of warp, weft and 45° at the smallest curvature. Of paper the nominal values of ARCSim's file.
 
-A membrane carries all of this. What a lattice cannot carry (NUMERICS 2.7): it has C12 = C66, so
-Poisson's ratio is not free. Kept are the moduli of a strip pulled along warp and along weft, and
-the shear modulus. A knit gets softer than this at small strains, up to tenfold.
+A membrane carries all of this. What a lattice cannot carry (NUMERICS 2.7): on square cells it has
+C12 = C66, on oblong ones C12 = 0, so Poisson's ratio is not free. Kept are the moduli of a strip
+pulled along warp and along weft, and the shear modulus. A knit gets softer than this at small
+strains, up to tenfold.
 """
 
 from dataclasses import dataclass
@@ -87,7 +88,7 @@ def lattice(sheet: Sheet, *, shears: bool) -> dict[str, dict[str, float]]:
     Parameters
     ----------
     sheet : the material
-    shears : whether the cloth has diagonals, which add C66 to C11, C12 and C22
+    shears : whether the cloth has diagonals of square cells, which add C66 to C11, C12 and C22
 
     With them C11 C22 - C66² = Y1 C22 = Y2 C11 gives the C11 and C22 of the lattice.
 
@@ -107,19 +108,19 @@ def membrane(sheet: Sheet) -> dict[str, float]:
     return {'warp': warp, 'weft': weft, 'shear': sheet.shear, 'poisson': sheet.c12 / sheet.c22}
 
 
-def with_material(cloth: Any, path: str) -> Any:
+def with_material(cloth: Any, path: str, *, square: bool) -> Any:
     """
     Return a cloth's mapping with what its material says, where the mapping says nothing.
 
     Density, and the parameters of the effects that the cloth names; an effect that it does not
-    name stays absent.
+    name stays absent. ``square`` tells whether it has square cells.
     """
     if not isinstance(cloth, dict) or cloth.get('material') is None:
         return cloth
     sheet = _sheet(cloth['material'], f'{path}.material')
     effects = mapping(cloth.get('effects'), f'{path}.effects')
     filled = dict(effects)
-    for effect, values in {**lattice(sheet, shears='shear' in effects),
+    for effect, values in {**lattice(sheet, shears=square and 'shear' in effects),
                            'membrane': membrane(sheet),
                            'hinge': {'stiffness': sheet.bend}}.items():
         given = mapping(effects.get(effect), f'{path}.effects.{effect}')

@@ -26,7 +26,7 @@ GROWTH = 2.0
 
 
 class Calm(NamedTuple):
-    """The edges to look at."""
+    """The edges to look at, and the oblong cells."""
 
     particles: np.ndarray
     """slots, shape (edges, 2)"""
@@ -36,19 +36,28 @@ class Calm(NamedTuple):
     """[m/N], shape (edges,)"""
     share: np.ndarray
     """stiffness as part of the stiffest edge's at its particles, 0 … 1; shape (edges,)"""
+    cells: np.ndarray
+    """slots, both ends of each diagonal; shape (cells, 4)"""
+    cell_compliance: np.ndarray
+    """[m/N], shape (cells,)"""
+    cell_share: np.ndarray
+    """as of edges, shape (cells,)"""
 
 
-def calm_edges(lists: list) -> Calm:
-    """Return the edges of several lists (``distance.Edges``) to look at."""
-    def of(name, empty):
+def calm_edges(lists: list, cells: list = ()) -> Calm:
+    """Return lists of edges (``distance.Edges``) and cells (``slant.Slants``) to look at."""
+    def of(lists, name, empty):
         return np.concatenate([empty, *(getattr(edges, name) for edges in lists)])
 
-    particles = of('particles', np.zeros((0, 2), np.int64))
-    compliance = of('compliance', np.zeros(0))
-    least = np.full(particles.max(initial=-1) + 1, np.inf)    # compliance
+    particles = of(lists, 'particles', np.zeros((0, 2), np.int64))
+    corners = of(cells, 'particles', np.zeros((0, 4), np.int64))
+    compliance, slack = (of(those, 'compliance', np.zeros(0)) for those in (lists, cells))
+    least = np.full(max(particles.max(initial=-1), corners.max(initial=-1)) + 1, np.inf)
     np.minimum.at(least, particles, compliance[:, None])
-    share = least[particles].min(axis=1) / compliance
-    return Calm(particles, of('rest_length', np.zeros(0)), compliance, share)
+    np.minimum.at(least, corners, 0.5 * slack[:, None])    # a cell pulls at twice as many as edges
+    return Calm(particles, of(lists, 'rest_length', np.zeros(0)), compliance,
+                least[particles].min(axis=1) / compliance, corners, slack,
+                least[corners].min(axis=1) / (0.5 * slack))
 
 
 @jit
@@ -67,6 +76,17 @@ def look(calm, x, v, mass, inv_mass):
         if rest > 0.0 and not felt <= strain * rest:    # not a number is more than any
             strain = felt / rest
         energy += 0.5 * residual * residual / calm.compliance[e]
+    for c in range(len(calm.cell_share)):
+        one, other = 0.0, 0.0
+        for k in range(3):
+            one += (x[k, calm.cells[c, 0]] - x[k, calm.cells[c, 1]])**2
+            other += (x[k, calm.cells[c, 2]] - x[k, calm.cells[c, 3]])**2
+        rest = np.sqrt(0.5 * (one + other))    # of both, whichever way a parallelogram leans
+        one, other = np.sqrt(one), np.sqrt(other)
+        felt = calm.cell_share[c] * (rest - min(one, other))
+        if not felt <= strain * rest:
+            strain = felt / rest
+        energy += 0.5 * (one - other)**2 / calm.cell_compliance[c]
     for i in range(len(mass)):
         kinetic = 0.5 * mass[i] * (v[0, i]**2 + v[1, i]**2 + v[2, i]**2)
         if inv_mass[i] > 0.0:

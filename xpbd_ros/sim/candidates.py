@@ -11,7 +11,7 @@ from xpbd_ros.sim.vector import any_lane, both, lanes, load, root
 @jit
 def find_candidates(contacts, bounce, state, substep):
     """List the pairs that may touch in this substep, and the gap that each has to keep."""
-    thickness, w = contacts.thickness[0], state.inv_mass
+    thickness, stir, w = contacts.thickness[0], contacts.stir[0], state.inv_mass
     contacts.count[0] = contacts.count[3] = 0
     slots = len(w)
     for q in range(0, slots, lanes(w)):
@@ -26,7 +26,8 @@ def find_candidates(contacts, bounce, state, substep):
             bound, p, up = contacts.colliders.reach[c], contacts.after, contacts.up
             ax, ay, az = x - p[c, 0], y - p[c, 1], z - p[c, 2]
             arm = root(ax * ax + ay * ay + az * az)
-            near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
+            near = thickness + 2.0 * (step + stir + contacts.moved[c]
+                                      + 2.0 * contacts.turned[c] * arm)
             if bound >= 0.0:
                 close = arm < bound + near
             else:
@@ -46,7 +47,8 @@ def consider(contacts, bounce, state, i, c, thickness, substep):
     x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
     step = sqrt((x - x0)**2 + (y - y0)**2 + (z - z0)**2)
     arm = sqrt((x - p[c, 0])**2 + (y - p[c, 1])**2 + (z - p[c, 2])**2)
-    near = thickness + 2.0 * (step + contacts.moved[c] + 2.0 * contacts.turned[c] * arm)
+    near = thickness + 2.0 * (step + contacts.stir[0] + contacts.moved[c]
+                              + 2.0 * contacts.turned[c] * arm)
     lx, ly, lz = to_local(p, c, x, y, z)
     if signed_distance(contacts.colliders, c, lx, ly, lz)[0] > near:
         return
@@ -57,7 +59,9 @@ def consider(contacts, bounce, state, i, c, thickness, substep):
     lx, ly, lz = to_local(contacts.before, c, x0, y0, z0)
     gap = signed_distance(contacts.colliders, c, lx, ly, lz)[0]
     earlier = contacts.latest[i]
+    contacts.earlier[k] = -1
     if earlier < k and contacts.particle[earlier] == i:
+        contacts.earlier[k] = earlier
         contacts.count[3] = 1
     contacts.latest[i] = k
     contacts.particle[k] = i

@@ -14,6 +14,9 @@ import numpy as np
 
 from xpbd_ros.sim.jit import jit
 
+FAR = 2**52
+"""of cells: what is further away, or nowhere, is all in one"""
+
 
 class Cells(NamedTuple):
     """The table."""
@@ -41,6 +44,12 @@ def place(a, b, c, places):
     return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & (places - 1)
 
 
+@jit(inline=True)
+def number(x):
+    """Return the whole number below x; FAR where an integer could not hold it, or x is none."""
+    return floor(x) if abs(x) < FAR else FAR
+
+
 @jit
 def fill(cells, points, size):
     """Sort points into cells of this size."""
@@ -48,7 +57,7 @@ def fill(cells, points, size):
     start[:] = 0
     for i in range(len(points)):
         for k in range(3):
-            cell[i, k] = floor(points[i, k] / size)
+            cell[i, k] = number(points[i, k] / size)
         start[place(cell[i, 0], cell[i, 1], cell[i, 2], places)] += 1
     total = 0
     for p in range(places + 1):
@@ -64,9 +73,9 @@ def fill(cells, points, size):
 def look_up(cells, points, size, low, high, least):
     """List the points from ``least`` on in a box, in no order; return how many there are."""
     places, cell, found, count = len(cells.start) - 1, cells.cell, cells.found, 0
-    for a in range(floor(low[0] / size), floor(high[0] / size) + 1):
-        for b in range(floor(low[1] / size), floor(high[1] / size) + 1):
-            for c in range(floor(low[2] / size), floor(high[2] / size) + 1):
+    for a in range(number(low[0] / size), number(high[0] / size) + 1):
+        for b in range(number(low[1] / size), number(high[1] / size) + 1):
+            for c in range(number(low[2] / size), number(high[2] / size) + 1):
                 p = place(a, b, c, places)
                 for n in range(cells.start[p], cells.start[p + 1]):
                     i = cells.point[n]
@@ -82,10 +91,15 @@ def look_up(cells, points, size, low, high, least):
 
 @jit
 def in_order(numbers, count):
-    """Sort the first few numbers."""
-    for k in range(1, count):
-        n, at = numbers[k], k
-        while at > 0 and numbers[at - 1] > n:
-            numbers[at] = numbers[at - 1]
-            at -= 1
-        numbers[at] = n
+    """Sort the first few numbers, or many (D. Shell, 1959), as where all are in one place."""
+    gap = 1
+    while 3 * gap + 1 < count:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for k in range(gap, count):
+            n, at = numbers[k], k
+            while at >= gap and numbers[at - gap] > n:
+                numbers[at] = numbers[at - gap]
+                at -= gap
+            numbers[at] = n
+        gap //= 3

@@ -241,7 +241,7 @@ def grid_distance(grids, c, x, y, z):
     ev = v - min(max(v, 0.0), n[c, 1] - 1.0)
     ew = w - min(max(w, 0.0), n[c, 2] - 1.0)
     out = sqrt(eu * eu + ev * ev + ew * ew)
-    if out > 0.0:
+    if out != 0.0:    # also where it is no number, which no node has
         return out * s + grids.pad[c], eu / out, ev / out, ew / out
     i, j = min(int(u), n[c, 0] - 2), min(int(v), n[c, 1] - 2)
     k = min(int(w), n[c, 2] - 2)
@@ -268,6 +268,8 @@ def grid_distance(grids, c, x, y, z):
 def ground_distance(heights, c, half_x, half_y, x, y, z):
     """Return the distance to the plane that touches the ground below; its rim goes on for ever."""
     n, f = heights.nodes, heights.values
+    if x != x or y != y:    # not a number: above no place
+        return x + y, 0.0, 0.0, 1.0
     across, up = 0.5 * (n[c, 0] - 1), 0.5 * (n[c, 1] - 1)
     u = min(max((x / half_x + 1.0) * across, 0.0), n[c, 0] - 1.0)
     v = min(max((y / half_y + 1.0) * up, 0.0), n[c, 1] - 1.0)

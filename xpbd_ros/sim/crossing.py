@@ -22,6 +22,8 @@ CLOSE = 0.01
 """what counts as there, in parts of the thickness"""
 LOOKS = 64
 """wherever it gets to with them, it has not passed the surface"""
+MOST_LOOKS = 10_000
+"""towards a mesh or ground: a frame in which something goes further is taken back"""
 
 
 @jit(inline=True)
@@ -49,7 +51,7 @@ def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
             t += (min(step, cell) if shape == HEIGHTS else step) / length
         else:
             return
-        if t > 1.0:
+        if not t <= 1.0 or looks == MOST_LOOKS:    # also where t is no number
             return
     q = contacts.after
     wx, wy, wz = to_world(q, c, px, py, pz)

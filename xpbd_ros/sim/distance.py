@@ -15,7 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.held import room_for
+from xpbd_ros.sim.held import (
+    collect,
+    hold,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.mesh import length
@@ -35,9 +45,9 @@ from xpbd_ros.sim.relax import (
     records_before,
     shared,
 )
-from xpbd_ros.sim.runs import listed, PHASES, Runs, share_of
-from xpbd_ros.sim.team import wait
-from xpbd_ros.sim.update import divisor, keep, misfit, moves, put, recall, row
+from xpbd_ros.sim.runs import first_of_runs, listed, PHASES, Runs, share_of
+from xpbd_ros.sim.team import alone, wait
+from xpbd_ros.sim.update import at_the_end, divisor, keep, misfit, moves, put, recall, row
 from xpbd_ros.sim.vector import both, first, fma, lane_count, lanes, load, root, select
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -60,6 +70,19 @@ class Held(NamedTuple):
     """[m/N], shape (room,)"""
 
 
+class Stops(NamedTuple):
+    """Where a sweep over runs stops for edges at pinned particles, and what is noted of them."""
+
+    held: Held
+    """the edges, in sweep order"""
+    first: np.ndarray
+    """number of each run's first of them, and how many there are; shape (runs + 1,)"""
+    direction: np.ndarray
+    """n of each, as it is projected; shape (room, 3)"""
+    before: np.ndarray
+    """f of each before that [N], shape (room,)"""
+
+
 class GridEdges(NamedTuple):
     """Elastic edges in runs."""
 
@@ -73,7 +96,7 @@ class GridEdges(NamedTuple):
     force: np.ndarray | None
     """f, multiplier over H² [N], negative in tension, shape (families * slots,); None where nobody
     asks"""
-    held: Held | None
+    stops: Stops | None
     """None in a scene without pins"""
     damping: Damping | None = None
     """None in a scene without ``rayleigh``"""
@@ -94,8 +117,8 @@ class MeshEdges(NamedTuple):
     """[m/N], shape (edges,)"""
     force: np.ndarray | None
     """f [N], shape (edges,); None where nobody asks"""
-    held: Held | None
-    """None in a scene without pins"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
     damping: Damping | None = None
     """None in a scene without ``rayleigh``"""
 
@@ -190,7 +213,7 @@ def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
     table = by_place(runs, compliance, dtype)
     return GridEdges(runs, np.array(rest_length, dtype), table,
                      np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
-                     room(len(listed(runs)[1])) if world.pins else None,
+                     stops_for(runs) if world.pins else None,
                      damping(world, time, (table == 0.0).any(1), dtype))
 
 
@@ -216,7 +239,8 @@ def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.nd
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(rest_length, order, 0.0, dtype),
         padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
-        zeros(count, dtype) if world.forces else None, room(count) if world.pins else None,
+        zeros(count, dtype) if world.forces else None,
+        packs_for(room(count)) if world.pins else None,
         None if time is None else damping(world, padded(time, order, 0.0, dtype),
                                           padded(compliance, order, 1.0, dtype) == 0.0, dtype))
 
@@ -243,6 +267,22 @@ def room(count: int) -> Held:
     return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
 
 
+def stops_for(runs: Runs) -> Stops:
+    """Return the stops of a sweep over some runs."""
+    count = len(listed(runs)[1])
+    return Stops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
+                 np.zeros(count))
+
+
+def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndarray) -> None:
+    """Learn which edges touch a pinned particle."""
+    if isinstance(edges, MeshEdges):
+        hold_packs(edges.packs, listed_, inv_mass, edges.particles.shape[1])
+    else:
+        found = hold(edges.stops.held, listed_, inv_mass)
+        edges.stops.first[:] = np.searchsorted(found, first_of_runs(edges.runs))
+
+
 @jit(inline=True)
 def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
     """
@@ -261,20 +301,99 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
 
 
 @jit
-def project_edges(edges, state, reverse):
+def note(stops, first, last, x, y, z, apart, force):
+    """Note the directions and multipliers of some edges at pinned particles."""
+    if stops is not None:
+        for k in range(first, last):
+            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
+            dx, dy, dz = x[i] - x[j], y[i] - y[j], z[i] - z[j]
+            l = np.sqrt(dx * dx + dy * dy + dz * dz)
+            per = 1.0 / l if l > 0.0 else 0.0
+            stops.direction[k, 0] = per * dx
+            stops.direction[k, 1] = per * dy
+            stops.direction[k, 2] = per * dz
+            stops.before[k] = force[stops.held.index[k]] if at_the_end(apart) else 0.0
+
+
+@jit
+def gather_reaction(stops, first, last, mobility, force, part, reaction):
+    """Add what they exerted since, n Δf; what cannot move is for ``react_edges``."""
+    if stops is not None:
+        for k in range(first, last):
+            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
+            if mobility[i] + mobility[j] > 0.0:
+                df = part * (force[stops.held.index[k]] - stops.before[k])
+                for a in range(3):
+                    reaction[a, i] += df * stops.direction[k, a]
+                    reaction[a, j] -= df * stops.direction[k, a]
+
+
+@jit(inline=True)
+def stops_of(stops, run):
+    """Return the first of a run's edges at pinned particles, and the one after the last."""
+    if stops is None:
+        return 0, 0
+    else:
+        return stops.first[run], stops.first[run + 1]
+
+
+@jit
+def stops_between(stops, first, last, begin, end, reverse):
+    """Return the next of them in a sweep, whose multipliers are kept from begin to end."""
+    if stops is None:
+        return 0, 0
+    else:
+        index = stops.held.index
+        if reverse:
+            k = last
+            while k > first and index[k - 1] >= begin:
+                k -= 1
+            return k, last
+        k = first
+        while k < last and index[k] < end:
+            k += 1
+        return first, k
+
+
+@jit
+def note_line(stops, base, state, force):
+    """Note the edges at pinned particles whose multipliers begin at ``base``, before a solve."""
+    if stops is not None:
+        if alone(state.team):
+            for k in range(stops.held.count[0]):
+                if base <= stops.held.index[k] < base + state.x.shape[1]:
+                    note(stops, k, k + 1, state.x[0], state.x[1], state.x[2], state.apart, force)
+        wait(state.team)
+
+
+@jit
+def gather_line_reaction(stops, base, state, force, part):
+    """Add what they exerted in the solve."""
+    if stops is not None:
+        if alone(state.team):
+            for k in range(stops.held.count[0]):
+                if base <= stops.held.index[k] < base + state.x.shape[1]:
+                    gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
+        wait(state.team)
+
+
+@jit
+def project_edges(edges, state, substep, reverse):
     """One Gauss-Seidel pass over all edges, run after run."""
+    part = substep.end - substep.begin
     for phase in range(PHASES):
         begin, end = share_of(edges.runs, state.team, phase, reverse)
         _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
                  row(moves(state.apart), 0), row(moves(state.apart), 1),
                  row(moves(state.apart), 2), edges.runs, edges.rest_length, edges.compliance,
-                 edges.force, edges.axis, edges.damping, begin, end, reverse)
+                 edges.force, edges.axis, edges.damping, edges.stops, part, state.reaction, begin,
+                 end, reverse)
         wait(state.team)
 
 
 @jit
 def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
-             damping, begin, end, reverse):
+             damping, stops, part, reaction, begin, end, reverse):
     places = compliance.shape[1]
     for a in range(end - begin):
         r = end - 1 - a if reverse else begin + a
@@ -283,6 +402,7 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
         ux, uy, uz = axis[shape, 0], axis[shape, 1], axis[shape, 2]
         gamma = gamma_of(damping, shape)
         rest, numbers = rest_length[shape], shape * places + runs.place[r]
+        next_, past = stops_of(stops, r)
         for b in range(runs.rows[r]):
             row = runs.rows[r] - 1 - b if reverse else b
             anchor = runs.start[r] + row * runs.stride[r]
@@ -292,6 +412,10 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
                 i, j, c = anchor + to_i + q, anchor + to_j + q, base + anchor + q
                 xi, yi, zi, mi = load(x, i), load(y, i), load(z, i), load(mobility, i)
                 xj, yj, zj, mj = load(x, j), load(y, j), load(z, j), load(mobility, j)
+                stop, on = next_, next_
+                if next_ < past:
+                    stop, on = stops_between(stops, next_, past, c, c + lanes(x), reverse)
+                    note(stops, stop, on, x, y, z, apart, force)
                 alpha, f = load(compliance, numbers + q), recall(apart, force, c)
                 there = both(alpha >= 0.0, first(x, runs.count[r] - q))
                 s, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
@@ -305,24 +429,47 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
                 put(x, tx, j, xj, gj, dx)
                 put(y, ty, j, yj, gj, dy)
                 put(z, tz, j, zj, gj, dz)
+                if stop < on:
+                    gather_reaction(stops, stop, on, mobility, force, part, reaction)
+                    next_, past = (next_, stop) if reverse else (on, past)
 
 
 @jit
-def project_packs(edges, state, reverse):
+def project_packs(edges, state, substep, reverse):
     """One Gauss-Seidel pass over all edges, pack after pack."""
     first_, last = edges.slots[0], edges.slots[1]
     to_records(state, edges.records, first_, last)
-    _project_packs(edges.records, state.apart, edges.particles[0],
-                   edges.particles[1], edges.rest_length, edges.compliance, edges.force,
-                   edges.damping, reverse)
+    for number in range(segment_count(edges.packs)):
+        begin, end, a, b = segment(edges.packs, number, len(edges.rest_length), reverse)
+        _note_packs(edges.packs, a, b, edges.records, state.apart, edges.force)
+        _project_packs(edges.records, state.apart, edges.particles[0],
+                       edges.particles[1], edges.rest_length, edges.compliance, edges.force,
+                       edges.damping, begin, end, reverse)
+        collect(edges.packs, a, b, edges.force, substep.end - substep.begin, state.reaction)
     from_records(state, edges.records, first_, last)
 
 
 @jit
-def _project_packs(records, apart, i, j, rest_length, compliance, force, damping, reverse):
-    count, step = len(i), lanes(rest_length)
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
+def _note_packs(packs, first_, last, x, apart, force):
+    """Note n and -n of the edges of a pack."""
+    if packs is not None:
+        remember(packs, first_, last, apart, force)
+        for k in range(first_, last):
+            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
+            dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
+            l = np.sqrt(dx * dx + dy * dy + dz * dz)
+            per = 1.0 / l if l > 0.0 else 0.0
+            for a, d in enumerate((dx, dy, dz)):
+                packs.gradient[k - first_, 0, 0, a] = per * d
+                packs.gradient[k - first_, 0, 1, a] = -per * d
+
+
+@jit
+def _project_packs(records, apart, i, j, rest_length, compliance, force, damping, begin, end,
+                   reverse):
+    step = lanes(rest_length)
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
         xi, yi, zi, mi = load_records(records, i, q)
         xj, yj, zj, mj = load_records(records, j, q)
         alpha, f = load(compliance, q), recall(apart, force, q)
@@ -336,16 +483,22 @@ def _project_packs(records, apart, i, j, rest_length, compliance, force, damping
 
 
 @jit
-def react_edges(edges, state, substep):
-    """Force on a pinned particle: f n; an edge between two pinned ones pulls with -C / α."""
-    weight, held, x = substep.end - substep.begin, edges.held, state.x
+def react_edges(held, force, state, substep):
+    """
+    Add what edges exert that cannot move: -C / α n between two pins.
+
+    What is taut between two pins (``sim.taut``) pulls with the f that it was given.
+    """
+    weight, x = substep.end - substep.begin, state.x
     for k in range(held.count[0]):
         i, j, c = held.particles[k, 0], held.particles[k, 1], held.index[k]
+        if state.mobility[i] + state.mobility[j] > 0.0:
+            continue
         dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
         l = np.sqrt(dx * dx + dy * dy + dz * dz)
         if l == 0.0:
             continue
-        f = edges.force[c]
+        f = force[c]
         if state.inv_mass[i] + state.inv_mass[j] == 0.0 and held.compliance[k] > 0.0:
             f = -(l - held.rest_length[k]) / held.compliance[k]
         f *= weight / l

@@ -159,8 +159,8 @@ class Built:
     An effect compiled for one scene.
 
     ``data`` is the NamedTuple that the kernels get, None where there is nothing to do; ``also``
-    are more of them. ``commands`` maps a command's type to a method
-    ``(command, clock, state) -> reason``: None when applied, else why it is refused.
+    are more of them. ``commands`` maps a command's type to a method ``(command, clock, state)``
+    that applies it, once ``refusal`` has nothing against it.
     """
 
     data: tuple | None
@@ -169,6 +169,9 @@ class Built:
     also: tuple[tuple, ...] = ()
     ns_per_particle: float = 0.0
     """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
+    pulls_taut: bool = False
+    """whether it may pull cloth taut, or lets particles take steps of backward Euler for long, so
+    that lines need more substeps to lie straight (``scene.auto.TAUT``)"""
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""
@@ -177,7 +180,9 @@ class Built:
     """the constraints of each of the parts, where there are several"""
 
     def __init__(self):
-        self.commands: dict[type, Callable[[Command, Clock, State], str | None]] = {}
+        self.notes: list[str] = []
+        """what a user must know before anything runs"""
+        self.commands: dict[type, Callable[[Command, Clock, State], None]] = {}
 
     @property
     def parts(self) -> tuple[tuple, ...]:
@@ -190,8 +195,16 @@ class Built:
         alone = self.data is not None and self.constraints is not None
         return self.lists or ([self.constraints] if alone else [])
 
+    def least_substeps(self, frame_dt: float) -> float:
+        """Return what ``auto`` gives at least, whatever the constraints want."""
+        return 1.0
+
     def compile(self, state: State) -> None:
         """Compile what a frame calls besides its step; nothing moves."""
+
+    def refusal(self, commands: Sequence[Command], state: State) -> str | None:
+        """Return why these commands cannot all be applied, in this order; change nothing."""
+        return None
 
     def begin(self, clock: Clock, state: State) -> None:
         """Get ready for a frame: move targets on."""

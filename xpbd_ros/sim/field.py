@@ -6,14 +6,17 @@ the nearest triangle is passed on from node to neighbour, in sweeps along all ei
 (Tsai 2002), and each node keeps the one that is nearest to it. A node is inside where a ray
 along -x leaves more surfaces than it enters, so overlapping pieces are one body.
 
-Limits: between nodes φ is trilinear, so edges are rounded, and what is thinner than the spacing
-may be lost.
+Between nodes φ is trilinear. What is thinner than about twice the spacing has no node deep enough
+inside, and particles would pass it; so a grid is made finer until none but sharp edges are lost.
+
+Limits: edges are rounded. What is sharper than some 20° loses up to ROUNDED spacings.
 """
 
 from dataclasses import dataclass
-from math import ceil, sqrt
+from math import ceil, prod, sqrt
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.jit import jit
@@ -23,6 +26,11 @@ MOST_NODES = 16_000_000
 """64 MB of float32"""
 FINEST = 96
 """nodes along the longest side, unless a spacing is given"""
+DEEP = 0.6
+"""depth of a node [spacings] that a particle does not pass: of 2000 that fell on plates turned
+anyhow, at up to 30 m/s, none did where a plate was 1.28 spacings thick, and 1 where it was 1.12"""
+ROUNDED = 6.0
+"""spacings, of the grid as it is unless it has to be finer, that may be lost at an edge"""
 ASIDE = (0.37e-4, 0.61e-4)
 """how far rays run beside the nodes [spacings], so that they meet no edge of a tidy mesh"""
 
@@ -41,27 +49,68 @@ class Field:
     """least distance from the rim of the grid to the surface [m]"""
     reach: float
     """radius of a ball around 0 that holds the surface [m]"""
+    size: tuple[float, float, float]
+    """extents of the surface [m]"""
+
+
+class NoRoomError(InputError):
+    """A grid has more nodes than there is room for."""
+
+    def __init__(self, shape, spacing: float, room: int):
+        self.nodes = prod(shape)
+        super().__init__(f'a spacing of {spacing:g} m takes {" × ".join(map(str, shape))} nodes, '
+                         f'more than {room}; use a larger one')
 
 
 def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
-                   spacing: float | None = None) -> Field:
+                   spacing: float | None = None, room: int = MOST_NODES) -> Field:
     """
-    Return the signed distance field of a closed surface.
+    Return the signed distance field of a closed surface; refuse one that particles would pass.
 
     Parameters
     ----------
     vertices : [m], shape (vertices, 3)
     triangles : vertex indices, shape (triangles, 3)
     gap : distance from the surface that matters [m]
-    spacing : of the grid [m]; by default the gap, or what 96 nodes along the longest side give
+    spacing : of the grid [m]; by default the gap, or what 96 nodes along the longest side give, or
+        as much less as the thinnest part takes
+    room : nodes there may be
 
     """
     vertices, triangles = _closed(np.asarray(vertices, float), triangles)
+    usual = grid_around(vertices, gap=gap)[1]
+    field = _field(vertices, triangles, gap, spacing, room)
+    while not _keeps_out(field, usual):
+        try:
+            field = _field(vertices, triangles, gap, 0.5 * field.spacing, room)
+        except NoRoomError as error:
+            if error.nodes <= MOST_NODES:
+                raise
+            raise InputError(
+                f'is so thin in places that particles pass it on a grid of {field.spacing:.3g} m, '
+                f'and a finer one takes more than {MOST_NODES} nodes; make it thicker, or of '
+                'boxes') from None
+    if spacing is not None and field.spacing < spacing:
+        raise InputError(f'is so thin in places that particles pass it on a grid of {spacing:g} '
+                         f'm; use a spacing of {field.spacing:.3g} m, or leave it out')
+    return field
+
+
+def _keeps_out(field: Field, usual: float) -> bool:
+    """Tell whether all of a surface, but for sharp edges, has nodes deep enough behind it."""
+    values, spacing = field.values, field.spacing
+    deep = values <= -DEEP * spacing
+    if not deep.any():
+        return False
+    away = distance_transform_edt(~deep)[np.abs(values) <= 0.5 * spacing]
+    return away.max(initial=0.0) * spacing <= ROUNDED * max(usual, spacing)
+
+
+def _field(vertices, triangles, gap: float, spacing: float | None, room: int) -> Field:
     low, high = vertices.min(0), vertices.max(0)
     shape, spacing, pad = grid_around(vertices, gap=gap, spacing=spacing)
-    if np.prod(shape, dtype=float) > MOST_NODES:
-        raise InputError(f'a spacing of {spacing:g} m takes {" × ".join(map(str, shape))} nodes, '
-                         f'more than {MOST_NODES}; use a larger one')
+    if prod(shape) > room:
+        raise NoRoomError(shape, spacing, room)
     origin = low - 0.5 * (spacing * (np.array(shape) - 1) - (high - low))
     corners = np.ascontiguousarray((vertices[triangles] - origin) / spacing)
     distance, nearest = np.full(shape, np.inf), np.full(shape, -1)
@@ -73,7 +122,8 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     _cross(corners, crossings, *ASIDE)
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
-    return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())))
+    return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())),
+                 tuple((high - low).tolist()))
 
 
 def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = None):

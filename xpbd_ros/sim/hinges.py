@@ -2,15 +2,17 @@
 Hinges of a cloth: two triangles that share an edge, their dihedral angle, and what bends them.
 
 A hinge of stiffness B |e|² / (A0 + A1) makes a sheet of bending rigidity B (NUMERICS 2.5; Grinspun
-et al. 2003 up to the factor). A grid has the hinges of both of its triangulations, the one with
-alternating diagonals and its mirror image, each with half the stiffness: those of one alone bend
-only about every other particle, and a sheet that may choose would come out a third too soft. A
-cell's diagonals see κxy alone and count half of that again.
+et al. 2003 up to the factor), with a B of its own on a mesh (``sim.plate``). A grid has the hinges
+of both of its triangulations, the one with alternating diagonals and its mirror image, each with
+half the stiffness: those of one alone bend only about every other particle, and a sheet that may
+choose would come out a third too soft. A cell's diagonals see κxy alone and count half of that
+again.
 """
 
 import numpy as np
 
 from xpbd_ros.sim.mesh import cross, dot, hinges, length, Mesh
+from xpbd_ros.sim.plate import across
 
 
 def all_hinges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -48,19 +50,12 @@ def _is_diagonal(mesh: Mesh, particles: np.ndarray) -> np.ndarray:
 def rigidity(mesh: Mesh, particles: np.ndarray, along_warp: float,
              along_weft: float) -> np.ndarray:
     """
-    Return the bending rigidity that each hinge stands for [N m], shape (hinges,).
+    Return the bending rigidity that each hinge of a grid stands for [N m], shape (hinges,).
 
-    A sheet with B1 along warp, B2 along weft and D66 = sqrt(B1 B2) / 2 for twist (Huber 1923),
-    bent along a direction at φ from warp, has (√B1 cos²φ + √B2 sin²φ)²; a hinge bends across its
-    edge. The diagonals of a grid see twist, so sqrt(B1 B2).
+    The diagonals see twist, so sqrt(B1 B2).
     """
-    e = mesh.positions[particles[:, 1]] - mesh.positions[particles[:, 0]]
-    along = (e @ mesh.warp)**2 / dot(e, e)
-    found = (np.sqrt(along_warp) * (1.0 - along) + np.sqrt(along_weft) * along)**2
-    if mesh.grid is None:
-        return found
-    return np.where(_is_diagonal(mesh, particles),
-                    np.sqrt(along_warp) * np.sqrt(along_weft), found)
+    return np.where(_is_diagonal(mesh, particles), np.sqrt(along_warp) * np.sqrt(along_weft),
+                    across(mesh, particles, along_warp, along_weft))
 
 
 def slenderness(corners: np.ndarray) -> np.ndarray:

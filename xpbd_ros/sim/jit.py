@@ -3,7 +3,8 @@ The one decorator: compile flags and the disk cache in a single place.
 
 IEEE arithmetic throughout (no fast-math), so that a scene gives the same bits on every CPU. Numba
 sees neither edits in other files nor that a type came from another scene, so the cache lives in a
-folder named by a hash of the package's own kernels.
+folder named by a hash of the package's own kernels. Numba keeps code with bounds checks
+(NUMBA_BOUNDSCHECK=1) and code without under the same name, so the hash tells them apart.
 """
 
 from contextlib import contextmanager, suppress
@@ -50,8 +51,8 @@ INNER = {**FLAGS, 'no_cpython_wrapper': True, 'pipeline_class': parts.Compiler}
 
 
 def _sources_hash() -> str:
-    """Hash every source file that may hold a kernel, and the width they are compiled for."""
-    digest = hashlib.blake2b(str(BITS).encode(), digest_size=8)
+    """Hash every source file that may hold a kernel, and the way they are compiled."""
+    digest = hashlib.blake2b(f'{BITS} {config.BOUNDSCHECK}'.encode(), digest_size=8)
     package = Path(__file__).parents[1]
     for folder in ('effects', 'sim'):
         for file in sorted((package / folder).glob('*.py')):

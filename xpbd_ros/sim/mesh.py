@@ -5,6 +5,9 @@ from functools import cached_property
 
 import numpy as np
 
+SQUARE = 1e-3
+"""by which the sides of a square cell may differ, relative"""
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -68,8 +71,7 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
 
     """
     columns, rows = resolution
-    dx = size[0] / (columns - 1) if columns > 1 else size[0]
-    dy = size[1] / (rows - 1) if rows > 1 else size[1]
+    dx, dy = spacing = grid_spacing(size, resolution)
     grid = np.arange(rows * columns).reshape(rows, columns)
     positions = np.zeros((rows, columns, 3))
     positions[..., 0] = np.arange(columns) * dx if columns > 1 else 0.0
@@ -82,7 +84,17 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
     falling = np.stack([np.stack([a, b, d], 1), np.stack([b, c, d], 1)], 1)
     triangles = np.where(even, rising, falling).reshape(-1, 3)
     return Mesh(positions.reshape(-1, 3), triangles,
-                np.outer(_share(rows, dy), _share(columns, dx)).ravel(), grid, (dx, dy))
+                np.outer(_share(rows, dy), _share(columns, dx)).ravel(), grid, spacing)
+
+
+def grid_spacing(size: tuple[float, float], resolution: tuple[int, int]) -> tuple[float, float]:
+    """Return the distance of neighbours along warp and weft [m]; of a single one the extent."""
+    return tuple(s / (n - 1) if n > 1 else s for s, n in zip(size, resolution))
+
+
+def is_square(spacing: tuple[float, float]) -> bool:
+    """Tell whether the sides of a cell are the same, within a thousandth."""
+    return abs(spacing[0] - spacing[1]) <= SQUARE * max(spacing)
 
 
 def _share(count: int, spacing: float) -> np.ndarray:

@@ -7,9 +7,8 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose, Twist
 from xpbd_ros.sim.rotation import interpolate
+from xpbd_ros.sim.stream import GAP_NS, Stream
 
-GAP_NS = 500_000_000
-"""targets further apart than this are not a stream [ns]"""
 MAX_TURN = 0.5
 """largest turn in one frame [rad]; what is left follows in the next"""
 
@@ -18,10 +17,10 @@ class Motion:
     """
     A pose on its way to a target.
 
-    Targets that come as a stream are followed at the stream's own speed: each is reached when the
-    next is due (by the senders' stamps, else by when they arrived), so a stream slower than the
-    frames does not ring. ``keyframes`` is a function of time [s] to a position, followed until the
-    first target.
+    A stream of targets with stamps is rebuilt from them (see ``stream``), at a constant delay.
+    Targets without stamps are each reached when the next is due, by when they arrived, so a
+    stream slower than the frames does not ring. ``keyframes`` is a function of time [s] to a
+    position, followed until the first target.
     """
 
     def __init__(self, pose: Pose, max_speed: float, *, keyframes=None, lever: float = 0.1):
@@ -34,26 +33,38 @@ class Motion:
         """distance from the pose at which the turn too must keep to max_speed [m]"""
         self.limited = False
         """whether the last frame fell behind its target"""
+        self.stream: Stream | None = None
+        """of targets with stamps"""
         self._left = 0.0
-        self._arrived_ns = self._stamp_ns = None
+        self._arrived_ns = self._stamp_ns = self._latest = None
 
     def aim(self, pose: Pose, twist: Twist | None, stamp_ns: int, now_ns: int) -> None:
-        """Set a new target at the simulation time ``now_ns``."""
-        period_ns = 0
-        if stamp_ns and self._stamp_ns and 0 < stamp_ns - self._stamp_ns <= GAP_NS:
-            period_ns = stamp_ns - self._stamp_ns
-        elif self._arrived_ns is not None and now_ns - self._arrived_ns <= GAP_NS:
-            period_ns = now_ns - self._arrived_ns
-        self._left = period_ns * 1e-9
-        speed = 0.0 if twist is None else _norm(twist.linear)
-        if speed > 0.0:
+        """Set a new target at the simulation time ``now_ns``; one from before the last is none."""
+        self.keyframes = None
+        since = stamp_ns - self._stamp_ns if stamp_ns and self._stamp_ns else 0
+        if -GAP_NS <= since < 0:
+            return
+        if 0 < since <= GAP_NS:
+            if self.stream is None:
+                self.stream = Stream(self._stamp_ns, self.target, self._arrived_ns)
+            self.stream.push(stamp_ns, pose, twist, now_ns, self.pose)
+        elif not (self.stream is not None and stamp_ns == self._stamp_ns
+                  and pose == self._latest):    # else the same message once more
+            self._go(pose, twist, now_ns)
+        self._latest, self._arrived_ns, self._stamp_ns = pose, now_ns, stamp_ns or None
+
+    def _go(self, pose: Pose, twist: Twist | None, now_ns: int) -> None:
+        """Go straight to a target: in the time since the last one, or at a given speed."""
+        self.stream, self.target, self._left = None, pose, 0.0
+        if self._arrived_ns is not None and now_ns - self._arrived_ns <= GAP_NS:
+            self._left = (now_ns - self._arrived_ns) * 1e-9
+        elif twist is not None and (speed := _norm(twist.linear)) > 0.0:
             self._left = min(_distance(pose, self.pose) / speed, GAP_NS * 1e-9)
-        self._arrived_ns, self._stamp_ns = now_ns, stamp_ns or None
-        self.target, self.keyframes = pose, None
 
     def stop(self) -> None:
         """Stay where it is."""
-        self.target, self._left, self.keyframes = self.pose, 0.0, None
+        self.target, self._left = self.pose, 0.0
+        self.keyframes = self.stream = None
 
     def advance(self, end_ns: int, dt: float) -> None:
         """Move on by one frame: from ``start`` to ``pose``."""
@@ -61,6 +72,8 @@ class Motion:
         if self.keyframes is not None:
             self.target = Pose(self.keyframes(end_ns * 1e-9), self.pose.orientation)
             self._left = 0.0
+        elif self.stream is not None:
+            self.target, self._left = self.stream.at(end_ns, round(dt * 1e9)), 0.0
         if self.target is self.pose:    # there already
             self._left, self.limited = 0.0, False
             return
@@ -94,6 +107,14 @@ def _angle(a: Pose, b: Pose) -> float:
     p, q = a.orientation, b.orientation
     cosine = abs(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3])
     return 2.0 * sqrt(2.0 * max(0.0, 1.0 - cosine))
+
+
+def delays(what: str, motions: list[Motion]) -> dict[str, float]:
+    """Return how late streams of targets are followed [s] and how many targets came too late."""
+    streams = [motion.stream for motion in motions if motion.stream is not None]
+    return {} if not streams else {
+        f'{what}_delay_s': 1e-9 * max(stream.delay_ns for stream in streams),
+        f'{what}s_late': sum(stream.late for stream in streams)}
 
 
 def check_motion(points) -> None:

@@ -197,11 +197,17 @@ def step_of(history, w, q, h):
 
 
 @jit
+def weights_at(history, i):
+    """Return H / h, a, b of one particle."""
+    if history is None:
+        return 1.0, 0.0, 0.0
+    return _weights_at(history.older_x, history.fresh[i])
+
+
+@jit
 def step_at(history, i, h):
     """Return H of one particle [s]."""
-    if history is None:
-        return h
-    return _step_at(history.older_x, history.fresh[i], h)
+    return weights_at(history, i)[0] * h
 
 
 @jit
@@ -209,13 +215,13 @@ def usual_step(history, h):
     """Return H of a particle with a history [s]."""
     if history is None:
         return h
-    return _step_at(history.older_x, FULL, h)
+    return _weights_at(history.older_x, FULL)[0] * h
 
 
 @jit
-def _step_at(older, fresh, h):    # Numba prunes a branch on None where that is an argument
+def _weights_at(older, fresh):    # Numba prunes a branch on None where that is an argument
     if fresh > HALF:
-        return h
+        return 1.0, 0.0, 0.0
     if older is not None and fresh < HALF:
-        return 0.6 * h
-    return 2.0 / 3.0 * h
+        return 0.6, 0.5, 0.1
+    return 2.0 / 3.0, 1.0 / 3.0, 0.0

@@ -68,7 +68,8 @@ class Nearby(NamedTuple):
     margin: np.ndarray
     """[m]; 0: not sought; shape (1,)"""
     count: np.ndarray
-    """of this frame: searches, pairs that found no room, particles stopped; shape (3,)"""
+    """of this frame: searches; pairs that found no room; particles held back; particles and pairs
+    for which that was not enough; shape (4,)"""
     kind_end: np.ndarray
     """where each kind's pairs end, shape (3,)"""
     first: np.ndarray
@@ -106,7 +107,7 @@ def new_nearby(cloths, room: int, surface: bool, kin: np.ndarray | None = None) 
         np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths]),
         rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count, 3)), np.zeros((count, 3)),
         np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(count), np.zeros(1),
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(room, np.int64),
+        np.zeros(4, np.int64), np.zeros(3, np.int64), np.zeros(room, np.int64),
         np.zeros(room, np.int64), np.zeros(room), np.zeros(room), new_cells(count), span,
         kin)
 
@@ -153,7 +154,19 @@ def weights(kind, p, q, r, s):
 @jit(inline=True)
 def way(kind, x, i, j, k, l):
     """Return the vector between a pair's closest points, and the weights that make it."""
-    p, q, r, s = at(x, i), at(x, j), at(x, k), at(x, l)
+    return between(kind, at(x, i), at(x, j), at(x, k), at(x, l))
+
+
+@jit(inline=True)
+def way_now(kind, x, i, j, k, l):
+    """Return the same of particles in these slots; x of shape (3, slots)."""
+    return between(kind, (x[0, i], x[1, i], x[2, i]), (x[0, j], x[1, j], x[2, j]),
+                   (x[0, k], x[1, k], x[2, k]), (x[0, l], x[1, l], x[2, l]))
+
+
+@jit(inline=True)
+def between(kind, p, q, r, s):
+    """Return the vector between the closest points of a pair in these places, and the weights."""
     b = weights(kind, p, q, r, s)
     # differences first, so that a place far from the origin costs no digits
     q, r, s = minus(q, p), minus(r, p), minus(s, p)
@@ -168,8 +181,8 @@ def length(v):
 
 
 @jit
-def survey(near, state, slack):
-    """Note where all are and how far each may get; return the most that a pair's side may."""
+def common_step(near, state):
+    """Note where the substep starts, and how far what is pinned moves in it; or else all."""
     before, x, n = state.x_prev, state.x, len(near.slot)
     held = 0
     near.step[:] = 0.0
@@ -185,15 +198,21 @@ def survey(near, state, slack):
                 near.step[a] += x[a, j] - before[a, j]
     for a in range(3):
         near.step[a] /= held if held > 0 else n
-    most = 0.0
-    for i in range(n):
+
+
+@jit
+def survey(near, x, slack):
+    """Note how far each may get, apart from what all do; return the most, and a side's most."""
+    most, side = 0.0, 0.0
+    for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.travel[i] = moved + max(moved, slack)
         near.strayed[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
                                   near.x[i, 1] - near.seen[i, 1] - near.drift[1],
                                   near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
-        most = max(most, near.travel[i] + near.strayed[i])
-    return most
+        most = max(most, near.travel[i])
+        side = max(side, near.travel[i] + near.strayed[i])
+    return most, side
 
 
 @jit(inline=True)
@@ -215,12 +234,12 @@ def seek(near, thickness, left):
     near.drift[:] = 0.0
     near.count[0] += 1
     margin = 2.0 * top * min(left, max(2.0, near.reach / (2.0 * top)))
-    lost = list_pairs(near, near.surface, thickness, margin)
-    for _ in range(HALVINGS):
+    lost = list_pairs(near, near.surface, thickness, margin, False)
+    for halving in range(HALVINGS):
         if lost == 0:
             break
         margin *= 0.5
-        lost = list_pairs(near, near.surface, thickness, margin)
+        lost = list_pairs(near, near.surface, thickness, margin, halving == HALVINGS - 1)
     near.count[1] += lost
     near.margin[0] = margin
     for i in range(len(near.slot)):
@@ -228,12 +247,16 @@ def seek(near, thickness, left):
 
 
 @jit
-def list_pairs(near, surface, thickness, margin):
-    """List what is nearer than thickness + margin; return how many found no room."""
+def list_pairs(near, surface, thickness, margin, to_the_end):
+    """
+    List what is nearer than thickness + margin; return how many found no room.
+
+    Unless it is to go on ``to_the_end``, that is where the first finds none.
+    """
     if surface is None:
-        return list_particles(near, thickness, margin)
+        return list_particles(near, thickness, margin, to_the_end)
     else:
-        return list_surface(near, surface, thickness, margin)
+        return list_surface(near, surface, thickness, margin, to_the_end)
 
 
 @jit(inline=True)
@@ -255,11 +278,13 @@ def closed(near, end, kind):
 
 
 @jit
-def list_particles(near, thickness, margin):
+def list_particles(near, thickness, margin, to_the_end):
     """List pairs of particles."""
     x, size, end = near.x, thickness + margin, 0
     fill(near.cells, x, size)
     for i in range(len(x)):
+        if end > len(near.first) and not to_the_end:
+            break
         low = x[i, 0] - size, x[i, 1] - size, x[i, 2] - size
         high = x[i, 0] + size, x[i, 1] + size, x[i, 2] + size
         found, close = near.cells.found, 0
@@ -287,7 +312,7 @@ def kept(cloth, rest, kind, thickness, i, j, k, l):
 
 
 @jit
-def list_surface(near, surface, thickness, margin):
+def list_surface(near, surface, thickness, margin, to_the_end):
     """List pairs of particle and triangle, then of edges; none that share a particle."""
     x, size, longest = near.x, thickness + margin, 0.0
     edges, triangles, middle = surface.edges, surface.triangles, surface.middle
@@ -301,6 +326,8 @@ def list_surface(near, surface, thickness, margin):
     fill(surface.cells, middle, cell)
     end = 0
     for t in range(len(triangles)):
+        if end > len(near.first) and not to_the_end:
+            break
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         p, q, r = at(x, i), at(x, j), at(x, k)
         low = (min(p[0], q[0], r[0]) - size, min(p[1], q[1], r[1]) - size,
@@ -322,6 +349,8 @@ def list_surface(near, surface, thickness, margin):
     closed(near, end, TRIANGLES)
     near.kind_end[POINTS] = 0
     for e in range(len(edges)):
+        if end > len(near.first) and not to_the_end:
+            break
         i, j = edges[e, 0], edges[e, 1]
         p, q, half = at(x, i), at(x, j), size + 0.5 * longest
         low = (min(p[0], q[0]) - half, min(p[1], q[1]) - half, min(p[2], q[2]) - half)

@@ -1,5 +1,6 @@
 """Pins as Python has them: what each holds, where it goes, and what it feels."""
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,6 +10,7 @@ from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.effect import Cloth
 from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.motion import Motion
+from xpbd_ros.sim.rotation import turns
 from xpbd_ros.sim.state import places
 
 
@@ -27,8 +29,14 @@ class Held:
     """of the whole pin [m/N]; 0: its particles are pinned"""
     slip: float | None = None
     """force at which it lets go [N]"""
+    lifetime_ns: int = 0
+    """it lets go by itself after this long without a word [ns]; 0: never"""
     expires_ns: int | None = None
     """when it lets go by itself"""
+
+    def renew(self, now_ns: int) -> None:
+        """Let its lifetime begin."""
+        self.expires_ns = now_ns + self.lifetime_ns if self.lifetime_ns else None
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,51 @@ class PinState:
     """numbers of what it holds, in the natural order of a frame; shape (k,)"""
     limited: bool = False
     """whether it lags behind its target at max_speed"""
+
+
+class PinStates(Mapping[str, PinState]):
+    """
+    All pins after a frame, by name; as arrays, so that many of them take no time.
+
+    Parameters
+    ----------
+    held : the pins
+    start, goal : poses at the frame's start and end: x y z, qx qy qz qw; shape (pins, 7)
+    wrenches : of the cloth on each [N, N m], shape (pins, 6)
+    numbers : of the particles in natural order, by slot
+    dt : length of the frame [s]
+
+    """
+
+    def __init__(self, held: Sequence[Held], start: np.ndarray, goal: np.ndarray,
+                 wrenches: np.ndarray, numbers: np.ndarray, dt: float):
+        self.names = tuple(one.name for one in held)
+        self.poses = goal
+        """shape (pins, 7)"""
+        way = goal[:, :3] - start[:, :3]
+        self.twists = np.hstack([way, turns(start[:, 3:], goal[:, 3:])]) / dt
+        """[m/s, rad/s], shape (pins, 6)"""
+        self.wrenches = wrenches
+        """[N, N m], shape (pins, 6)"""
+        self._index = {name: k for k, name in enumerate(self.names)}
+        self._pose = [one.motion.pose for one in held]
+        self._limited = [one.motion.limited for one in held]
+        self._particles, self._numbers = [one.particles for one in held], numbers
+
+    def __getitem__(self, name: str) -> PinState:
+        """Return one of them."""
+        k = self._index[name]
+        return PinState(self._pose[k], self.twists[k, :3].copy(), self.twists[k, 3:].copy(),
+                        self.wrenches[k, :3].copy(), self.wrenches[k, 3:].copy(),
+                        self._numbers[self._particles[k]], self._limited[k])
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names, in the order of the grasps."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Return how many hold."""
+        return len(self.names)
 
 
 def chosen(name: str, entry, cloths: dict[str, Cloth], x: np.ndarray) -> np.ndarray:

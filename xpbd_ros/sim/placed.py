@@ -19,12 +19,18 @@ class Placed:
     motion: Motion
     twist: Twist | None = None
     """velocity of its surface, where that is not the pose's"""
+    lifetime_ns: int = 0
+    """it goes away by itself after this long without a word [ns]; 0: never"""
     expires_ns: int | None = None
     """when it goes away by itself"""
     field: Field | None = None
     """the distances to it, if it is a mesh"""
     heights: np.ndarray | None = None
     """[m], if it is ground; shape (along y, along x)"""
+
+    def renew(self, now_ns: int) -> None:
+        """Let its lifetime begin."""
+        self.expires_ns = now_ns + self.lifetime_ns if self.lifetime_ns else None
 
     @property
     def reach(self) -> float:

@@ -8,14 +8,13 @@ four of them: any other order takes a processor twice the shuffles.
 
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.update import inline
-from xpbd_ros.sim.vector import exchange, fma, lanes, load, store, vector_of
+from xpbd_ros.sim.vector import exchange, fma, lanes, load, place, store, vector_of
 
 PACK = 16
 """constraints that share no particle, side by side: the lanes of the widest vector there is"""
@@ -33,11 +32,9 @@ def _constants(numbers):
 
 def _record(context, builder, signature, arguments, number):
     """Return a pointer to one record."""
-    records = cgutils.create_struct_proxy(signature.args[0])(
-        context, builder, value=arguments[0]).data
-    first = builder.mul(number, number.type(_FIELDS))
-    return builder.bitcast(builder.gep(records, [first], inbounds=True),
-                           ir.VectorType(records.type.pointee, _FIELDS).as_pointer())
+    first = place(context, builder, signature.args[0], arguments[0],
+                  builder.mul(number, number.type(_FIELDS)), _FIELDS)
+    return builder.bitcast(first, ir.VectorType(first.type.pointee, _FIELDS).as_pointer())
 
 
 def _neighbours(context, builder, signature, arguments, count):
@@ -48,11 +45,10 @@ def _neighbours(context, builder, signature, arguments, count):
 
 def _indexed(context, builder, signature, arguments, count):
     """Return a pointer to the record of each lane."""
-    index = cgutils.create_struct_proxy(signature.args[1])(
-        context, builder, value=arguments[1]).data
     start = arguments[2]
-    return [_record(context, builder, signature, arguments, builder.sext(builder.load(
-        builder.gep(index, [builder.add(start, start.type(q))], inbounds=True)), start.type))
+    first = place(context, builder, signature.args[1], arguments[1], start, count)
+    return [_record(context, builder, signature, arguments, builder.sext(
+        builder.load(builder.gep(first, [start.type(q)], inbounds=True)), start.type))
         for q in range(count)]
 
 

@@ -155,6 +155,13 @@ def share_of(runs, team, phase, reverse):
     return runs.strip[begin + first], runs.strip[begin + last]
 
 
+def first_of_runs(runs: Runs) -> np.ndarray:
+    """Return the number of each run's first constraint in ``listed``, shape (runs + 1,)."""
+    count = [runs.rows[r] * runs.present[runs.shape[r], runs.place[r]:][:runs.count[r]].sum()
+             for r in range(len(runs.start))]
+    return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
+
+
 def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Return all constraints of some runs, in sweep order.

@@ -62,7 +62,8 @@ class Body:
     file: str = quantity(doc='beside the scene file, or an absolute path')
     scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
     spacing: float | None = quantity(None, unit='m', above=0.0, doc=(
-        'of the grid of distances; the thickness unless given, or a 96th of the longest side'))
+        'of the grid of distances; unless given the thickness, or a 96th of the longest side, or '
+        'as much less as its thinnest part takes'))
 
 
 @dataclass(frozen=True)

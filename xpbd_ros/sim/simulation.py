@@ -1,6 +1,6 @@
 """A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 import hashlib
@@ -50,7 +50,7 @@ class Frame:
     """velocities [m/s], shape (particles, 3)"""
     inv_mass: np.ndarray
     """[1/kg], shape (particles,); 0 while pinned"""
-    pins: MappingProxyType
+    pins: Mapping[str, Any]
     """name: PinState"""
     colliders: MappingProxyType
     """name: ColliderState"""
@@ -131,21 +131,24 @@ class Simulation:
         for built in self.effects.values():
             built.compile(self.state)
 
-    def step(self, commands: Sequence[Command] = (), *, keep: bool = False) -> Frame:
+    def step(self, commands: Sequence[Command | tuple[Command, ...]] = (), *,
+             keep: bool = False) -> Frame:
         """
         Apply commands, in order, and advance by one frame.
 
-        With ``keep``, ``start`` will hold what it started from, to compute it again.
+        Those of a tuple are applied together, or, where one of them cannot be, none. With
+        ``keep``, ``start`` will hold what it started from, to compute it again.
         """
         clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
                       self.frame_dt, self.solver.substeps)
         applied, refused = [], []
-        for command in commands:
-            reason = self._apply(command, clock)
+        for group in commands:
+            group = group if isinstance(group, tuple) else (group,)
+            reason = self._apply(group, clock)
             if reason is None:
-                applied.append(command)
+                applied += group
             else:
-                refused.append((command, reason))
+                refused.append((group[0], reason))
         if commands:
             clock = replace(clock, substeps=self.solver.substeps)
         for built in self.effects.values():
@@ -184,7 +187,7 @@ class Simulation:
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
         return Frame(self.index, self.time_ns(self.index), x, v, inv_mass,
-                     MappingProxyType(dict(pin.states) if pin else {}),
+                     pin.states if pin else MappingProxyType({}),
                      MappingProxyType(contact.states(self.frame_dt) if contact else {}),
                      applied, refused, news)
 
@@ -192,16 +195,28 @@ class Simulation:
         """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
         return places(array, self.slot)
 
-    def _apply(self, command: Command, clock: Clock) -> str | None:
-        if isinstance(command, Reset):
+    def _apply(self, group: tuple[Command, ...], clock: Clock) -> str | None:
+        """Apply commands together, or return why not."""
+        if isinstance(group[0], Reset):
             self._reset()
             return None
-        if isinstance(command, SetKey):
-            return self._set(command)
-        for built in self.effects.values():
-            if type(command) in built.commands:
-                return built.commands[type(command)](command, clock, self.state)
-        return f'{type(command).__name__}: the scene has no effect that does this'
+        if isinstance(group[0], SetKey):
+            return self._set(group[0])
+        owners = {}
+        for command in group:
+            owner = next((built for built in self.effects.values()
+                          if type(command) in built.commands), None)
+            if owner is None:
+                return f'{type(command).__name__}: the scene has no effect that does this'
+            owners.setdefault(id(owner), (owner, []))[1].append(command)
+        for owner, mine in owners.values():
+            reason = owner.refusal(mine, self.state)
+            if reason is not None:
+                return reason if len(group) == 1 else f'{reason}; nothing of it was done'
+        for owner, mine in owners.values():
+            for command in mine:
+                owner.commands[type(command)](command, clock, self.state)
+        return None
 
     def _reset(self) -> None:
         self.state.x[:] = self._start
@@ -274,9 +289,12 @@ class ExplicitGuard:
 
     def collect(self) -> None:
         """Learn the edges as they stand now."""
-        self._edges = calm_edges([
-            built.constraints for built in self._simulation.effects.values()
-            if built.constraints is not None and built.constraints.particles.shape[1] == 2])
+        effects = self._simulation.effects
+        self._edges = calm_edges(
+            [these for built in effects.values() for these in built.by_part
+             if these.particles.shape[1] == 2],
+            [these for name in ('shear',) if name in effects for these in effects[name].by_part
+             if these.particles.shape[1] == 4])
 
     def advance(self) -> None:
         """Compute one frame."""

@@ -68,7 +68,11 @@ def kick(effects, state, substep):
 
 
 def react(effects, state, substep):
-    """Add up the forces on pinned particles; compiled only where ``state.reaction`` exists."""
+    """
+    Add up the forces on pinned particles; compiled only where ``state.reaction`` exists.
+
+    In reverse order: pins, which come first among the effects, find what the others did.
+    """
 
 
 _KERNELS: dict[tuple[Callable, type], Callable] = {}
@@ -137,4 +141,4 @@ for _stub in (force, prepare, project, touch, bound, finish, kick):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 walk(react, lambda effect, state: None if _is_none(state, 'reaction') else kernel_of(
-    react, effect))
+    react, effect), backwards=True)

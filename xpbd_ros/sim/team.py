@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 from llvmlite import binding, ir
 from numba import types
-from numba.core import cgutils
 from numba.extending import intrinsic
 import numpy as np
 
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.update import inline
+from xpbd_ros.sim.vector import place
 
 APART = 8
 """from one thread's number in a gate to the next: a cache line, so that only it writes there"""
@@ -81,26 +81,21 @@ def _wait(team):
     return lambda team: _meet(team.gate, team.worker, team.workers)
 
 
-def _place(context, builder, kind, gate, place):
-    data = cgutils.create_struct_proxy(kind)(context, builder, value=gate).data
-    return builder.gep(data, [place], inbounds=True)
-
-
 @intrinsic
-def _read(typing, gate, place):
+def _read(typing, gate, index):
     """Return what is there now, and see all that was done before it was written."""
     def generate(context, builder, signature, arguments):
-        return builder.load_atomic(_place(context, builder, signature.args[0], *arguments),
+        return builder.load_atomic(place(context, builder, signature.args[0], *arguments),
                                    'acquire', 8)
     return types.int64(gate, types.intp), generate
 
 
 @intrinsic
-def _write(typing, gate, place, value):
+def _write(typing, gate, index, value):
     """Write, after all that was done before."""
     def generate(context, builder, signature, arguments):
-        gate_, place_, value_ = arguments
-        builder.store_atomic(value_, _place(context, builder, signature.args[0], gate_, place_),
+        gate_, index_, value_ = arguments
+        builder.store_atomic(value_, place(context, builder, signature.args[0], gate_, index_),
                              'release', 8)
         return context.get_dummy_value()
     return types.void(gate, types.intp, types.int64), generate
@@ -154,15 +149,17 @@ class Crew:
         for other in self._others:    # where a frame was broken off
             other.exception()
         self._gate[:] = 0
+        self._others = []
+        for k in range(1, self.workers):
+            self._others.append(self._pool.submit(self._join, k, step, effects, state, *arguments))
+        self._join(0, step, effects, state, *arguments)
+        for other in self._others:
+            other.result()
+
+    def _join(self, worker: int, step, effects, state, *arguments) -> None:
+        """Call a step on one thread; if that fails, the others do not wait for it."""
         try:
-            self._others = []
-            for k in range(1, self.workers):
-                self._others.append(self._pool.submit(
-                    step, effects, state._replace(team=Team(k, self.workers, self._gate)),
-                    *arguments))
-            step(effects, state._replace(team=Team(0, self.workers, self._gate)), *arguments)
+            step(effects, state._replace(team=Team(worker, self.workers, self._gate)), *arguments)
         except BaseException:    # such as Ctrl-C, before this thread came to the others
             self._gate[-APART] = 1
             raise
-        for other in self._others:
-            other.result()

@@ -5,9 +5,10 @@ SIMD lanes for Numba: one vector type, its operators, and ways to and from memor
         store(y, q, load(x, q) * a + load(y, q))
 
 A kernel is written once, with lanes as its step. ``load`` and ``store`` take flat indices into
-C-contiguous float arrays and check no bounds. A scalar that meets a vector is cast to its lanes'
-type, so a literal never turns float32 into float64. There are no fast-math flags: every operation
-is IEEE, so results do not depend on the width of the registers.
+C-contiguous float arrays; like Numba's own indexing they check bounds only with
+NUMBA_BOUNDSCHECK=1. A scalar that meets a vector is cast to its lanes' type, so a literal never
+turns float32 into float64. There are no fast-math flags: every operation is IEEE, so results do
+not depend on the width of the registers.
 
 The width is that of the machine's registers; XPBD_ROS_VECTOR_BITS = 128, 256 or 512 overrides it.
 Built on Numba's public extension API and on llvmlite's IR builder.
@@ -62,9 +63,18 @@ def vector_of(array) -> Vector:
     return Vector(array.dtype, BITS // array.dtype.bitwidth)
 
 
+def place(context, builder, array_type, array, index, count: int = 1):
+    """Return a pointer to ``count`` numbers of an array, from a flat index on."""
+    array = cgutils.create_struct_proxy(array_type)(context, builder, value=array)
+    if context.enable_boundscheck:
+        for end in (index, builder.add(index, index.type(count - 1))):
+            cgutils.do_boundscheck(context, builder, end, array.nitems)
+    return builder.gep(array.data, [index], inbounds=True)
+
+
 def _pointer(context, builder, array_type, array, index, kind):
-    data = cgutils.create_struct_proxy(array_type)(context, builder, value=array).data
-    return builder.bitcast(builder.gep(data, [index], inbounds=True), kind.as_pointer())
+    pointer = place(context, builder, array_type, array, index, kind.count)
+    return builder.bitcast(pointer, kind.as_pointer())
 
 
 def _splat(builder, scalar, kind):
@@ -185,6 +195,19 @@ def any_lane(typing, mask):
         bits = ir.IntType(signature.args[0].count)
         return builder.icmp_unsigned('!=', builder.bitcast(arguments[0], bits), bits(0))
     return types.boolean(mask), generate
+
+
+@intrinsic
+def highest(typing, a):
+    """Return the largest lane."""
+    def generate(context, builder, signature, arguments):
+        lanes_ = [builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), k))
+                  for k in range(signature.args[0].count)]
+        found = lanes_[0]
+        for each in lanes_[1:]:
+            found = builder.select(builder.fcmp_ordered('>', each, found), each, found)
+        return found
+    return a.lane(a), generate
 
 
 @intrinsic

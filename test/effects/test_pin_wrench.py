@@ -1,0 +1,89 @@
+"""The wrench on pins closes Newton's law: what the cloth gains is what pins and weight gave it."""
+
+import numpy as np
+import pytest
+from sim.shapes import ball, obj_text
+from sim.small import GRAVITY, simulate
+
+from xpbd_ros.sim.commands import MovePin, Pose
+
+LATTICE = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'shear': {'stiffness': 10.0},
+           'bend': {'stiffness': 1e-4}}
+MEMBRANE = {'membrane': {'warp': 200.0, 'weft': 150.0, 'shear': 20.0, 'poisson': 0.2},
+            'hinge': {'stiffness': 1e-4}}
+MESH = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'hinge': {'stiffness': 1e-3},
+        'area': {'stiffness': 50.0}, 'tether': {'slack': 0.02}}
+CORNERS = {'left': {'cloth': 'c', 'at': 'corner_00'}, 'right': {'cloth': 'c', 'at': 'corner_01'}}
+SPOTS = {'left': {'cloth': 'c', 'near': [-0.5, 0.0, 0.0], 'radius': 0.2},
+         'right': {'cloth': 'c', 'near': [0.5, 0.0, 0.0], 'radius': 0.2}}
+BALL = {'stretch': {'warp': 300.0, 'weft': 300.0}, 'pressure': {'outside': 500.0}}
+
+
+def write(folder, vertices, cells) -> str:
+    """Write a mesh, and return the name of its file."""
+    file = folder / 'shape.obj'
+    file.write_text(obj_text(vertices, cells))
+    return str(file)
+
+
+CASES = {
+    'lattice': {'effects': LATTICE, 'pins': CORNERS},
+    'lattice-gauss_seidel': {'effects': LATTICE, 'pins': CORNERS, 'method': 'gauss_seidel',
+                             'substeps': 8, 'iterations': 2},
+    'lattice-explicit': {'effects': LATTICE, 'pins': CORNERS, 'method': 'explicit',
+                         'integrator': 'leapfrog'},
+    'membrane': {'effects': MEMBRANE, 'pins': CORNERS},
+    'mesh': {'effects': MESH, 'pins': SPOTS, 'mesh': True},
+}
+SLOW = {
+    'lattice-jacobi': {'effects': LATTICE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
+    'membrane-jacobi': {'effects': MEMBRANE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
+    'ball': {'effects': BALL, 'pins': SPOTS, 'mesh': lambda folder: write(folder, *ball(1))},
+}
+ALL = [*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+
+
+def make(name, tmp_path, **options):
+    """Return the simulation of a case."""
+    given = {'method': 'auto', 'integrator': None, 'substeps': None, 'density': 0.2,
+             **{**CASES, **SLOW}[name], **options}
+    if callable(given.get('mesh')):
+        given['mesh'] = given['mesh'](tmp_path)
+    return simulate((13, 17), (1.0, 0.8), **given)
+
+
+def pulls(frame):
+    """Return the force of the cloth on all pins together [N]."""
+    return sum(pin.force for pin in frame.pins.values())
+
+
+@pytest.mark.parametrize('name', ALL)
+def test_pins_at_rest_carry_the_weight(name, tmp_path):
+    """Σ F = M g within 1e-6 of it."""
+    simulation = make(name, tmp_path, scene_effects={'pin': {}, 'damping': {'rate': 8.0}})
+    for _ in range(900):
+        frame = simulation.step()
+    assert np.abs(frame.v).max() < 1e-3
+    weight = simulation.state.mass.sum() * GRAVITY
+    np.testing.assert_allclose(pulls(frame), [0.0, 0.0, -weight], rtol=1e-6, atol=1e-6 * weight)
+
+
+@pytest.mark.parametrize('name', ALL)
+def test_shaken_pins_give_the_cloth_its_momentum(name, tmp_path):
+    """∫ (M g - F) dt = Δ Σ m v within 1e-3 of ∫ |F| dt, however rough it is."""
+    simulation = make(name, tmp_path, scene_effects={'pin': {}})
+    mass = simulation.state.mass[simulation.slot]
+    places = {pin: np.array(state.pose.position)
+              for pin, state in simulation.frame().pins.items()}
+    impulse, size, frame = np.zeros(3), 0.0, simulation.frame()
+    before = mass @ frame.v
+    for k in range(60):
+        swing = 0.1 * np.sin(2.0 * np.pi * 3.0 * (k + 1) / 60.0)
+        way = [0.3 * swing, swing, 0.7 * swing]
+        frame = simulation.step([MovePin(pin, Pose(tuple(place + way)))
+                                 for pin, place in places.items()])
+        force = pulls(frame)
+        impulse += simulation.frame_dt * (mass.sum() * np.array([0.0, 0.0, -GRAVITY]) - force)
+        size += simulation.frame_dt * np.linalg.norm(force)
+    gained = mass @ frame.v - before
+    assert np.linalg.norm(impulse - gained) < 1e-3 * size
