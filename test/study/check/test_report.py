@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from scene.shipped import each_scene, WITH_MESHIO
 from sim.shapes import disc, obj_text
+from sim.test_field import box
 
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.shapes import SHAPES
 from xpbd_ros.study.check import check
 from xpbd_ros.study.check.decay import factor
 from xpbd_ros.study.check.stiffness import stiffness
@@ -106,6 +108,27 @@ def test_what_will_go_wrong_is_said(changes, text):
         del scene['pins']
     found = check(scene_from_mapping(scene, where='x', name='x'))
     assert [one for one in found.warnings if text in one], found.warnings
+
+
+def test_each_kind_of_collider_is_checked(tmp_path):
+    """What is narrower than the gaps between particles is named; what has no far side is not."""
+    for name, half in (('pole', (0.02, 0.5, 0.02)), ('crate', (0.2, 0.2, 0.2))):
+        vertices, faces = box(*half)
+        (tmp_path / f'{name}.obj').write_text(obj_text(vertices, faces))
+    colliders = {
+        'ground': {'plane': {}}, 'ball': {'sphere': {'radius': 0.2}},
+        'rod': {'capsule': {'radius': 0.02, 'length': 1}},
+        'can': {'cylinder': {'radius': 0.3, 'length': 1}}, 'block': {'box': {'size': [1, 1, 1]}},
+        'pole': {'mesh': {'file': str(tmp_path / 'pole.obj')}},
+        'crate': {'mesh': {'file': str(tmp_path / 'crate.obj')}},
+        'hills': {'heights': {'size': [1, 1], 'values': [[0, 1], [1, 0]]}}}
+    assert {next(iter(entry)) for entry in colliders.values()} == set(SHAPES)
+    found = check(scene_from_mapping({
+        'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [5, 5]}, 'density': 0.2}},
+        'effects': {'contact': {'thickness': 0.01}}, 'colliders': colliders}, where='x', name='x'))
+    assert found.warnings == [
+        f'colliders.{name}: 0.04 m across, and particles are 0.25 m apart: it can slip between '
+        'them; a finer cloth would feel it' for name in ('rod', 'pole')]
 
 
 @pytest.mark.parametrize('angle', [1e-3, 0.1, 1.0, 10.0])

@@ -23,7 +23,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.setting import Setting
-from xpbd_ros.study.reference import Edges, problem_of, Sums
+from xpbd_ros.study.reference import Edges, problem_of, Slants, Sums
 
 SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}
 KEPT = 0.95
@@ -42,6 +42,8 @@ def refusal(scene: Scene) -> str | None:
         problem = problem_of(simulation)
     except InputError as error:
         return str(error)
+    if problem.all_of(Slants):
+        return 'effects.shear: baselines know edges along diagonals, which take square cells'
     if len(problem.x) > len(simulation.slot):
         return 'pins: baselines hold rigidly; leave out compliance'
     return None

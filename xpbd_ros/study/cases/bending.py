@@ -1,9 +1,13 @@
 """Bending: patches, strips that droop, a strip that swings."""
 
 from functools import cache
+from tempfile import NamedTemporaryFile
 
 import numpy as np
+from scipy import sparse
 from scipy.integrate import solve_bvp, trapezoid
+from scipy.sparse.linalg import spsolve
+from scipy.spatial import Delaunay
 
 from xpbd_ros.study.cases.build import build, crossing, G, hold, place, run
 from xpbd_ros.study.cases.case import case, order, value
@@ -15,7 +19,7 @@ DENSITY = 0.2
 def patch():
     """Rolled onto a cylinder about any axis, a sheet stores B κ² / 2 per area."""
     B, curvature, h = 2e-3, 0.2, 0.05
-    simulation = build((12, 12), (11 * h, 11 * h), {'bend': {'stiffness': B}})
+    simulation = build((12, 12), (11 * h, 11 * h), {'bend': {'stiffness': B}}, method='auto')
     x, bends = simulation.frame().x, simulation.effects['bend'].constraints
     number = np.full(simulation.state.x.shape[1], -1)
     number[simulation.slot] = np.arange(len(x))
@@ -33,6 +37,65 @@ def patch():
         each = 2.0 * energy[inside & curved].mean() + energy[~curved].mean()
         yield value(f'energy per area, rolled at {degrees:g}°', 0.5 * B * curvature**2,
                     each / (h * h), 'J/m²', 1e-3)
+
+
+def irregular(n: int, h: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices, shaken from a lattice of triangles and turned, and their triangulation."""
+    row, column = (k.ravel() for k in np.mgrid[:n, :n])
+    points = h * np.stack([column + 0.5 * (row % 2), row * 0.75**0.5], 1)
+    inner = (np.minimum(row, column) > 0) & (np.maximum(row, column) < n - 1)
+    points[inner] += np.random.default_rng(3).uniform(-0.25 * h, 0.25 * h, (inner.sum(), 2))
+    triangles = Delaunay(points).simplices
+    sides = points[triangles] - points[triangles][:, [1, 2, 0]]
+    area = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    a = np.radians(degrees)
+    turned = points @ np.array([[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]])
+    return (np.pad(turned, ((0, 0), (0, 1))),
+            triangles[area > 0.1 * np.square(sides).sum(2).max(1)])
+
+
+@case('V12', 'bending patch')
+def patch_of_a_mesh():
+    """
+    Rolled likewise a mesh settles within; per area it stores (√B1 c² + √B2 s²)² κ² / 2.
+
+    Held are the particles at the rim and beside it.
+    """
+    h, n = 0.05, 13
+    for degrees, (warp, weft) in ((0.0, (2e-3, 2e-3)), (25.0, (2e-3, 2e-3)),
+                                  (25.0, (1e-3, 8e-3))):
+        vertices, triangles = irregular(n, h, degrees)
+        with NamedTemporaryFile('w', suffix='.obj') as file:
+            file.writelines([*('v {} {} {}\n'.format(*x) for x in vertices),
+                             *('f {} {} {}\n'.format(*t) for t in triangles + 1)])
+            file.flush()
+            simulation = build(mesh=file.name, effects={'bend': {'warp': warp, 'weft': weft}},
+                               method='auto')
+        bends, x = simulation.effects['bend'].constraints, simulation.frame().x
+        number = np.full(simulation.state.x.shape[1], -1)
+        number[simulation.slot] = np.arange(len(x))
+        particles = number[bends.particles]
+        fold = sparse.csr_matrix((bends.weight.ravel(), (
+            np.repeat(np.arange(len(particles)), 4), particles.ravel())))
+        stiffness = (fold.T @ sparse.diags(1.0 / bends.compliance) @ fold).tocsc()
+        free = np.ones(len(x), bool)
+        sides, often = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2),
+                                         1), axis=0, return_counts=True)
+        free[sides[often == 1]] = False
+        free[sides[~free[sides].all(1)]] = False
+        inside, corners = free[particles].any(1), x[particles]
+        area = sum(np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0],
+                                           corners[:, k] - corners[:, 0]), axis=1)
+                   for k in (2, 3))[inside].sum() / 6.0    # each triangle has three hinges
+        for roll in (0.0, 22.5, 45.0, 90.0, 135.0):
+            c, s = np.cos(np.radians(roll)), np.sin(np.radians(roll))
+            z = 0.5 * (c * x[:, 0] + s * x[:, 1])**2
+            z[free] = spsolve(stiffness[free][:, free], -stiffness[free][:, ~free] @ z[~free])
+            got = (0.5 * (fold @ z)**2 / bends.compliance)[inside].sum() / area
+            yield value(f'energy per area of a mesh turned by {degrees:g}°, B {1e3 * warp:g} and '
+                        f'{1e3 * weft:g} mN m, rolled at {roll:g}°',
+                        0.5 * (np.sqrt(warp) * c * c + np.sqrt(weft) * s * s)**2, got, 'J/m²',
+                        2e-3)
 
 
 @cache

@@ -20,11 +20,13 @@ def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0
 
     ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second;
     ``mesh``, a file, takes the place of the grid.
+    What is None of the solver's keys is left to ``auto``.
     There may always be pins, so that cases with the same effects share their machine code.
     """
     scene = {'gravity': list(gravity), 'frame_rate': rate,
-             'solver': {'method': method, 'integrator': integrator, 'substeps': substeps,
-                        'iterations': iterations},
+             'solver': {key: value for key, value in (
+                 ('method', method), ('integrator', integrator), ('substeps', substeps),
+                 ('iterations', iterations)) if value is not None},
              'cloths': {'c': {**({'mesh': {'file': str(mesh)}} if mesh else {
                  'grid': {'size': list(size), 'resolution': list(grid)}}), 'density': density,
                               'friction': friction, 'pose': pose or {},

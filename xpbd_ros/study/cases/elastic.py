@@ -115,34 +115,39 @@ def patch():
     """
     C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear, on square cells.
 
-    And of a membrane in any affine field Eᵀ S E / 2, with S of plane stress (Jones 1975).
+    On oblong ones C11 = warp, C22 = weft, C12 = 0 and C66 = shear. And of a membrane in any affine
+    field Eᵀ S E / 2, with S of plane stress (Jones 1975).
     """
     warp, weft, shear, e = 70.0, 40.0, 15.0, 1e-5
-    simulation = build((6, 5), (0.5, 0.4), {'stretch': {'warp': warp, 'weft': weft},
-                                            'shear': {'stiffness': shear}})
-    x = simulation.frame().x
+    for cells, size, added in (('1:1', (0.5, 0.4), shear), ('3:1', (1.5, 0.4), 0.0),
+                               ('1:3', (0.5, 1.2), 0.0), ('1.01:1', (0.505, 0.4), 0.0)):
+        area = size[0] * size[1]
+        simulation = build((6, 5), size, {'stretch': {'warp': warp, 'weft': weft},
+                                          'shear': {'stiffness': shear}})
+        x = simulation.frame().x
 
-    def energy(xx, yy, xy):
-        total = 0.0
-        for sign in (e, -e):
-            bent = x + sign * x @ np.array([[xx, 0.5 * xy, 0], [0.5 * xy, yy, 0], [0, 0, 0]])
-            place(simulation, bent)
-            total += sum(simulation.effects[name].constraints.energy(simulation.state.x)
-                         for name in ('stretch', 'shear'))
-        return total / (e * e * 0.5 * 0.4)
+        def energy(xx, yy, xy, simulation=simulation, x=x, area=area):
+            total = 0.0
+            for sign in (e, -e):
+                bent = x + sign * x @ np.array([[xx, 0.5 * xy, 0], [0.5 * xy, yy, 0], [0, 0, 0]])
+                place(simulation, bent)
+                total += sum(simulation.effects[name].constraints.energy(simulation.state.x)
+                             for name in ('stretch', 'shear'))
+            return total / (e * e * area)
 
-    c11, c22 = energy(1, 0, 0), energy(0, 1, 0)
-    for name, expected, got in (('C11', warp + shear, c11), ('C22', weft + shear, c22),
-                                ('C12', shear, 0.5 * (energy(1, 1, 0) - c11 - c22)),
-                                ('C66', shear, energy(0, 0, 1))):
-        yield value(name, expected, got, 'N/m', 1e-5)
-    poisson, other = 0.35, 0.35 * weft / warp
-    simulation = build((6, 5), (0.5, 0.4), {'membrane': {
-        'warp': warp, 'weft': weft, 'shear': shear, 'poisson': poisson}})
-    f = np.array([[1.1, 0.3, 0.0], [-0.2, 0.9, 0.0], [0.4, -0.1, 1.0]])
-    place(simulation, x @ f.T)
-    green = 0.5 * (f.T @ f - np.eye(3))
-    e11, e22, g12 = green[0, 0], green[1, 1], 2.0 * green[0, 1]
-    yield value('membrane', 0.1 * (warp * e11**2 + 2.0 * other * warp * e11 * e22 + weft * e22**2)
-                / (1.0 - poisson * other) + 0.1 * shear * g12**2,
-                simulation.effects['membrane'].constraints.energy(simulation.state.x), 'J', 1e-12)
+        c11, c22 = energy(1, 0, 0), energy(0, 1, 0)
+        for name, expected, got in (('C11', warp + added, c11), ('C22', weft + added, c22),
+                                    ('C12', added, 0.5 * (energy(1, 1, 0) - c11 - c22)),
+                                    ('C66', shear, energy(0, 0, 1))):
+            yield value(f'{name}, cells {cells}', expected, got, 'N/m', 1e-5, scale=shear)
+        poisson, other = 0.35, 0.35 * weft / warp
+        simulation = build((6, 5), size, {'membrane': {
+            'warp': warp, 'weft': weft, 'shear': shear, 'poisson': poisson}})
+        f = np.array([[1.1, 0.3, 0.0], [-0.2, 0.9, 0.0], [0.4, -0.1, 1.0]])
+        place(simulation, x @ f.T)
+        green = 0.5 * (f.T @ f - np.eye(3))
+        e11, e22, g12 = green[0, 0], green[1, 1], 2.0 * green[0, 1]
+        yield value(f'membrane, cells {cells}', 0.5 * area * (
+            (warp * e11**2 + 2.0 * other * warp * e11 * e22 + weft * e22**2)
+            / (1.0 - poisson * other) + shear * g12**2),
+            simulation.effects['membrane'].constraints.energy(simulation.state.x), 'J', 1e-12)

@@ -41,6 +41,8 @@ def scene(substeps: int, names: tuple[str, ...] | None = None, *, damping: float
     cloths = {
         'membrane': {**grid, 'effects': {'membrane': {'warp': 40.0, 'weft': 25.0, 'shear': 10.0,
                                                       'poisson': 0.3}}},
+        'shear': {**grid, 'grid': {'size': [0.3, 0.1], 'resolution': [4, 3]},
+                  'effects': {**SOFT, 'shear': {'stiffness': 8.0}}},
         'hinge': {**grid, 'effects': {**SOFT, 'hinge': {'stiffness': 0.02}}},
         'cross_bend': {**grid, 'effects': {**SOFT, 'cross_bend': {'stiffness': 0.02}}},
         'area': {**grid, 'effects': {**SOFT, 'area': {'stiffness': 30.0}}},

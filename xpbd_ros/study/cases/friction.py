@@ -2,13 +2,16 @@
 
 import numpy as np
 
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose
+from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose
 from xpbd_ros.study.cases.build import build, G, place, run
 from xpbd_ros.study.cases.case import case, order, value
 
 MU = 0.4
 GAP = 0.001
-CAPSTAN = 0.3
+DRAWN, TURNED = 0.3, 0.45
+"""μ of a strip that is drawn over a cylinder, and of one that it turns under"""
+ALONG_Y = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+"""turns a cylinder so that its axis points along -y"""
 
 
 def on_plane(degrees: float, *, speed: float = 0.0, **options):
@@ -47,22 +50,17 @@ def stop():
                 step='substep [s]')
 
 
-def drawn(n: int, radius: float = 0.1) -> float:
-    """
-    Return the ratio of pull to hold of a strip that two pins draw slowly over half a cylinder.
-
-    Stretched by 2 % at the start, and without gravity.
-    """
-    arc, straight, speed = np.pi * radius, 0.15, 0.05
+def round_a_drum(n: int, mu: float, radius: float = 0.1):
+    """Return a strip laid over half a cylinder, stretched by 2 %, at ``auto``, and its places."""
+    arc, straight = np.pi * radius, 0.15
     total = arc + 2.0 * straight
     strip = build((n + 1, 1), (total / 1.02, 1.0), {'stretch': {'warp': 200.0, 'weft': 200.0}},
-                  density=0.2, gravity=(0, 0, 0), substeps=32, method='line', integrator='bdf2',
-                  friction=CAPSTAN,
+                  density=0.2, gravity=(0, 0, 0), substeps=None, method='auto', integrator=None,
+                  friction=mu,
                   colliders={'bar': {'cylinder': {'radius': radius - GAP, 'length': 1.0},
-                                     'orientation': [0.5**0.5, 0, 0, 0.5**0.5],
-                                     'friction': CAPSTAN}},
+                                     'orientation': list(ALONG_Y), 'friction': mu}},
                   effects_={'contact': {'thickness': GAP}, 'friction': {},
-                            'damping': {'rate': 5.0}})
+                            'damping': {'rate': 1.0}})
     s = np.linspace(-straight, arc + straight, n + 1)
     angle = np.clip(s / radius, 0.0, np.pi)
     x = np.stack([-radius * np.cos(angle), np.zeros(n + 1), radius * np.sin(angle)], 1)
@@ -70,7 +68,13 @@ def drawn(n: int, radius: float = 0.1) -> float:
     place(strip, x)
     ends = {'hold': x[0], 'pull': x[-1]}
     strip.step([Grasp(name, Pose(tuple(end.tolist())), 1e-3) for name, end in ends.items()])
-    ratios = []
+    return strip, ends
+
+
+def drawn(n: int) -> float:
+    """Return the ratio of pull to hold of a strip that two pins draw slowly over a cylinder."""
+    strip, ends = round_a_drum(n, DRAWN)
+    ratios, speed = [], 0.05
     for k in range(1, 91):
         way = {'hold': speed * k / 60.0, 'pull': -speed * k / 60.0}
         frame = strip.step([MovePin(name, Pose((end[0], 0.0, end[2] + way[name])))
@@ -79,9 +83,25 @@ def drawn(n: int, radius: float = 0.1) -> float:
     return float(np.mean(ratios[45:]))
 
 
+def turned(n: int) -> float:
+    """Return the ratio of the pulls at the ends of a strip that a cylinder turns under."""
+    strip, _ = round_a_drum(n, TURNED)
+    ratios = []
+    for k in range(1, 121):
+        c, s = np.cos(k / 120.0), np.sin(k / 120.0)    # half the angle, at 1 rad/s
+        about_x, about_w = ALONG_Y[0], ALONG_Y[3]
+        frame = strip.step([MoveCollider('bar', Pose((0.0, 0.0, 0.0), (
+            c * about_x, s * about_w, -s * about_x, c * about_w)))])
+        pulls = [frame.pins[name].force[2] for name in ('hold', 'pull')]
+        ratios.append(max(pulls) / min(pulls) if max(pulls) > 0.0 else min(pulls) / max(pulls))
+    return float(np.mean(ratios[60:]))
+
+
 @case('V16', 'capstan')
 def capstan():
     """A strip that slides over a cylinder pulls with e^(μ φ) times the force that holds it."""
-    for n in (40, 80):
-        yield value(f'pull over hold, half a turn, {n} edges', np.exp(CAPSTAN * np.pi), drawn(n),
-                    '', 0.03)
+    for n in (20, 100):
+        yield value(f'pull over hold, drawn, {n} edges', np.exp(DRAWN * np.pi), drawn(n), '', 0.01)
+    for n in (20, 140, 200):
+        yield value(f'pull over hold, turned, {n} edges', np.exp(TURNED * np.pi), turned(n), '',
+                    0.01)

@@ -151,6 +151,10 @@ def _edges(listed, x):
     return np.stack([u, -u], 1)[:, None]    # C grows along u at the first particle
 
 
+def _diagonals(listed, x):
+    return _edges(listed, x) if listed.particles.shape[1] == 2 else listed.slopes(x.T)[:, None]
+
+
 def _curvatures(listed, x):
     found = np.zeros((len(listed.weight), 1, 4, 3))    # each axis for itself: one says it all
     found[:, 0, :, 2] = listed.weight
@@ -182,7 +186,7 @@ def _strains(listed, x):
 
 
 SLOPES = {'bend': _curvatures, 'cross_bend': _edges, 'hinge': _angles, 'area': _areas,
-          'shear': _edges, 'membrane': _strains, 'stretch': _edges}
+          'shear': _diagonals, 'membrane': _strains, 'stretch': _edges}
 """∂C/∂x of each constraint by its particles, shape (constraints, rows of each, particles, 3)"""
 
 

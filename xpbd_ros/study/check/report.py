@@ -8,6 +8,8 @@ import numpy as np
 from xpbd_ros.scene.auto import cost, INTEGRATOR
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.field import Field
+from xpbd_ros.sim.shapes import Entry
 from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.study.check.decay import Decay, decays
 from xpbd_ros.study.check.stiffness import Row, stiffness, UNPREDICTED
@@ -133,15 +135,21 @@ def _thin(scene: Scene, simulation: Simulation) -> list[str]:
     found = []
     spacing = max((cloth.mesh.gap for cloth in simulation.cloths), default=0.0)
     for name, entry in scene.sections.get('colliders', {}).items():
-        size = inf
-        if entry.box is not None:
-            size = sorted(entry.box.size)[1]    # a plate is thin and still catches particles
-        elif entry.plane is None:
-            size = 2.0 * (entry.sphere or entry.capsule or entry.cylinder).radius
+        size = _across(entry, simulation.effects['contact'].shapes.get(name))
         if size < spacing:
             found.append(f'colliders.{name}: {size:g} m across, and particles are {spacing:.3g} m '
                          'apart: it can slip between them; a finer cloth would feel it')
     return found
+
+
+def _across(entry: Entry, shape: Field | np.ndarray | None) -> float:
+    """Return how far apart particles may be that a collider still catches [m]."""
+    if entry.plane is not None or entry.heights is not None:
+        return inf
+    if entry.box is not None or entry.mesh is not None:
+        size = entry.box.size if entry.mesh is None else shape.size
+        return sorted(size)[1]    # a plate is thin and still catches particles
+    return 2.0 * (entry.sphere or entry.capsule or entry.cylinder).radius
 
 
 def _coarse(scene: Scene, simulation: Simulation) -> list[str]:

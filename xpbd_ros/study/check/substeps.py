@@ -54,7 +54,7 @@ def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
     """Return the substeps that follow the waves; 1 where the stiffness says it all."""
     if solver.integrator == 'backward_euler':
         return 1.0
-    rate = sum(largest_rate(built.constraints, simulation.state.mass)
+    rate = sum(max(largest_rate(these, simulation.state.mass) for these in built.by_part)
                for name, built in simulation.effects.items() if name in ('shear', 'stretch'))
     if rate == inf:
         return 1.0

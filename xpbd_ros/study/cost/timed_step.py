@@ -103,7 +103,7 @@ class _Step:
         yield from self._walk(inner, touch)
         yield from self._walk(inner, bound)
         yield f'{inner}pass'
-        yield from self._walk(each, react)
+        yield from self._walk(each, react, backwards=True)
         yield f'{each}begun = k + 1 < substeps and not finishes(effects)'
         yield f'{each}if begun:'
         yield from self._integrate(inner, 'update_velocity_and_begin(state, substep)')

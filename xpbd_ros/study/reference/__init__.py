@@ -21,6 +21,7 @@ from xpbd_ros.study.reference.elements import (
     Gas,
     Hinges,
     Membranes,
+    Slants,
     Sums,
     Tetrahedra,
 )
@@ -42,4 +43,4 @@ from xpbd_ros.study.reference.stiffness import Stiffness
 __all__ = ['Areas', 'Edges', 'elastic', 'Elements', 'equilibrium', 'explicit', 'Gas', 'gradient',
            'highest_frequency', 'highest_frequency_bound', 'Hinges', 'kinetic', 'limit',
            'Membranes', 'newton', 'potential', 'Problem', 'problem_of', 'Reference', 'rms',
-           'StepTooLongError', 'Stiffness', 'Sums', 'Tetrahedra']
+           'Slants', 'StepTooLongError', 'Stiffness', 'Sums', 'Tetrahedra']

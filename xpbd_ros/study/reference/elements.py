@@ -138,6 +138,22 @@ class Edges(Elements):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Slants(Elements):
+    """E = k (|x1 - x0| - |x3 - x2|)² / 2: what the diagonals of a cell differ by."""
+
+    stiffness: Array
+    """k [N/m], shape (m,)"""
+
+    @property
+    def weights(self):
+        return np.array([[[1.0, 0.0, 0.0], [0.0, -1.0, 1.0]]])
+
+    def energies(self, z):
+        slant = root(dot(z[0], z[0])) - root(dot(z[1], z[1]))
+        return 0.5 * self.stiffness * (slant * slant)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Sums(Elements):
     """
     E = B |Σ w_i x_i|² / 2, the w of sum 0.

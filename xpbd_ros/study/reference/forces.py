@@ -16,6 +16,7 @@ from xpbd_ros.study.reference.elements import (
     Gas,
     Hinges,
     Membranes,
+    Slants,
     Sums,
     Tetrahedra,
 )
@@ -54,6 +55,22 @@ def pull_edges(x, low, f, particles, rest_length, stiffness):
         for k in range(3):
             f[i, k] += tension * d[k]
             f[j, k] -= tension * d[k]
+
+
+@fast
+def pull_slants(x, low, f, particles, stiffness):
+    for c in range(len(particles)):
+        i0, i1, i2, i3 = particles[c]
+        d, e = _way(x, low, i0, i1), _way(x, low, i2, i3)
+        l, g = sqrt(_dot(d, d)), sqrt(_dot(e, e))
+        if l == 0.0 or g == 0.0:
+            continue
+        tension = stiffness[c] * (l - g)
+        for k in range(3):
+            f[i0, k] += tension * d[k] / l
+            f[i1, k] -= tension * d[k] / l
+            f[i2, k] -= tension * e[k] / g
+            f[i3, k] += tension * e[k] / g
 
 
 @fast
@@ -180,6 +197,7 @@ def push_gas(x, low, f, particles, rest_volume, compliance):
             f[k, m] += push * ab[m]
 
 
-PULLS = {Edges: pull_edges, Sums: pull_sums, Membranes: pull_membranes, Hinges: pull_hinges,
-         Areas: pull_areas, Tetrahedra: pull_tetrahedra, Gas: push_gas}
+PULLS = {Edges: pull_edges, Slants: pull_slants, Sums: pull_sums, Membranes: pull_membranes,
+         Hinges: pull_hinges, Areas: pull_areas, Tetrahedra: pull_tetrahedra,
+         Gas: push_gas}
 """kernel(x, low, f, particles, *parameters) of each kind"""

@@ -20,6 +20,7 @@ from xpbd_ros.study.reference.elements import (
     Gas,
     Hinges,
     Membranes,
+    Slants,
     Sums,
     Tetrahedra,
 )
@@ -101,8 +102,14 @@ def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
         return [Gas(particles=numbers[triangles], rest_volume=volume, compliance=alpha)
                 for triangles, volume, alpha in zip(found.triangles, found.rest_volume,
                                                     found.compliance)]
+    if name == 'shear':
+        return [Edges(particles=numbers[these.particles], rest_length=these.rest_length,
+                      stiffness=_inverse(name, these.compliance))
+                if these.particles.shape[1] == 2 else
+                Slants(particles=numbers[these.particles],
+                       stiffness=_inverse(name, these.compliance)) for these in built.by_part]
     particles = numbers[found.particles]
-    if name in ('stretch', 'shear', 'cross_bend'):
+    if name in ('stretch', 'cross_bend'):
         return [Edges(particles=particles, rest_length=found.rest_length,
                       stiffness=_inverse(name, found.compliance))]
     if name == 'bend':

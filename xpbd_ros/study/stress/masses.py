@@ -8,7 +8,18 @@ import numpy as np
 from xpbd_ros.study.stress.case import hard, Setting
 from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import DOWN, FLAT, N, RIGID, sheet, SIZE, SOFT, SPACING, USUAL
+from xpbd_ros.study.stress.worlds import (
+    DOWN,
+    FIRM,
+    FLAT,
+    N,
+    RIGID,
+    sheet,
+    SIZE,
+    SOFT,
+    SPACING,
+    USUAL,
+)
 
 GENTLE = 0.05
 """how far the total energy may rise, of what the cloth can have"""
@@ -108,10 +119,16 @@ def one(x):
 
 @hard('H5', 'coincident particles')
 def coincident():
-    """They part, in the same way in every run; the sheet recovers, or from one point crumpled."""
+    """
+    They part, in the same way in every run, and the sheet recovers.
+
+    From one point it opens crumpled: where lines are solved in many substeps it comes back to its
+    shape; where a setting is far softer than asked, a fold keeps a part of its edges pressed.
+    """
     for setting in USUAL:
-        yield Trial(setting, sheet(pins={}, gravity=0.0), 3.0, place=one, recovers=0.6,
-                    label='all of them')
+        resolved = setting.method == 'line' and setting.substeps >= 32
+        yield Trial(setting, sheet(FIRM, pins={}, gravity=0.0), 3.0, place=one,
+                    recovers=0.01 if resolved else 0.6, label='all of them')
         for place, label in ((patch, 'a patch'), (rows, 'three rows')):
             yield Trial(setting, sheet(), 3.0, place=place, recovers=0.01, label=label)
 

@@ -326,11 +326,17 @@ def _model(trial: Trial, simulation) -> Model:
     edges, rest, alpha = [], [], []
     hinges, angle, hinge_alpha = [np.zeros((0, 4), np.int64)], [np.zeros(0)], [np.zeros(0)]
     for name in ('stretch', 'shear'):
-        if name in simulation.effects:
-            these = simulation.effects[name].constraints
-            edges.append(number[these.particles])
-            rest.append(these.rest_length)
-            alpha.append(these.compliance)
+        for these in simulation.effects[name].by_part if name in simulation.effects else ():
+            if these.particles.shape[1] == 2:
+                edges.append(number[these.particles])
+                rest.append(these.rest_length)
+                alpha.append(these.compliance)
+            else:    # the textbook has both diagonals of a cell, each twice as stiff
+                ends = number[these.particles].reshape(-1, 2)
+                places = np.concatenate([cloth.mesh.positions for cloth in simulation.cloths])
+                edges.append(ends)
+                rest.append(np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1))
+                alpha.append(np.repeat(0.5 * these.compliance, 2))
     if 'hinge' in simulation.effects:
         these = simulation.effects['hinge'].constraints
         hinges.append(number[these.particles])
