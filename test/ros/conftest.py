@@ -58,8 +58,8 @@ def start(tmp_path_factory, own_domain: None) -> Iterator[Callable[..., NodeProc
 
 @pytest.fixture(scope='module')
 def lockstep(start, peer, towel) -> Cloth:
-    """Return a node that steps the towel on request, and has been met."""
-    cloth = Cloth(peer, start(scene=towel, mode='lockstep'))
+    """Return a node that steps the towel on request, by its own clock, and has been met."""
+    cloth = Cloth(peer, start(scene=towel, mode='lockstep', publish_clock='true'))
     cloth.meet(pins=MarkerArray(), pin_targets=targets(), collider_states=targets(),
                colliders=MarkerArray(),
                collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))

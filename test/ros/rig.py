@@ -36,7 +36,7 @@ TOWEL = SCENE.replace('SUBSTEPS', '20')
 """a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""
-OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics'
+OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics', '/clock'
 """topics that no scene calls for"""
 
 
@@ -173,7 +173,7 @@ class Cloth:
         self.pins = peer.hear(MultiDOFJointState, f'{name}/pin_states')
         self.statuses: list[dict[str, str]] = []
         self.epoch_ns = None
-        """stamp of frame 0"""
+        """stamp of frame 0, where stamps are simulation time"""
         peer.node.create_subscription(DiagnosticArray, '/diagnostics', self._diagnosed, 50)
 
     def _diagnosed(self, array: DiagnosticArray) -> None:
@@ -181,7 +181,7 @@ class Cloth:
             if status.name == f'{self.name.lstrip("/")}: simulation':
                 values = {pair.key: pair.value for pair in status.values}
                 self.statuses.append({'level': status.level, 'message': status.message, **values})
-                self.epoch_ns = stamp_ns(array) - time_ns(int(values['frame']))
+                self.epoch_ns = int(values['epoch_ns'])
 
     def status(self, true: Callable = lambda status: True) -> dict[str, str]:
         """Return what /diagnostics says, from now on, once it says what is waited for."""
@@ -249,9 +249,9 @@ class Cloth:
                 for k, name in enumerate(message.joint_names)}
 
     def _of_frame(self, heard: list, frame: int):
-        stamp = self.epoch_ns + time_ns(frame)
         return self.peer.until(
-            lambda: next((m for m in reversed(heard) if stamp_ns(m) == stamp), None),
+            lambda: next((m for m in reversed(heard)
+                          if stamp_ns(m) == self.epoch_ns + time_ns(frame)), None),
             f'frame {frame}')
 
     # parameters and lifecycle

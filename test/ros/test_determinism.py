@@ -9,6 +9,7 @@ import sys
 from geometry_msgs.msg import Point, Twist
 import pytest
 from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targets
+from strict import read_strictly
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.live.node import SCENE
@@ -30,7 +31,8 @@ def scene(tmp_path_factory):
 @pytest.fixture(scope='module')
 def cloth(start, peer, scene):
     """Return a node in a namespace of its own."""
-    cloth = Cloth(peer, start('-r', '__ns:=/robot', scene=scene, mode='lockstep'), '/robot/cloth')
+    cloth = Cloth(peer, start('-r', '__ns:=/robot', scene=scene, mode='lockstep',
+                              publish_clock='true'), '/robot/cloth')
     cloth.meet(pins=MarkerArray(), pin_targets=targets(), collider_states=targets(),
                colliders=MarkerArray(),
                collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))
@@ -106,6 +108,7 @@ def record(cloth, run, mode: str, wait) -> dict[int, int]:
     play(cloth, wait)
     assert cloth.set(mode='lockstep') == (True, '')
     assert cloth.record(False) == (True, str(run))
+    assert read_strictly(run)['/parameter_events'] > 0
     return hashes(run)
 
 
@@ -115,10 +118,11 @@ def repeated(run, folder) -> dict[int, int]:
     last = max(hashes(run))
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'run', folder / 'scene.yaml', '--commands', run,
-         '--duration', repr(last / 60.0), '-o', folder / 'again', '--json', '-'],
+         '-o', folder / 'again', '--json', '-'],
         env=child_environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)['refused'] == 0
+    assert json.loads(done.stdout)['commands']['identical']
     assert json.loads(done.stdout)['frames'] == last
     assert inputs(folder / 'again') == inputs(run)
     return hashes(folder / 'again')
@@ -147,3 +151,26 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
     assert set(first) == set(range(max(first) + 1)), 'every frame'
     assert repeated(run, tmp_path) == first
     assert os.path.exists(run)
+
+
+def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(cloth, scene, tmp_path):
+    cloth.restart(mode='lockstep', record__path='')
+    cloth.meet()
+    cloth.mark(pin('left', (-0.2, -0.2, 0.004)))
+    cloth.step(3)
+    good, run = cloth.record(True)
+    assert good, run
+    cloth.aim(left=(-0.2, -0.2, 0.05))
+    cloth.step(3)
+    assert cloth.record(False) == (True, run)
+    first = min(hashes(run))
+    assert first >= 3
+    assert inputs(run) != []
+    done = subprocess.run(
+        [sys.executable, '-m', 'xpbd_ros', 'run', scene, '--commands', run, '-o',
+         tmp_path / 'again'], env=child_environment(), capture_output=True, text=True,
+        check=False)
+    assert (done.returncode, done.stdout) == (1, '')
+    assert f'begins in the midst of a run, with frame {first}: ' in done.stderr
+    assert done.stderr.count('\n') == 1
+    assert not (tmp_path / 'again').exists()

@@ -2,6 +2,7 @@
 
 from math import inf, nan
 import random
+import time
 
 from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3, Vector3Stamped
 import pytest
@@ -286,26 +287,50 @@ def take(box, message, topic='/t'):
 def test_only_the_last_target_of_a_name_waits(box):
     for k in range(3):
         take(box, targets(left=(k, 0, 0), right=(-k, 0, 0)))
-    assert [(c.pin, c.pose.position[0]) for c in box.drain()] == [('left', 2.0), ('right', -2.0)]
+    (last,) = box.drain()
+    assert [(c.pin, c.pose.position[0]) for c in last] == [('left', 2.0), ('right', -2.0)]
     assert box.drain() == []
 
 
+def test_the_last_target_of_each_name_waits_whoever_says_it(box):
+    for k in range(3):
+        take(box, targets(left=(k, 0, 0)))
+        take(box, targets(right=(-k, 0, 0)))
+    take(box, targets(left=(3, 0, 0), up=(0, 0, 0)))
+    assert [[c.pin for c in group] for group in box.drain()] == [['right'], ['left', 'up']]
+
+
+def test_a_newer_target_does_not_make_an_older_message_something_else(box):
+    """``nobody`` is refused with its message, and the newer target stands on its own."""
+    take(box, targets(left=(1, 0, 0), nobody=(0, 0, 0)))
+    take(box, targets(left=(2, 0, 0)))
+    assert [[c.pin for c in group] for group in box.drain()] == [['left', 'nobody'], ['left']]
+
+
+def test_of_a_stream_with_stamps_the_latest_are_kept(box):
+    for k in range(3 * inbox.KEPT):
+        take(box, targets(stamp=1 + k, left=(k, 0, 0)))
+        take(box, targets(stamp=1 + k, right=(k, 0, 0)))
+    places = [group[0].pose.position[0] for group in box.drain() if group[0].pin == 'left']
+    assert places == list(range(2 * inbox.KEPT, 3 * inbox.KEPT))
+
+
 def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
-    first, second = MovePin('a', HERE), MovePin('a', Pose())
+    first, second = (MovePin('a', HERE),), (MovePin('a', Pose()),)
     for between in (Grasp('a', HERE, 1.0), Release('a'), ReleaseAll(), Reset()):
-        other = MovePin('b', HERE)
-        for command in (first, other, between, second):
-            box.put('/t', [command])
-        assert box.drain() == [first, other, between, second]
+        other = (MovePin('b', HERE),)
+        for group in (first, other, (between,), second):
+            box.put('/t', group)
+        assert box.drain() == [first, other, (between,), second]
 
 
 def test_only_the_last_wind_waits_unless_a_reset_comes_between(box):
-    first, second = SetWind((1.0, 0.0, 0.0)), SetWind((2.0, 0.0, 0.0))
-    other = MovePin('a', HERE)
-    box.put('/t', [first, other, second])
-    assert box.drain() == [second, other]
-    box.put('/t', [first, Reset(), second])
-    assert box.drain() == [first, Reset(), second]
+    first, second = (SetWind((1.0, 0.0, 0.0)),), (SetWind((2.0, 0.0, 0.0)),)
+    other = (MovePin('a', HERE),)
+    box.put('/t', first, other, second)
+    assert box.drain() == [other, second]
+    box.put('/t', first, (Reset(),), second)
+    assert box.drain() == [first, (Reset(),), second]
 
 
 @pytest.mark.parametrize(('message', 'reason'), [
@@ -321,8 +346,8 @@ def test_a_wind_that_makes_no_sense(message, reason):
 
 
 def test_a_collider_and_a_pin_of_the_same_name_are_two(box):
-    both = [MovePin('a', HERE), MoveCollider('a', HERE)]
-    box.put('/t', both)
+    both = [(MovePin('a', HERE),), (MoveCollider('a', HERE),)]
+    box.put('/t', *both)
     assert box.drain() == both
 
 
@@ -340,21 +365,31 @@ def test_refuses_what_no_frame_takes_away(box, said, monkeypatch):
     for k in range(4):
         take(box, targets(**{f'a{k}': (0, 0, 0), f'b{k}': (0, 0, 0)}))
     assert said == ['/t: refused: more than 6 commands wait for the next frame']
-    assert len(box.drain()) == 6
+    assert sum(map(len, box.drain())) == 6
     take(box, targets(left=(0, 0, 0)))
     assert len(box.drain()) == 1
 
 
-def test_warns_once_a_second_and_counts_all(box, said, monkeypatch):
-    now = 100.0
-    monkeypatch.setattr(inbox.time, 'monotonic', lambda: now)
-    for _ in range(50):
+def test_what_is_refused_within_a_second_is_said_at_its_end(box, said, monkeypatch):
+    monkeypatch.setattr(inbox, 'WARN_PERIOD', 0.2)
+    for _ in range(38):
         box.refuse('/a', 'no')
     box.refuse('/b', 'neither')
-    now = 100.9
-    box.refuse('/a', 'no')
     assert said == ['/a: refused: no', '/b: refused: neither']
-    now = 101.0
+    time.sleep(0.35)
+    assert said[2:] == ['/a: refused: … and 37 more, the last one: no']
     box.refuse('/a', 'not yet')
-    assert said[2:] == ['/a: refused: not yet (50 more refused since)']
-    assert box.refused == {'/a': 52, '/b': 1}
+    assert len(said) == 3, 'one line in that time'
+    time.sleep(0.35)
+    assert said[3:] == ['/a: refused: … and 1 more, the last one: not yet']
+    time.sleep(0.35)
+    box.refuse('/a', 'again')
+    assert said[4:] == ['/a: refused: again']
+    assert box.refused == {'/a': 40, '/b': 1}
+
+
+def test_what_was_refused_in_silence_is_said_when_it_closes(box, said):
+    for _ in range(3):
+        box.refuse('/a', 'no')
+    box.close()
+    assert said == ['/a: refused: no', '/a: refused: … and 2 more, the last one: no']

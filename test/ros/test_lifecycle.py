@@ -14,7 +14,8 @@ from xpbd_ros.log.reader import LogReader
 @pytest.fixture(scope='module')
 def cloth(start, peer, towel):
     """Return a node that waits to be configured."""
-    return Cloth(peer, start(scene=towel, mode='lockstep', autostart='false'))
+    return Cloth(peer, start(scene=towel, mode='lockstep', autostart='false',
+                             publish_clock='true'))
 
 
 def test_waits_to_be_configured(cloth):

@@ -5,8 +5,10 @@ import time
 
 import pytest
 from ros.rig import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
+from strict import read_strictly
 
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.recover import recover
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 CAST = [(number, moment) for number in SIGNALS for moment in ('compiling', 'running')]
@@ -102,3 +104,7 @@ def test_a_kill_costs_a_second_at_most(tmp_path, peer):
     assert len(stamps) > 100
     lost = (stamp_ns(cloth.clouds[-1]) - stamps[-1]) * 1e-9
     assert lost < 1.0 + 0.25, 'record.flush_period, and what a busy machine adds'
+    whole = recover(reader, tmp_path / 'whole')
+    assert whole.whole
+    assert read_strictly(tmp_path / 'whole') == {
+        name: topic.count for name, topic in reader.topics.items()}

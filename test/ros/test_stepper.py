@@ -18,14 +18,15 @@ class Rig:
     def __init__(self, mode: str, step=None, now: int = 1):
         self.now = now
         self.frames = 0
-        self.errors = []
+        self.errors, self.jumps, self.late = [], [], []
         self.stepper = Stepper(step or self.step, lambda: None, self.errors.append,
-                               now_ns=lambda: self.now, frame_ns=lambda n: n * FRAME, mode=mode,
-                               poll=0.001)
+                               self.jumps.append, now_ns=lambda: self.now,
+                               frame_ns=lambda n: n * FRAME, mode=mode, poll=0.001)
 
-    def step(self):
+    def step(self, late_ns=None):
         """Compute nothing."""
         self.frames += 1
+        self.late.append(None if late_ns is None else late_ns())
 
     def turn(self, nanoseconds: int) -> int:
         """Turn the clock; return how many frames that made."""
@@ -66,6 +67,36 @@ def test_drops_what_it_can_not_make_up_for(rig):
     assert real.turn(100 * FRAME) < 6
     assert real.stepper.dropped > 90
     assert real.turn(FRAME) == 1, 'and keeps up again'
+
+
+def test_tells_how_long_ago_a_frame_was_due(rig):
+    real = rig('realtime')
+    real.turn(FRAME + 7)
+    real.turn(2 * FRAME)
+    assert real.late == [7, FRAME + 7, 7]
+    real.stepper.switch('fast').result(10.0)
+    real.stepper.switch('lockstep').result(10.0)
+    assert set(real.late[3:]) == {None}, 'not due at any time'
+
+
+@pytest.mark.parametrize('seconds', [60, -60, -1000])
+def test_a_clock_that_is_set_is_followed_and_no_frame_is_late(rig, seconds):
+    real = rig('realtime', now=1000 * 10**9 + 1)
+    assert real.turn(2 * FRAME) == 2
+    assert real.turn(seconds * 10**9) == 0
+    assert [round(jump * 1e-9, 1) for jump in real.jumps] == [seconds]
+    assert real.stepper.dropped == 0
+    assert real.turn(FRAME) == 1, 'goes on from there'
+
+
+def test_another_clock_is_followed_from_its_time_on(rig):
+    real = rig('realtime', now=1000 * 10**9)
+    other = Rig('realtime', now=5 * 10**9)
+    real.stepper.follow(lambda: other.now, 0.001).result(10.0)
+    assert real.turn(10 * FRAME) == 0
+    other.now += FRAME
+    assert real.turn(0) == 1
+    assert (real.jumps, real.stepper.dropped) == ([], 0)
 
 
 def test_waits_for_a_clock_that_has_not_begun(rig):
@@ -116,7 +147,7 @@ def test_does_not_do_what_was_given_up(rig):
 def test_leaves_nobody_waiting_when_it_breaks(rig):
     begun, gate = threading.Event(), threading.Event()
 
-    def break_down():
+    def break_down(late_ns):
         begun.set()
         gate.wait(10.0)
         raise ArithmeticError('no')

@@ -177,7 +177,7 @@ def test_stamps_rise_whatever_happens(use):
     cloth.peer.until(lambda: stamp_ns(cloth.clouds[-1]) == cloth.epoch_ns + time_ns(frame + 2),
                      'the last cloud')
     assert np.diff([stamp_ns(c) for c in cloth.clouds]) == pytest.approx(1e9 / 60.0, abs=1)
-    assert cloth.set(mode='fast') == (True, ''), 'runs ahead of the clock'
+    assert cloth.set(mode='fast') == (True, ''), 'its own clock runs ahead'
     cloth.status(lambda status: int(status['frame']) > frame + 2000)
     assert cloth.set(mode='lockstep') == (True, '')
     assert cloth.go('deactivate', 'activate')
@@ -250,8 +250,9 @@ def test_publish_rate_is_a_divisor_of_the_frame_rate(use):
 
 
 def test_the_clock_tells_simulation_time(use):
-    cloth = use(TOWEL)
-    assert not cloth.peer.node.get_publishers_info_by_topic('/clock'), 'only if asked for'
+    cloth = use(TOWEL, publish_clock=False)
+    cloth.peer.until(lambda: not cloth.peer.node.get_publishers_info_by_topic('/clock'),
+                     'no clock: only if asked for')
     cloth.restart(publish_clock=True)
     heard = cloth.peer.hear(Clock, '/clock')
     cloth.peer.until(lambda: cloth.trigger('step')[0] and heard, '/clock')
@@ -260,7 +261,6 @@ def test_the_clock_tells_simulation_time(use):
     expected = [cloth.epoch_ns + time_ns(n) for n in range(frame - 4, frame + 1)]
     cloth.peer.until(lambda: len(heard) >= 5, '/clock')
     assert [c.clock.sec * 10**9 + c.clock.nanosec for c in heard][-5:] == expected
-    cloth.restart(publish_clock=False)
 
 
 def test_diagnostics_say_how_it_is_doing(use):

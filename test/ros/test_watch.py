@@ -8,6 +8,7 @@ from sim.small import simulate
 from xpbd_ros.ros.watch import LATER, SHARE, substeps_for, Watch
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.doubling import Estimate
+from xpbd_ros.sim.measure import stiffness_given
 from xpbd_ros.sim.simulation import Solver
 
 FINE = Estimate(frame=10, substeps=20, rms=1e-4, largest=3e-4, resolved=True, frames=2)
@@ -49,6 +50,16 @@ def test_looking_changes_nothing():
     assert found['estimates_share'] > 0.0
     assert not watch.trouble
     assert 'm in a frame at most, of 1 looked at' in str(watch)
+
+
+def test_at_rest_it_is_as_stiff_as_it_was_asked_to_be():
+    """Without weight edges are wrong by what rounding makes of their lengths, which is nothing."""
+    simulation = swing(gravity=(0.0, 0.0, 0.0), pose={'position': [-0.123, 0.456, 0.789]})
+    for _ in range(5):
+        simulation.step()
+    share, residual = stiffness_given(simulation)
+    assert share == 1.0
+    assert residual < 1e-15
 
 
 def test_how_often_it_looks_follows_from_what_it_takes():

@@ -34,7 +34,8 @@ def wind(x=0.0, y=0.0, z=0.0, frame_id='') -> Vector3Stamped:
 def test_a_wind_blows_from_the_next_frame_on_and_again_from_the_log(start, peer, tmp_path):
     (tmp_path / 'kite.yaml').write_text(SCENE)
     run = tmp_path / 'run'
-    cloth = Cloth(peer, start(scene=tmp_path / 'kite.yaml', mode='lockstep'))
+    cloth = Cloth(peer, start(scene=tmp_path / 'kite.yaml', mode='lockstep',
+                              publish_clock='true'))
     cloth.meet(wind=wind())
     cloth.restart(record__path=str(run))
     cloth.meet()

@@ -24,15 +24,15 @@ PATIENCE = 20
 
 
 def verdict(name: str, company: Company, home: np.ndarray, told: str, *,
-            frames: int = 1) -> Outcome:
-    """Return what came of a towel that should lie where it was."""
+            frames: int = 1, since: int = 0) -> Outcome:
+    """Return what came of a towel that should lie where it was; stamps rise ``since`` a cloud."""
     way = float(np.abs(company.points() - home).max())
     finite, why = company.finite, []
     if not finite:
         why.append('not finite')
     if not way <= STILL:
         why.append(f'moved by {way:.2g} m')
-    if not company.rising:
+    if not company.rising(since):
         why.append('stamps do not rise')
     if len(company.clouds) < frames:
         why.append(f'{len(company.clouds)} frames')
@@ -78,15 +78,14 @@ def clocks(folder: Path) -> Iterator[Outcome]:
                 break
             now += step
             tell()
-        told = company.said('/clock: refused') or told
-        outcome = verdict(f'node: /clock {name}', company, home, told)
+        told = (company.said('/clock: refused') or company.said('the clock jumped by -')
+                or company.said('the clock jumped') or told)
+        outcome = verdict(f'node: /clock {name}', company, home, told, since=before)
         fresh = len(company.clouds) - before
         if stands and fresh > 2:
             outcome = Outcome(outcome.setting, False, True, why=f'{fresh} frames while it stood')
         elif not stands and not fresh:
             outcome = Outcome(outcome.setting, False, True, why='no frames')
-        if name == 'ahead by an hour':
-            told = f"dropped_frames {company.status.get('dropped_frames', 'not said')}"
         yield outcome
     if not company.end():
         yield Outcome('node: its end', False, True, why='not in good order')

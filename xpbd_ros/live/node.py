@@ -116,10 +116,9 @@ class Company:
         """Whether all clouds so far are."""
         return all(np.isfinite(self.points(cloud)).all() for cloud in self.clouds)
 
-    @property
-    def rising(self) -> bool:
-        """Whether stamps rise."""
-        stamps = [(c.header.stamp.sec, c.header.stamp.nanosec) for c in self.clouds]
+    def rising(self, since: int = 0) -> bool:
+        """Tell whether stamps rise, from a cloud on."""
+        stamps = [(c.header.stamp.sec, c.header.stamp.nanosec) for c in self.clouds[since:]]
         return all(a < b for a, b in zip(stamps, stamps[1:]))
 
     def end(self) -> bool:

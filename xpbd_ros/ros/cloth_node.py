@@ -20,7 +20,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
@@ -30,12 +30,14 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.inbox import Inbox
+from xpbd_ros.ros.inlet import Inlet
 from xpbd_ros.ros.inputs import read_pose, READERS
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import descriptor, scene_parameters, TABLE
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals, nothing_to_finish
-from xpbd_ros.ros.stepper import Stepper
+from xpbd_ros.ros.stamps import Stamps, STEADY_NS
+from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.watch import Watch
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
@@ -54,11 +56,13 @@ from xpbd_ros.sim.commands import (
     SetWind,
 )
 
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""for streams of poses: any publisher will do, and only the last counts"""
-EVERY = QoSProfile(depth=10)
 ANSWER_SECONDS = 10.0
 """how long a service waits for the frame in hand"""
+QOS = 'qos_overrides.'
+POLL = 0.002
+"""how often a node that follows /clock looks at it [s]"""
+READINGS = 5
+"""of two clocks at one time are tried at most"""
 TOPIC_OF = {Grasp: 'pins', Release: 'pins', MovePin: 'pin_targets',
             MoveCollider: 'collider_states', PlaceCollider: 'colliders',
             RemoveCollider: 'colliders', SetWind: 'wind', SetKey: 'parameters'}
@@ -77,7 +81,8 @@ class ClothNode(LifecycleNode):
         self.watch: Watch | None = None
         self.failed = False
         """whether the stepper's thread ended on an error"""
-        self._last_ns = 0
+        self.stamps = Stamps()
+        self._jumps: list[int] = []    # of the clock, since the last diagnostics [ns]
         self._dropped_before, self._trouble_before = 0, ''
         self._taken_back_before = 0
         self._outlets, self._inlets, self._offers, self._live = {}, [], [], set()
@@ -142,7 +147,7 @@ class ClothNode(LifecycleNode):
         self.inbox = Inbox(log.warning, max_message_bytes=self.value('max_message_bytes'),
                            max_names=self._room())
         if changed:
-            self.inbox.put('parameters', [SetKey(k, v) for k, v in changed.items()])
+            self.inbox.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver))
         self.timing = diagnostics.Timing()
@@ -155,8 +160,11 @@ class ClothNode(LifecycleNode):
     def _strangers(self) -> list[str]:
         """Return what is wrong with parameters that were given and that nobody has."""
         given = [name for name in self._parameter_overrides    # rclpy has no other way to them
-                 if not name.startswith('qos_overrides.') and not self.has_parameter(name)]
-        return [f'parameter {name}: {unknown(name, (*self._rows, *self._live), "parameter")}; '
+                 if not self.has_parameter(name)]
+        qos = [name for name in self._parameters if name.startswith(QOS)]
+        return [f'parameter {name}: {unknown(name, qos, "quality of service")}; ignored'
+                if name.startswith(QOS) else
+                f'parameter {name}: {unknown(name, (*self._rows, *self._live), "parameter")}; '
                 'ignored. What cannot change while the scene runs stands in its file, or in '
                 "that of parameter 'settings'" for name in given]
 
@@ -191,16 +199,16 @@ class ClothNode(LifecycleNode):
         if self.value('publish_clock'):
             self._outlets['/clock'] = self.create_lifecycle_publisher(Clock, '/clock', 10)
         if 'pin' in self.simulation.effects:
-            self._listen('pins', EVERY)
-            self._listen('pin_targets', LATEST)
+            self._listen('pins')
+            self._listen('pin_targets')
         if 'contact' in self.simulation.effects:
-            self._listen('colliders', EVERY)
-            self._listen('collider_states', LATEST)
+            self._listen('colliders')
+            self._listen('collider_states')
             for name in self.scene.sections.get('colliders', {}):
-                self._listen(f'collider/{name}/pose', LATEST, PoseStamped,
+                self._listen(f'collider/{name}/pose', PoseStamped,
                              lambda m, f, name=name: read_pose(m, f, name))
         if 'wind' in self.simulation.effects:
-            self._listen('wind', LATEST)
+            self._listen('wind')
         self._offers = [
             self.create_service(Trigger, '~/pause', self._pause),
             self.create_service(Trigger, '~/play', self._play),
@@ -209,7 +217,7 @@ class ClothNode(LifecycleNode):
             self.create_service(SetBool, '~/record', self._record),
         ]
 
-    def _listen(self, topic: str, qos: QoSProfile, kind=None, read=None) -> None:
+    def _listen(self, topic: str, kind=None, read=None) -> None:
         if kind is None:
             kind, read = READERS[topic]
         name, frame_id = self.resolve_topic_name(f'~/{topic}'), self.scene.top.frame_id
@@ -219,19 +227,17 @@ class ClothNode(LifecycleNode):
                 self.inbox.refuse(name, 'the node is not active')
             else:
                 self.inbox.take(name, raw, kind, lambda m: read(m, frame_id))
-        self._inlets.append(self.create_subscription(kind, f'~/{topic}', take, qos, raw=True))
+        self._inlets.append(Inlet(self, name, kind, take))
 
     def on_activate(self, state):
         """Publish the start, open the log if one was asked for, and let time run."""
         result = super().on_activate(state)
-        clock = self.get_clock()
-        # a node that is the source of /clock cannot wait for it
-        follows = self.value('use_sim_time') and not self.value('publish_clock')
         self._begun = False
         self._next_markers = self._next_diagnostics = 0.0
         self._dropped_before = self._taken_back_before = 0
-        self._set_epoch()
-        if follows and not clock.now().nanoseconds:
+        self._stood_ns = None
+        self._jumps.clear()
+        if self._waits:
             self.get_logger().info('use_sim_time: waiting for /clock')
         else:
             try:
@@ -240,31 +246,46 @@ class ClothNode(LifecycleNode):
                 self.get_logger().error(str(error))
                 super().on_deactivate(state)
                 return TransitionCallbackReturn.FAILURE
+        now_ns, poll = self._pace()
         self.stepper = Stepper(
-            self._step, self._idle, self._failed,
-            now_ns=(lambda: clock.now().nanoseconds) if follows else time.monotonic_ns,
-            frame_ns=self.simulation.time_ns, mode=self.value('mode'),
-            poll=0.002 if follows else 0.2)
+            self._step, self._idle, self._failed, self._jumped, now_ns=now_ns,
+            frame_ns=self.simulation.time_ns, mode=self.value('mode'), poll=poll)
         self.stepper.start()
         self.get_logger().info(f'running, mode {self.value("mode")}')
         return result
 
-    def _set_epoch(self) -> None:
-        """Let simulation time go on from now, and never back: whoever listens may depend on it."""
-        now = max(self.get_clock().now().nanoseconds, self._last_ns + 1)
-        self._epoch_ns = now - self.simulation.time_ns(self.simulation.index)
+    def _now_ns(self) -> int:
+        return self.get_clock().now().nanoseconds
+
+    @property
+    def _makes_clock(self) -> bool:
+        return '/clock' in self._outlets
+
+    @property
+    def _follows(self) -> bool:
+        """Whether it steps by /clock; a node that is the source of it cannot wait for it."""
+        return self.value('use_sim_time') and not self._makes_clock
+
+    @property
+    def _waits(self) -> bool:
+        """Whether /clock has yet to begin."""
+        return self._follows and self._now_ns() == 0
+
+    def _pace(self):
+        """Return the clock to step on, and how often to look at it [s]."""
+        return (self._now_ns, POLL) if self._follows else (time.monotonic_ns, IDLE)
 
     def _begin(self) -> None:
         """Open the log and publish the start, once there is a time to stamp them with."""
-        self._set_epoch()
+        frame = self.simulation.frame()
+        self.stamps.begin(frame.time_ns, self._now_ns())
         if self.value('record.path'):
             folder = Path(self.value('record.path'))
             own = folder.exists() and folder.absolute() in self._recorded
             self._start_recording(fresh_folder('node') if own else folder)
         for topic, data in self.outputs.start().items():
             self._outlets[topic].publish(data)
-        frame = self.simulation.frame()
-        self._publish(self.outputs.frame(frame, self._stamp_ns(frame)))
+        self._publish(self.outputs.frame(frame, self.stamps.last_ns))
         self._begun = True
 
     def on_deactivate(self, state):
@@ -281,10 +302,12 @@ class ClothNode(LifecycleNode):
         """Take back what configuring made, as far as it got."""
         for publisher in self._outlets.values():
             self.destroy_lifecycle_publisher(publisher)
-        for subscription in self._inlets:
-            self.destroy_subscription(subscription)
+        for inlet in self._inlets:
+            inlet.close()
         for service in self._offers:
             self.destroy_service(service)
+        if self.simulation is not None:
+            self.inbox.close()
         self.simulation = None
         if self.watch is not None:
             self.watch.close()
@@ -303,15 +326,29 @@ class ClothNode(LifecycleNode):
         if self.stepper is not None:
             self.stepper.stop()
             self.stepper = None
-            self._last_ns = self._epoch_ns + self.simulation.time_ns(self.simulation.index)
         self._stop_recording()
 
     # the stepper's thread
 
-    def _stamp_ns(self, frame) -> int:
-        return self._epoch_ns + frame.time_ns
+    def _stamp(self, frame, late_ns) -> int:
+        """Return the stamp of a frame that was just computed; it lies within a frame of now."""
+        if self._makes_clock:
+            return self.stamps.even(frame.time_ns)
+        late = None
+        for _ in range(READINGS):    # of two clocks, which something may come between
+            begin = time.monotonic_ns()
+            if late_ns is not None:
+                late = min(max(late_ns(), 0), self.simulation.time_ns(1))
+            now = self._now_ns()
+            if time.monotonic_ns() - begin < STEADY_NS // 2:
+                break
+        return self.stamps.at(frame.time_ns, now, late)
 
-    def _step(self) -> None:
+    def _jumped(self, by_ns: int) -> None:
+        self._jumps.append(by_ns)
+        self.get_logger().warning(f'the clock jumped by {by_ns * 1e-9:+.3f} s; stamps follow it')
+
+    def _step(self, late_ns=None) -> None:
         if not self._begun:
             self._begin()
         substeps = self.simulation.solver.substeps
@@ -326,21 +363,22 @@ class ClothNode(LifecycleNode):
             self.inbox.refuse(self.resolve_topic_name(f'~/{topic}'), reason)
         for text in frame.news:
             self.get_logger().warning(text)
+        stamp_ns = self._stamp(frame, late_ns)
         due = frame.index % self._publish_every == 0
-        encoded = self.outputs.frame(frame, self._stamp_ns(frame)) if due else {}
+        encoded = self.outputs.frame(frame, stamp_ns) if due else {}
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
             encoded['scene'] = self._changed(keys)
             frame = with_chosen_substeps(frame, keys.get('solver.substeps', substeps),
                                          self.simulation.solver.substeps)
-        if '/clock' in self._outlets:
+        if self._makes_clock:
             clock = Clock()
-            clock.clock.sec, clock.clock.nanosec = divmod(self._stamp_ns(frame), 10**9)
+            clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
             self._outlets['/clock'].publish(clock)
         self._publish(encoded)
         if self.recorder is not None:
             try:
-                self.recorder.frame(frame, encoded)
+                self.recorder.frame(frame, encoded, stamp_ns)
             except InputError as error:
                 self.get_logger().error(f'recording stopped: {error}')
                 self._stop_recording()
@@ -357,7 +395,7 @@ class ClothNode(LifecycleNode):
         return self.outputs.scene(scene_text(self.scene, solver))
 
     def _idle(self) -> None:
-        if not self._begun and self.get_clock().now().nanoseconds:
+        if not self._begun and not self._waits:
             self._begin()
         if self.recorder is not None:
             self.recorder.log.flush_if_due()
@@ -370,7 +408,7 @@ class ClothNode(LifecycleNode):
         if frame is not None and rate > 0.0 and now >= self._next_markers:
             self._next_markers = now + 1.0 / rate
             if self._outlets['markers'].get_subscription_count():
-                for data in self.outputs.markers(frame, self._stamp_ns(frame)):
+                for data in self.outputs.markers(frame, self.stamps.last_ns):
                     self._outlets['markers'].publish(data)
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + 1.0
@@ -387,6 +425,8 @@ class ClothNode(LifecycleNode):
         dropped = stepper.dropped if stepper else 0
         values = {
             'frame': simulation.index,
+            'epoch_ns': self.stamps.epoch_ns,
+            'stamps_moved_s': 1e-9 * self.stamps.moved_ns,
             'step_ms_p50': diagnostics.percentile(self.timing.step_ms, 0.5),
             'step_ms_p95': diagnostics.percentile(self.timing.step_ms, 0.95),
             'step_ms_max': max(self.timing.step_ms, default=0.0),
@@ -403,24 +443,44 @@ class ClothNode(LifecycleNode):
             **simulation.stats(),
             'bytes_recorded': self.recorder.log.bytes_written if self.recorder else 0,
         }
-        level, summary = 'OK', 'stepping' if stepper and stepper.by_itself else 'waiting'
-        if dropped > self._dropped_before:
-            level, summary = 'WARN', (f'{dropped - self._dropped_before} frames dropped in the '
-                                      'last second: too slow for real time')
-            self.get_logger().warning(summary)
-        elif self.watch.trouble:
-            level, summary = 'WARN', self.watch.trouble
-            if summary != self._trouble_before:
-                self.get_logger().warning(summary)
-        self._dropped_before, self._trouble_before = dropped, self.watch.trouble
-        taken_back = values['frames_taken_back']
+        level, summary = self._findings(dropped, values['frames_taken_back'])
+        return diagnostics.message(
+            self.get_fully_qualified_name().lstrip('/'), level, summary, values,
+            self.stamps.last_ns if self._makes_clock else self._now_ns())
+
+    def _findings(self, dropped: int, taken_back: int) -> tuple[str, str]:
+        """Return the level of a status and its message: all that is wrong since the last one."""
+        errors, warnings = [], []
         if taken_back > self._taken_back_before:
-            level, summary = 'ERROR', (f'{taken_back - self._taken_back_before} frames were not '
-                                       'finite and were taken back: the cloth stands still')
-            self.get_logger().error(summary)
-        self._taken_back_before = taken_back
-        return diagnostics.message(self.get_fully_qualified_name().lstrip('/'), level, summary,
-                                   values, self._epoch_ns + simulation.time_ns(simulation.index))
+            errors.append(f'{taken_back - self._taken_back_before} frames were not finite and '
+                          'were taken back: the cloth stands still')
+            self.get_logger().error(errors[-1])
+        if self._waits:
+            warnings.append('use_sim_time: waiting for /clock')
+        if self._jumps:
+            warnings.append(f'the clock jumped by {sum(self._jumps) * 1e-9:+.3f} s; '
+                            'stamps follow it')
+        if dropped > self._dropped_before:
+            warnings.append(f'{dropped - self._dropped_before} frames dropped in the last second: '
+                            'too slow for real time')
+            self.get_logger().warning(warnings[-1])
+        if self.watch.trouble:
+            warnings.append(self.watch.trouble)
+            if self.watch.trouble != self._trouble_before:
+                self.get_logger().warning(self.watch.trouble)
+        self._taken_back_before, self._dropped_before = taken_back, dropped
+        self._trouble_before = self.watch.trouble
+        self._jumps.clear()
+        level = 'ERROR' if errors else 'WARN' if warnings else 'OK'
+        return level, '; '.join(errors + warnings) or self._doing()
+
+    def _doing(self) -> str:
+        """Return whether it steps, or what it waits for."""
+        if self.stepper is None or not self.stepper.by_itself:
+            return 'waiting'
+        now = self._now_ns()
+        stands, self._stood_ns = now == self._stood_ns, now
+        return 'waiting: /clock stands still' if self._follows and stands else 'stepping'
 
     def _failed(self, error: Exception) -> None:
         """End the node: one that looks alive and does not step helps nobody."""
@@ -435,7 +495,7 @@ class ClothNode(LifecycleNode):
     def _start_recording(self, folder: Path) -> None:
         self.recorder = Recorder(
             folder, self.outputs, name=self.get_fully_qualified_name(),
-            epoch_ns=self._epoch_ns, flush_period=self.value('record.flush_period'),
+            epoch_ns=self.stamps.epoch_ns, flush_period=self.value('record.flush_period'),
             checkpoint_period=self.value('record.checkpoint_period'),
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')})
@@ -502,7 +562,7 @@ class ClothNode(LifecycleNode):
 
     def _reset(self, request, response):
         def reset():
-            self.inbox.put('reset', [Reset()])
+            self.inbox.put('reset', (Reset(),))
             self._step()
             return self.simulation.index
         return self._answer(response, reset, 'back at the start, in frame {}')
@@ -556,13 +616,15 @@ class ClothNode(LifecycleNode):
         """Hand live keys to the next frame."""
         if self.simulation is None or threading.current_thread() is self.stepper:
             return    # the stepper only tells what holds already
-        keys = [SetKey(p.name, as_plain(p.value)) for p in parameters if p.name in self._live]
+        keys = [(SetKey(p.name, as_plain(p.value)),) for p in parameters if p.name in self._live]
         if keys:
-            self.inbox.put('parameters', keys)
+            self.inbox.put('parameters', *keys)
         recorder = self.recorder
         for parameter in parameters:
             if parameter.name == 'mode' and self.stepper is not None:
                 self.stepper.switch(parameter.value)
+            elif parameter.name == 'use_sim_time' and self.stepper is not None:
+                self.stepper.follow(*self._pace())
             elif parameter.name == 'publish_rate':
                 self._publish_every = every(parameter.value, self.simulation)
             elif recorder is not None and parameter.name == 'record.flush_period':

@@ -1,8 +1,11 @@
 """
-What came in since the last frame: checked at the door, latest per name, drained between frames.
+What came in since the last frame: checked at the door, kept by message, drained between frames.
 
-Callbacks fill it from the executor's thread and the simulation's thread empties it. What is
-refused is counted and said at most once a second, and nothing else happens.
+Callbacks fill it from the executor's thread and the simulation's thread empties it. A message
+waits as it came, and acts whole or not at all; one that says something newer about the same names
+takes its place. Of streams with stamps some are kept, as they are rebuilt from all that was sent.
+What is refused is counted and said, and nothing else happens: the first at once, and how many
+more there were a second later.
 """
 
 from collections import Counter
@@ -16,8 +19,13 @@ from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider,
 
 ROOM = 4096
 """commands from messages that may wait for the next frame"""
+KEPT = 64
+"""messages of one stream with stamps that wait for the next frame; the latest"""
 WARN_PERIOD = 1.0
 """[s]"""
+TARGETS = MovePin, MoveCollider, PlaceCollider, SetWind
+
+Group = tuple[Command, ...]
 
 
 class Inbox:
@@ -29,12 +37,13 @@ class Inbox:
         self.accepted: Counter = Counter()
         """messages taken, by topic"""
         self.refused: Counter = Counter()
-        """messages and commands refused, by topic"""
+        """messages refused, by topic"""
         self.arrived: dict[str, float] = {}
         """when the last good message came, by topic [s, monotonic]"""
         self._warn = warn
-        self._warned: dict[str, tuple[float, int]] = {}
-        self._waiting: list[Command] = []
+        self._silent: dict[str, tuple[threading.Timer, int, str]] = {}
+        """topics that were warned about: until when, refusals since, and the last reason"""
+        self._waiting: list[Group] = []
         self._lock = threading.Lock()
 
     def take(self, topic: str, raw: bytes, kind: type, read: Callable) -> None:
@@ -48,50 +57,78 @@ class Inbox:
             if count > self.max_names:
                 raise InputError(f'{count} entries, and there is room for {self.max_names}')
             commands = read(unpacked(raw, kind))
-            if len(self._waiting) + len(commands) > ROOM:
+            if sum(map(len, self._waiting)) + len(commands) > ROOM:
                 raise InputError(f'more than {ROOM} commands wait for the next frame')
-            self.put(topic, commands)
+            self.put(topic, tuple(commands))
         except InputError as error:
             self.refuse(topic, str(error))
 
-    def put(self, topic: str, commands: list[Command]) -> None:
-        """Keep commands for the next frame."""
+    def put(self, topic: str, *groups: Group) -> None:
+        """Keep commands for the next frame; those of a group act together."""
         with self._lock:
-            for command in commands:
-                self._keep(command)
+            for group in filter(None, groups):
+                self._keep(group)
             self.accepted[topic] += 1
             self.arrived[topic] = time.monotonic()
 
-    def _keep(self, command: Command) -> None:
-        """Let a new target take the place of one that nobody has seen yet."""
-        if isinstance(command, MovePin | MoveCollider | PlaceCollider | SetWind):
-            name = _name(command)
+    def _keep(self, group: Group) -> None:
+        """Let targets take the place of older ones of the same names that no frame has seen."""
+        if all(isinstance(command, TARGETS) for command in group):
+            names, same = set(map(_name, group)), []
             for k in range(len(self._waiting) - 1, -1, -1):
-                if _name(self._waiting[k]) in (name, None):
-                    if type(self._waiting[k]) is type(command):
-                        self._waiting[k] = command
-                        return
+                others = set(map(_name, self._waiting[k]))
+                if type(self._waiting[k][0]) is type(group[0]) and others <= names:
+                    same.append(k)
+                elif None in others or not others.isdisjoint(names):
                     break
-        self._waiting.append(command)
+            stamped = all(getattr(command, 'stamp_ns', 0) for command in group)
+            for k in same[KEPT - 1 if stamped else 0:]:
+                del self._waiting[k]
+        self._waiting.append(group)
 
-    def drain(self) -> list[Command]:
+    def drain(self) -> list[Group]:
         """Return what waits, and forget it."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         return waiting
 
     def refuse(self, topic: str, reason: str) -> None:
-        """Count a refusal and say so, at most once a second for each topic."""
-        now = time.monotonic()
+        """Count a refusal and say so; more within a second are said at its end."""
         with self._lock:
             self.refused[topic] += 1
-            last, silent = self._warned.get(topic, (-WARN_PERIOD, 0))
-            if now - last < WARN_PERIOD:
-                self._warned[topic] = (last, silent + 1)
+            if topic in self._silent:
+                timer, count, _ = self._silent[topic]
+                self._silent[topic] = timer, count + 1, reason
                 return
-            self._warned[topic] = (now, 0)
-        more = f' ({silent} more refused since)' if silent else ''
-        self._warn(f'{topic}: refused: {brief(reason)}{more}')
+            self._be_silent(topic)
+        self._warn(f'{topic}: refused: {brief(reason)}')
+
+    def _be_silent(self, topic: str) -> None:
+        timer = threading.Timer(WARN_PERIOD, self._tell, (topic,))
+        timer.daemon = True
+        self._silent[topic] = timer, 0, ''
+        timer.start()
+
+    def _tell(self, topic: str) -> None:
+        """Say how many were refused in silence."""
+        with self._lock:
+            _, count, reason = self._silent.pop(topic, (None, 0, ''))
+            if count:
+                self._be_silent(topic)
+        if count:
+            self._warn(f'{topic}: refused: … and {count} more, the last one: {brief(reason)}')
+
+    def close(self) -> None:
+        """Say what has not been said; nothing comes any more."""
+        with self._lock:
+            for timer, _, _ in self._silent.values():
+                timer.cancel()
+        for topic in list(self._silent):
+            self._tell(topic)
+        with self._lock:
+            for timer, _, _ in self._silent.values():
+                timer.cancel()
+            self._silent.clear()
 
 
 def _name(command: Command):

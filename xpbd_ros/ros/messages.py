@@ -16,6 +16,7 @@ from std_msgs.msg import ColorRGBA, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.sim.effect import Cloth
+from xpbd_ros.sim.pins import PinStates
 from xpbd_ros.sim.simulation import Frame
 
 COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))
@@ -125,21 +126,35 @@ def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
                    for row in cloth.mesh.triangles])
 
 
-def pin_states(frame: Frame, frame_id: str, time_ns: int) -> MultiDOFJointState:
-    """Return pose, velocity and wrench (of the cloth on the pin) of each pin."""
-    message = MultiDOFJointState()
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
-    for name, pin in frame.pins.items():
-        message.joint_names.append(name)
-        message.transforms.append(Transform(
-            translation=vector(Vector3, pin.pose.position),
-            rotation=quaternion(pin.pose.orientation)))
-        message.twist.append(Twist(linear=vector(Vector3, pin.linear),
-                                   angular=vector(Vector3, pin.angular)))
-        message.wrench.append(Wrench(force=vector(Vector3, pin.force),
-                                     torque=vector(Vector3, pin.torque)))
-    return message
+class PinArray:
+    """``~/pin_states``: pose, velocity and wrench (of the cloth on the pin) of each pin."""
+
+    MARKS = 1.25e300, -1.25e300, 1.5e300    # where poses, velocities and wrenches begin
+
+    def __init__(self, frame_id: str):
+        self._frame_id = frame_id
+        self._lay_out(())
+
+    def _lay_out(self, names: tuple[str, ...]) -> None:
+        pose, velocity, wrench = (Vector3(x=mark) for mark in self.MARKS)
+        count = len(names)
+        message = MultiDOFJointState(
+            joint_names=names, transforms=[Transform(translation=pose)] * count,
+            twist=[Twist(linear=velocity)] * count, wrench=[Wrench(force=wrench)] * count)
+        message.header.frame_id = self._frame_id
+        self._names, self._buffer = names, bytearray(serialize_message(message))
+        self._poses, self._twists, self._wrenches = (
+            np.frombuffer(self._buffer, '<f8', width * count,
+                          max(0, self._buffer.find(struct.pack('<d', mark)))).reshape(count, width)
+            for mark, width in zip(self.MARKS, (7, 6, 6)))
+
+    def bytes(self, pins: PinStates, time_ns: int) -> bytes:
+        """Return the message."""
+        if pins.names != self._names:
+            self._lay_out(pins.names)
+        struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))
+        self._poses[:], self._twists[:], self._wrenches[:] = pins.poses, pins.twists, pins.wrenches
+        return bytes(self._buffer)
 
 
 def text(value: str) -> String:

@@ -47,6 +47,7 @@ class Outputs:
         self.scene_text = scene_text
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
+        self._pins = messages.PinArray(frame_id)
         several = len(simulation.cloths) > 1
         fields, history = STATE_FIELDS, simulation.state.history
         if history is not None:
@@ -97,8 +98,7 @@ class Outputs:
         found = {topic: cloud.bytes(frame.x[cloud.cloth.particles], time_ns)
                  for topic, cloud in self._clouds.items()}
         if 'pin_states' in self.topics:
-            found['pin_states'] = serialize_message(
-                messages.pin_states(frame, self.frame_id, time_ns))
+            found['pin_states'] = self._pins.bytes(frame.pins, time_ns)
         return found
 
     def markers(self, frame: Frame, time_ns: int) -> list[bytes]:

@@ -13,7 +13,8 @@ from visualization_msgs.msg import MarkerArray
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros import diagnostics
-from xpbd_ros.ros.inputs import as_messages
+from xpbd_ros.ros.cdr import trimmed
+from xpbd_ros.ros.inputs import as_messages, SECOND
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.sim.simulation import Frame
 
@@ -22,7 +23,8 @@ INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
           'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'wind': Vector3Stamped,
           'resets': UInt64, '/parameter_events': ParameterEvent}
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
-          'colliders_at_max_speed', 'contacts_without_room', 'self_without_room')
+          'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
+          'self_without_room', 'self_squeezed')
 """what a log tells of, of what the simulation counts"""
 
 
@@ -58,6 +60,7 @@ class Recorder:
         self._later: set[str] = set()
         """channels that came when there was something to write"""
         self._counts: dict[str, int] = {}
+        self._moved_ns, self._told_ns = 0, -SECOND    # of stamps against log_time
         frame = outputs.simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)
@@ -67,8 +70,11 @@ class Recorder:
 
     def _write_all(self, found: dict[str, bytes], frame: Frame) -> None:
         for topic, data in found.items():
-            self.log.write(self._full(topic), data, time_ns=self.epoch_ns + frame.time_ns,
-                           frame=frame.index)
+            self._write(topic, self.outputs.topics[topic].kind, data,
+                        self.epoch_ns + frame.time_ns, frame.index)
+
+    def _write(self, topic: str, kind: type, data: bytes, time_ns: int, frame: int) -> None:
+        self.log.write(self._full(topic), trimmed(data, kind), time_ns=time_ns, frame=frame)
 
     def _write_state(self, frame: Frame) -> None:
         time_ns = self.epoch_ns + frame.time_ns
@@ -76,36 +82,44 @@ class Recorder:
         self._write_all(self.outputs.state(frame, time_ns), frame)
         self._write_all({'state_hash': self.outputs.hash()}, frame)
 
-    def frame(self, frame: Frame, encoded: dict[str, bytes]) -> None:
-        """Write the inputs that acted on a frame, and the frame; ``encoded`` is its messages."""
+    def frame(self, frame: Frame, encoded: dict[str, bytes], stamp_ns: int | None = None) -> None:
+        """
+        Write the inputs that acted on a frame, and the frame.
+
+        ``encoded`` is its messages, ``stamp_ns`` their stamp; None: simulation time and the epoch.
+        """
         outputs = self.outputs
         before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
-        for topic, message in as_messages(frame.applied, outputs.frame_id, before_ns):
+        stamp_ns = self.epoch_ns + frame.time_ns if stamp_ns is None else stamp_ns
+        for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
             self._write_one(topic, INPUTS[topic], message, before_ns, frame.index)
         self._write_all(encoded, frame)
         self._write_all({'state_hash': outputs.hash()}, frame)
         period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))
         if frame.index % period == 0:
-            self._write_all(outputs.state(frame, self.epoch_ns + frame.time_ns), frame)
-        self._write_guards(frame)
+            self._write_all(outputs.state(frame, stamp_ns), frame)
+        self._write_guards(frame, stamp_ns)
 
     def _write_one(self, topic: str, kind: type, message, time_ns: int, frame: int) -> None:
         if topic not in self._later:
             self.log.add_channel(self._full(topic), type_name(kind), INPUT)
             self._later.add(topic)
-        self.log.write(self._full(topic), serialize_message(message), time_ns=time_ns,
-                       frame=frame)
+        self._write(topic, kind, serialize_message(message), time_ns, frame)
 
-    def _write_guards(self, frame: Frame) -> None:
-        """Write what the guards count, in the frames where that changes."""
+    def _write_guards(self, frame: Frame, stamp_ns: int) -> None:
+        """Write what the guards count, and how far stamps moved, in frames where that changes."""
         stats = self.outputs.simulation.stats()
         counts = {name: stats[name] for name in GUARDS if stats.get(name)}
-        if counts == self._counts:
+        moved_ns = stamp_ns - self.epoch_ns - frame.time_ns
+        tell = (abs(moved_ns - self._moved_ns) > self.outputs.simulation.time_ns(1)
+                and frame.time_ns - self._told_ns >= SECOND)
+        if counts == self._counts and not tell:
             return
-        self._counts, time_ns = counts, self.epoch_ns + frame.time_ns
+        self._counts, self._moved_ns, self._told_ns = counts, moved_ns, frame.time_ns
+        time_ns = self.epoch_ns + frame.time_ns
         self._write_one('/diagnostics', DiagnosticArray, diagnostics.message(
-            self._name.lstrip('/'), 'WARN' if counts else 'OK', 'guards', counts, time_ns),
-            time_ns, frame.index)
+            self._name.lstrip('/'), 'WARN' if counts else 'OK', 'guards',
+            {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
     def close(self) -> None:
         """Finish the log."""

@@ -2,8 +2,9 @@
 The node that publishes a log again.
 
 It does what ``ros2 bag play`` does: each message leaves as the bytes that were recorded, with the
-recorded quality of service, when its log time comes. One thread does it all, so a service answers
-between two messages and knows what it says.
+recorded quality of service, when its log time comes. The inputs of a log are published only where
+they are asked for: they would act on a node that is running. One thread does it all, so a service
+answers between two messages and knows what it says.
 """
 
 from collections import Counter, deque
@@ -29,6 +30,7 @@ from std_srvs.srv import Trigger
 from xpbd_ros.log.playhead import Playhead
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
+from xpbd_ros.ros.playback import is_input
 from xpbd_ros.ros.signals import ignore_signals
 
 NODE = 'xpbd_ros_replay'
@@ -36,6 +38,8 @@ CLOCK = '/clock'
 TYPE = re.compile(r'(\w+)/msg/(\w+)')
 SERVE_PERIOD = 0.02    # s that a burst of messages keeps a service waiting at most
 STOP_PERIOD = 0.1      # s that a signal waits at most
+LOOK_PERIOD = 0.2      # s between looks for those who listen to inputs
+UNKNOWN = '_UNKNOWN_'  # of rmw, for parts of a node's name that it has not heard yet
 ACK_TIMEOUT = 2.0      # s at the end for subscribers that have not acknowledged all yet
 ANSWER_TIME = 1.0      # s that an answer of a service has to arrive: nothing acknowledges it
 
@@ -124,6 +128,8 @@ class Replay:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._publishers: dict[str, Publisher] = {}
+        self._inputs: list[str] = []
+        self._listeners: Counter[str] = Counter()
         for topic in log.topics:
             if (topics is None or topic in topics) and not (clock_hz and topic == CLOCK):
                 self._add_publisher(topic)
@@ -134,6 +140,9 @@ class Replay:
         if clock_hz:
             self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
             self._node.create_timer(1.0 / clock_hz, self._publish_clock,
+                                    clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._inputs:
+            self._node.create_timer(LOOK_PERIOD, self._look_for_listeners,
                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered = -ANSWER_TIME
         self._rewind()
@@ -154,6 +163,7 @@ class Replay:
                     continue
             self._executor.spin_once(timeout_sec=min(wait, STOP_PERIOD))
             served = time.monotonic()
+        self._look_for_listeners(last=True)
         if not stopped():
             self._settle()
 
@@ -174,9 +184,27 @@ class Replay:
             message_type = getattr(importlib.import_module(f'{found[1]}.msg'), found[2])
             self._publishers[topic] = self._node.create_publisher(
                 message_type, topic, profile(about.qos))
+            if is_input(topic, about.type):
+                self._inputs.append(topic)
         except (ImportError, AttributeError, ValueError, NameValidationException) as error:
             self._node.get_logger().warning(
                 f'{topic}: left out, its {about.type or "data"} cannot be published here: {error}')
+
+    def _look_for_listeners(self, *, last: bool = False) -> None:
+        """Say who listens to an input; a name may come later than its subscription."""
+        for topic in self._inputs:
+            publisher = self._publishers[topic]
+            count = publisher.get_subscription_count()
+            if count > self._listeners[topic]:
+                names = {f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in
+                         self._node.get_subscriptions_info_by_topic(publisher.topic_name)}
+                known = sorted(name for name in names if UNKNOWN not in name)
+                if len(known) < len(names) and not last:
+                    continue
+                self._node.get_logger().warning(
+                    f'{publisher.topic_name}: {", ".join(known) or "a node"} listens: it takes '
+                    'the inputs of this log')
+            self._listeners[topic] = count
 
     def _rewind(self) -> None:
         """Go to the start, and publish what was latched before it."""

@@ -9,44 +9,53 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 import threading
+import time
 
 IDLE = 0.2
 """the longest nap, so that something waiting for wall time is looked after [s]"""
 LATE_FRAMES = 3
 """frames behind the clock before frames are dropped"""
+JUMP_NS = 10**9
+"""a clock that goes on by more at once, and by JUMP times what passed, was set [ns]"""
+JUMP = 10
 STOPPED = 'the simulation has stopped'
 
 
 class Stepper(threading.Thread):
     """
-    Call ``step()`` at the right times.
+    Call ``step(late_ns)`` at the right times.
 
     Parameters
     ----------
-    step : computes one frame
+    step : computes one frame; is given a function that tells how long ago it was due [ns], or
+        None where no time is due
     idle : called at least every IDLE seconds, between frames
     failed : called once with the exception that ended the thread
+    jumped : called with how far the clock was set on, or back [ns]
     now_ns : the clock to step on [ns]
     frame_ns : time of frame n since the start [ns], a function of n
     mode : 'realtime', 'lockstep' (only on request) or 'fast'
+    poll : how often to look at the clock [s]
 
     """
 
-    def __init__(self, step: Callable[[], None], idle: Callable[[], None],
-                 failed: Callable[[Exception], None], *, now_ns: Callable[[], int],
+    def __init__(self, step: Callable[[Callable[[], int] | None], None],
+                 idle: Callable[[], None], failed: Callable[[Exception], None],
+                 jumped: Callable[[int], None], *, now_ns: Callable[[], int],
                  frame_ns: Callable[[int], int], mode: str, poll: float = IDLE):
         super().__init__(name='stepper', daemon=True)
         self.mode = mode
         self.playing = True
         self.dropped = 0
         """frames that were not computed in time and never will be"""
-        self._step, self._idle, self._failed = step, idle, failed
+        self._step, self._idle, self._failed, self._jumped = step, idle, failed, jumped
         self._now_ns, self._frame_ns = now_ns, frame_ns
         self._poll = poll
         self._wake = threading.Condition()
         self._asked: deque[tuple[Callable, Future]] = deque()
         self._stopping = False
         self._start_ns, self._count = 0, 0
+        self._seen = 0, 0    # the clock and a steady one, when they were looked at [ns]
 
     @property
     def by_itself(self) -> bool:
@@ -77,9 +86,17 @@ class Stepper(threading.Thread):
             self.resume()
         return self.ask(switch)
 
+    def follow(self, now_ns: Callable[[], int], poll: float) -> Future:
+        """Go on on another clock."""
+        def follow():
+            self._now_ns, self._poll = now_ns, poll
+            self.resume()
+        return self.ask(follow)
+
     def resume(self) -> None:
         """Count time from now on, so that a pause is not made up for."""
         self._start_ns, self._count = self._now_ns(), 0
+        self._seen = self._start_ns, time.monotonic_ns()
 
     def run(self) -> None:
         """Step until told to stop."""
@@ -89,7 +106,7 @@ class Stepper(threading.Thread):
                 self._answer()
                 wait = self._due_in()
                 if wait <= 0.0:
-                    self._step()
+                    self._step(self._late_ns if self.mode == 'realtime' else None)
                     self._count += 1
                 else:
                     self._idle()
@@ -131,14 +148,32 @@ class Stepper(threading.Thread):
             return 0.0
         if self._start_ns == 0:
             self.resume()    # the clock has not begun, or does so now
-        now = self._now_ns() - self._start_ns
-        if now < self._frame_ns(self._count) - self._frame_ns(1):
-            self.resume()    # the clock was set back
+        now, period = self._now_ns(), self._frame_ns(1)
+        if self._was_set(now):
+            self.resume()
             return self._poll
-        due = self._frame_ns(self._count + 1)
-        period = self._frame_ns(1)
-        late = (now - due) // period
-        if late >= LATE_FRAMES:
-            self.dropped += late
-            self._start_ns += late * period
-        return (due - now) * 1e-9
+        late = now - self._due_ns()
+        if late >= LATE_FRAMES * period:
+            self.dropped += late // period
+            self._start_ns += late // period * period
+            late %= period
+        return -late * 1e-9
+
+    def _due_ns(self) -> int:
+        """Return when the next frame is due [ns]."""
+        return self._start_ns + self._frame_ns(self._count + 1)
+
+    def _late_ns(self) -> int:
+        """Return for how long the next frame has been due [ns]."""
+        return self._now_ns() - self._due_ns()
+
+    def _was_set(self, now: int) -> bool:
+        """Tell whether the clock went back, or on by more than could have passed."""
+        steady = time.monotonic_ns()
+        on, passed = now - self._seen[0], steady - self._seen[1]
+        self._seen = now, steady
+        back = now - self._start_ns < self._frame_ns(self._count) - self._frame_ns(1)
+        if not back and (on <= JUMP_NS or on <= JUMP * passed):
+            return False
+        self._jumped(on - passed)
+        return True

@@ -1,0 +1,90 @@
+"""
+One input topic: nothing that comes is lost on the way, and every kind of sender is heard.
+
+A reliable subscription does not match best-effort senders, and a best-effort one gets the messages
+of reliable senders without their being sent again. So there is a reliable one, and a best-effort
+one beside it from the moment a sender needs that. It hears the reliable senders as well; what both
+of them got counts once. Who sets the reliability by ``qos_overrides`` gets what was set alone.
+"""
+
+from collections.abc import Callable
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+DEPTH = 1000
+"""messages that may wait for the executor, from all senders: half a second of two at 1 kHz"""
+
+
+class Inlet:
+    """
+    The subscriptions of one topic.
+
+    Parameters
+    ----------
+    node, topic, kind : who listens, to which topic (full name) of which message type
+    take : is given each message, serialized
+
+    """
+
+    def __init__(self, node: LifecycleNode, topic: str, kind: type,
+                 take: Callable[[bytes], None]):
+        self._node, self._topic, self._kind, self._take = node, topic, kind, take
+        self._qos = QoSProfile(depth=DEPTH)
+        self._seen: dict[tuple, None] = {}    # the latest, by when they were sent and by number
+        self._reliable = self._best_effort = None
+        self._reliable = self._subscribe(
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._unheard,
+                                                       use_default_callbacks=False))
+
+    def _subscribe(self, **options):
+        def take(raw, info):
+            self._drain(subscription, raw, info)
+        subscription = self._node.create_subscription(self._kind, self._topic, take, self._qos,
+                                                      raw=True, **options)
+        return subscription
+
+    def _unheard(self, event) -> None:
+        """Listen to senders that are not heard yet, or say why that cannot be."""
+        given = f'qos_overrides.{self._topic}.subscription.reliability'
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        if policy != 'RELIABILITY' or given in self._node._parameter_overrides:
+            self._node.get_logger().warning(
+                f'{self._topic}: a sender is not heard: its {policy.lower()} does not go with '
+                f'qos_overrides.{self._topic}.subscription')
+        elif self._best_effort is None:
+            self._qos.reliability = ReliabilityPolicy.BEST_EFFORT
+            self._best_effort = self._subscribe()
+
+    def _drain(self, subscription, raw: bytes, info: dict) -> None:
+        """Take a message and all that wait behind it; to wake up for each takes far longer."""
+        if subscription is self._best_effort:
+            self._drain_more(self._reliable)
+        self._take_once(raw, info)
+        self._drain_more(subscription)
+
+    def _drain_more(self, subscription) -> None:
+        with subscription.handle:
+            for _ in range(DEPTH):
+                found = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                if found is None:
+                    return
+                self._take_once(*found)
+
+    def _take_once(self, raw: bytes, info: dict) -> None:
+        if self._best_effort is not None:
+            mark = info['source_timestamp'], info['publication_sequence_number']
+            if mark in self._seen:
+                return
+            self._seen[mark] = None
+            if len(self._seen) > 4 * DEPTH:
+                del self._seen[next(iter(self._seen))]
+        self._take(raw)
+
+    def close(self) -> None:
+        """Listen no more."""
+        for subscription in filter(None, (self._reliable, self._best_effort)):
+            self._node.destroy_subscription(subscription)
