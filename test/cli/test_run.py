@@ -18,13 +18,20 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 from sim.shapes import disc, obj_text
+from strict import read_strictly
 import yaml
 
 from xpbd_ros.cli.main import main
+from xpbd_ros.cli.ros import commands_of
+from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
+from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.scene.save import scene_text
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
 
 SHEET = """
 duration: 0.25
@@ -78,7 +85,8 @@ def test_a_pin_that_slips_is_told(scene, tmp_path, capsys):
     counted = [(message.frame, unpacked(message.data, DiagnosticArray).status[0])
                for message in LogReader(tmp_path / 'out').messages({'/diagnostics'})]
     assert [(frame, status.level, {pair.key: pair.value for pair in status.values})
-            for frame, status in counted] == [(1, DiagnosticStatus.WARN, {'pins_slipped': '1'})]
+            for frame, status in counted] == [
+                (1, DiagnosticStatus.WARN, {'pins_slipped': '1', 'stamps_moved_s': '0'})]
 
 
 def test_a_log_without_guards_that_acted_tells_of_none(done):
@@ -122,6 +130,7 @@ def test_the_log_holds_every_frame(done, scene):
 
 
 def test_rosbags_reads_the_log(done, scene):
+    assert read_strictly(done[1]).total() == LogReader(done[1]).count
     expected = simulated(scene)
     with AnyReader([done[1]], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as bag:
         clouds = [bag.deserialize(raw, connection.msgtype)
@@ -212,6 +221,133 @@ def test_keys_settings_and_duration_override_the_scene(scene, tmp_path, monkeypa
     assert reader.frames == 7
 
 
+def recorded(scene, folder, commands: dict, *, begin: int = 0, frames: int = 12):
+    """Step a scene with commands by frame, record it from a frame on, and return the log."""
+    loaded = load_scene(str(scene))
+    simulation = compile_scene(loaded)
+    outputs = Outputs(simulation, 'world', scene_text(loaded, simulation.solver))
+    recorder = None
+    for index in range(frames + 1):
+        if index == begin:
+            recorder = Recorder(folder, outputs, epoch_ns=10**18)
+        if index == frames:
+            break
+        frame = simulation.step(commands.get(index + 1, ()))
+        assert not frame.refused
+        if recorder is not None:
+            recorder.frame(frame, outputs.frame(frame, 10**18 + frame.time_ns))
+    recorder.close()
+    return folder
+
+
+def repeated(log, *words, capsys) -> tuple[int, dict, list[str]]:
+    """Return the exit code, the numbers and the complaints of ``run --commands``."""
+    again = log.parent / f'again_{len(list(log.parent.iterdir()))}'
+    code = main(['run', *map(str, words), '-o', str(again), '--commands', str(log), '--json',
+                 '-'])
+    out, err = capsys.readouterr()
+    return code, json.loads(out)['commands'] if out else {}, err.splitlines()
+
+
+HAND = Grasp('hand', Pose((0.6, 0.2, 0.0)), 0.05)
+COMMANDS = {2: [HAND, SetKey('gravity', (0.0, 0.0, -8.0)),
+                SetKey('cloths.sheet.effects.stretch.warp', 250.0)],
+            5: [MovePin('hand', Pose((0.6, 0.2, 0.1)))], 9: [Release('hand')]}
+
+
+@pytest.fixture(scope='module')
+def log(scene, tmp_path_factory):
+    """Return a log of 12 frames with inputs of several kinds."""
+    return recorded(scene, tmp_path_factory.mktemp('log') / 'log', COMMANDS)
+
+
+def test_a_repeated_run_is_compared_with_its_log_for_as_long_as_that_goes(log, scene, capsys):
+    code, found, said = repeated(log, scene, capsys=capsys)
+    assert (code, said) == (0, [])
+    assert found == {'log': str(log / 'log_0.mcap'), 'identical': True, 'frames': 13,
+                     'first_difference': None, 'max_deviation_m': 0.0, 'scene': [],
+                     'refused': [], 'notes': []}
+    told = log.parent / 'told'
+    assert main(['run', str(scene), '-o', str(told), '--commands', str(log)]) == 0
+    assert hashes(told) == hashes(log)
+    assert f'commands as in {log}/log_0.mcap: 13 frames, bit for bit\n' in capsys.readouterr().out
+
+
+def test_other_keys_are_named_and_where_states_begin_to_differ(log, scene, capsys):
+    code, found, said = repeated(log, scene, '--set', 'solver.substeps=5', capsys=capsys)
+    assert code == 1
+    assert found['identical'] is False
+    assert found['scene'] == [{'key': 'solver.substeps', 'here': '5', 'log': '8'}]
+    assert found['first_difference']['frame'] == 1
+    assert 0 <= found['first_difference']['particle'] < 35
+    assert 1e-5 < found['max_deviation_m'] < 0.1
+    name = f'xpbd_ros run: {log}/log_0.mcap: '
+    assert said[0] == f'{name}scene: solver.substeps: 5 here, 8 in the log'
+    assert said[1].startswith(f'{name}differs from the log from frame 1 on, there most at ')
+
+
+def test_a_key_that_changed_no_state_yet_is_told(log, scene, capsys):
+    code, found, said = repeated(log, scene, '--set', 'cloths.sheet.friction=0.1', capsys=capsys)
+    assert (code, found['first_difference'], found['frames']) == (1, None, 13)
+    assert said == [f'xpbd_ros run: {log}/log_0.mcap: scene: cloths.sheet.friction: 0.1 here, '
+                    '0.5 in the log']
+
+
+def test_keys_that_no_state_depends_on_may_differ(log, scene, capsys):
+    code, found, said = repeated(log, scene, '--set', 'solver.budget_ms=2', '--set',
+                                 'frame_id=map', capsys=capsys)
+    assert (code, found['identical'], said) == (0, True, [])
+
+
+def test_another_scene_differs_from_the_start(log, scene, tmp_path, capsys):
+    (tmp_path / 'other.yaml').write_text(scene.read_text().replace('[7, 5]', '[5, 5]'))
+    code, found, said = repeated(log, tmp_path / 'other.yaml', '--duration', '0.1',
+                                 capsys=capsys)
+    assert (code, found['max_deviation_m']) == (1, None)
+    assert found['first_difference'] == {'frame': 0, 'particle': None}
+    assert said[0].endswith('scene: cloths.sheet.grid.resolution: [5, 5] here, [7, 5] in the log')
+    assert said[1].endswith(': differs from the log from the start on')
+
+
+def test_inputs_that_are_refused_are_errors(log, scene, capsys):
+    code, found, said = repeated(log, scene, '--set', 'effects.pin.max_pins=1', capsys=capsys)
+    assert code == 1
+    assert [text.split(':')[0] for text in found['refused']] == ['frame 2', 'frame 5', 'frame 9']
+    assert any('frame 2: Grasp is refused: ' in line for line in said)
+
+
+def test_a_shorter_run_is_compared_as_far_as_it_goes(log, scene, capsys):
+    code, found, said = repeated(log, scene, '--duration', '0.1', capsys=capsys)
+    assert (code, found['frames'], said) == (0, 7, [])
+    assert found['notes'] == ['1 inputs of the log act after frame 6, with which this run ends']
+    code, found, said = repeated(log, scene, '--duration', '0.5', '--set', 'duration=0.5',
+                                 capsys=capsys)
+    assert (code, found['frames'], said) == (0, 13, [])
+    assert found['notes'] == ['the log ends with frame 12, and this run with 30']
+
+
+def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(scene, tmp_path, capsys):
+    log = recorded(scene, tmp_path / 'late', COMMANDS, begin=4)
+    why = (f'{log}/late_0.mcap: begins in the midst of a run, with frame 4: what was grasped and '
+           'moved before is not in it, so that it cannot be repeated; record from the start, with '
+           "the node's parameter record.path")
+    assert repeated(log, scene, capsys=capsys) == (1, {}, [f'xpbd_ros run: {why}'])
+    assert main(['cost', str(scene), '--commands', str(log)]) == 2
+    assert capsys.readouterr().err == f'xpbd_ros cost: {why}\n'
+    with pytest.raises(InputError, match='begins in the midst'):
+        commands_of('accuracy', str(log), load_scene(str(scene)), 10)
+    assert [path.name for path in tmp_path.iterdir()] == ['late']
+
+
+def test_a_study_says_what_differs_from_the_log_whose_inputs_it_takes(log, scene, capsys):
+    other = load_scene(str(scene), {'gravity': [0, 0, -5.0], 'solver.substeps': 3})
+    assert sorted(commands_of('cost', str(log), other, 6)) == [2, 5, 9]
+    name = f'xpbd_ros cost: {log}/log_0.mcap: '
+    assert capsys.readouterr().err.splitlines() == [
+        f'{name}scene: gravity: [0.0, 0.0, -5.0] here, [0.0, 0.0, -9.80665] in the log',
+        f'{name}1 inputs of the log act after frame 6, with which this run ends']
+
+
 BAD = {
     'no such scene': (['run', 'swinng'], "swinng: unknown scene; did you mean 'swing'?"),
     'no such file': (['run', 'none.yaml'], 'none.yaml: no such file'),
@@ -220,6 +356,10 @@ BAD = {
     'not UTF-8': (['run', 'latin.yaml'], 'latin.yaml: not UTF-8 text'),
     'unknown key': (['run', 'SCENE', '--set', 'cloths.sheet.densty=1'],
                     "cloths.sheet.densty: unknown key; did you mean 'density'?"),
+    'a new pin': (['run', 'SCENE', '--set', 'pins.lefft={cloth: sheet, at: corner_01}'],
+                  "sheet.yaml: pins.lefft: unknown pin; did you mean 'left'? (known: left)"),
+    'a new collider': (['run', 'SCENE', '--set', 'colliders.bal.sphere.radius=0.1'],
+                       'sheet.yaml: colliders.bal: the scene has none'),
     'negative density': (['run', 'SCENE', '--set', 'cloths.sheet.density=-0.2'],
                          'sheet.yaml: cloths.sheet.density: must be > 0 kg/m² (got -0.2)'),
     'set nothing': (['run', 'SCENE', '--set', 'gravity'],

@@ -10,12 +10,12 @@ def test_one_case_as_a_table_and_as_json(capsys, tmp_path):
     assert main(['verify', '--case', 'V13', '--json', str(tmp_path / 'v.json')]) == 0
     said = capsys.readouterr().out
     numbers = json.loads((tmp_path / 'v.json').read_text())
-    assert [row['id'] for row in numbers['cases']] == ['V13'] * 5
+    assert [row['id'] for row in numbers['cases']] == ['V13'] * 20
     assert {'name', 'expected', 'got', 'unit', 'error', 'tolerance', 'order_expected', 'order',
             'pass'} <= set(numbers['cases'][0])
     assert numbers['cases'][0]['order'] is None
-    assert (numbers['passed'], numbers['failed']) == (5, 0)
-    assert '5 passed, 0 failed' in said
+    assert (numbers['passed'], numbers['failed']) == (20, 0)
+    assert '20 passed, 0 failed' in said
     for row in numbers['cases']:
         assert row['name'] in said
 

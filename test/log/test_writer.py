@@ -12,11 +12,12 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 import numpy as np
 import pytest
-from rosbags.highlevel import AnyReader
+from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_typestore, Stores
 from samples import cdr_string, cdr_uint64
+from strict import read_strictly
 import yaml
 
 from xpbd_ros import __version__
@@ -24,6 +25,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.errors import LogError
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.recover import recover
 from xpbd_ros.log.writer import LogWriter
 
 START = 1_700_000_000_000_000_000
@@ -149,6 +151,22 @@ def test_the_folder_is_a_bag_of_jazzy(write_log):
     assert about['offered_qos_profiles'][0]['durability'] == 'transient_local'
 
 
+def test_the_folder_is_a_bag_whenever_it_is_flushed(tmp_path):
+    with LogWriter(tmp_path / 'run', scene='', settings={}, flush_period=3600) as log:
+        for count, topic in enumerate(['/one', '/one', '/one', '/two', '/two']):
+            if topic not in log._topics:
+                log.add_channel(topic, 'std_msgs/msg/UInt64', Qos())
+            log.write(topic, cdr_uint64(1), time_ns=START + 10**count, frame=count)
+            log.flush()
+            text = (tmp_path / 'run' / 'metadata.yaml').read_text()
+            bag = yaml.safe_load(text)['rosbag2_bagfile_information']
+            assert bag['message_count'] == count + 1
+            assert bag['starting_time']['nanoseconds_since_epoch'] == START + 1
+            assert bag['duration']['nanoseconds'] == 10**count - 1
+    assert sorted(path.name for path in (tmp_path / 'run').iterdir()) == [
+        'metadata.yaml', 'run_0.mcap']
+
+
 def test_settings_of_any_text_survive_in_both_places(tmp_path):
     settings = {'quote': '"a" \'b\': #c', 'lines': 'one\ntwo\\n\t', 'letters': 'ä 布 🧵',
                 'number': '1.0', 'empty': ''}
@@ -270,7 +288,7 @@ def test_a_kill_loses_no_more_than_the_flush_period(tmp_path):
     run = tmp_path / 'run'
     writer = subprocess.Popen([sys.executable, '-c', WRITE_UNTIL_KILLED, run], env=environment(),
                               stdout=subprocess.PIPE)
-    told = writer.stdout.read(16 * 500)    # by then it has flushed more than once
+    told = writer.stdout.read(16 * 1500)    # by then it has flushed more than once
     writer.send_signal(signal.SIGKILL)
     told += writer.stdout.read()
     writer.wait()
@@ -283,8 +301,16 @@ def test_a_kill_loses_no_more_than_the_flush_period(tmp_path):
     assert not lost or lost[-1] - lost[0] < 0.3
     assert not reader.whole
     bag = yaml.safe_load((run / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
-    assert [entry['topic_metadata']['name'] for entry in bag['topics_with_message_count']] in (
-        [], ['/count'])    # provisional
+    (topic,) = bag['topics_with_message_count']
+    assert topic['topic_metadata']['name'] == '/count'
+    # of the last flush, or the one before it
+    assert topic['message_count'] == bag['message_count'] > 500
+    assert bag['duration']['nanoseconds'] == bag['message_count'] - 1
+    late = [moment for frame, moment in written.items() if bag['message_count'] <= frame]
+    assert not late or late[-1] - late[0] < 0.6
+    with pytest.raises(AnyReaderError), AnyReader([run]):
+        pass
+    assert read_strictly(recover(reader, tmp_path / 'whole').path.parent) == {'/count': len(kept)}
 
 
 WRITE_UNTIL_FULL = """

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from sim.small import simulate
+from sim.small import run, simulate
 import yaml
 
 from xpbd_ros.errors import InputError
@@ -11,6 +11,7 @@ from xpbd_ros.scene.load import scene_from_mapping, scene_from_text
 from xpbd_ros.scene.materials import Isotropic, lattice, MATERIALS, pulled, sheet_of
 from xpbd_ros.scene.model import live_keys
 from xpbd_ros.scene.save import scene_text
+from xpbd_ros.sim.commands import MovePin, Pose
 
 GRID = {'size': [0.5, 0.5], 'resolution': [3, 3]}
 NAMED = {'stretch': {}, 'shear': None, 'bend': {}}
@@ -97,6 +98,72 @@ def test_the_edges_that_are_built_store_what_the_material_would():
     energy = sum(simulation.effects[name].constraints.energy(simulation.state.x)
                  for name in ('stretch', 'shear'))
     assert energy == pytest.approx(0.5 * pulled(MATERIALS['denim'])[0] * strain**2, rel=1e-3)
+
+
+CELLS = pytest.mark.parametrize('ratio', [1 / 3, 0.5, 0.9, 1.0, 1.2, 2.0, 3.0])
+"""width over height of a cell"""
+
+
+def strips(material, ratio):
+    """
+    Return what strips along warp and weft pull with, free aside, and the shear modulus [N/m].
+
+    From the energy of all edges and diagonals: Y1 = 1 / (C⁻¹)11, Y2 = 1 / (C⁻¹)22, C66.
+    """
+    size = (0.5, 0.5 / ratio)
+    simulation = compile_scene(cloth(material, {'stretch': {}, 'shear': {}},
+                                     grid={'size': size, 'resolution': [5, 5]}))
+    x, step = simulation.state.x, 1e-5
+
+    def twice_the_energy(xx, yy, xy):
+        strain = np.array([[xx, 0.5 * xy, 0.0], [0.5 * xy, yy, 0.0], [0.0, 0.0, 0.0]])
+        return sum(built.constraints.energy(x + sign * step * strain @ x)
+                   for built in simulation.effects.values() for sign in (1, -1)) / (
+                       step**2 * size[0] * size[1])
+
+    c11, c22 = twice_the_energy(1, 0, 0), twice_the_energy(0, 1, 0)
+    c12 = 0.5 * (twice_the_energy(1, 1, 0) - c11 - c22)
+    return c11 - c12**2 / c22, c22 - c12**2 / c11, twice_the_energy(0, 0, 1)
+
+
+@CELLS
+@pytest.mark.parametrize('name', MATERIALS)
+def test_strips_of_any_cells_pull_and_shear_as_the_table_says(name, ratio):
+    sheet = MATERIALS[name]
+    assert strips(name, ratio) == pytest.approx((*pulled(sheet), sheet.shear), rel=1e-4)
+
+
+@CELLS
+@pytest.mark.parametrize('poisson', [-0.9, 0.0, 0.5])
+def test_strips_of_a_solid_do_so_too(poisson, ratio):
+    """Auxetic ones are stiffer in shear than along their threads."""
+    solid = {**SOLID, 'poisson': poisson}
+    assert strips(solid, ratio) == pytest.approx(
+        (2000.0, 2000.0, 1000.0 / (1.0 + poisson)), rel=1e-4)
+
+
+def test_a_row_of_particles_has_no_diagonals_that_it_must_allow_for():
+    scene = cloth('interlock', grid={'size': [0.5, 0.1], 'resolution': [6, 1]})
+    assert scene.cloth_effects['c']['stretch'].warp == pytest.approx(pulled(
+        MATERIALS['interlock'])[0])
+
+
+@pytest.mark.parametrize('name', ['interlock', pytest.param('blanket', marks=pytest.mark.slow)])
+@pytest.mark.parametrize('resolution', [
+    (7, 4), pytest.param((19, 2), marks=pytest.mark.slow)])
+def test_a_strip_that_is_pulled_pulls_back_with_the_modulus_of_the_table(name, resolution):
+    """At rest, with the solver that users get; cells three times as wide as high, and as high."""
+    length, width, strain = 0.6, 0.1, 0.01
+    simulation = compile_scene(scene_from_mapping({
+        'gravity': [0, 0, 0], 'effects': {'damping': {'rate': 20.0}},
+        'cloths': {'c': {'grid': {'size': [length, width], 'resolution': resolution},
+                         'material': name, 'effects': {'stretch': {}, 'shear': {}}}},
+        'pins': {'left': {'cloth': 'c', 'at': 'edge_x0'},
+                 'right': {'cloth': 'c', 'at': 'edge_x1'}}}, where='f.yaml', name='f'))
+    frame = run(simulation, 150, [MovePin('right', Pose((
+        length * (1.0 + strain), 0.5 * width, 0.0)))])
+    assert -frame.pins['right'].force[0] / (strain * width) == pytest.approx(
+        pulled(MATERIALS[name])[0], rel=0.03)
 
 
 def test_a_solid_of_poisson_a_third_is_a_lattice_exactly():

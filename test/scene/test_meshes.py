@@ -55,9 +55,10 @@ def test_a_mesh_lies_where_its_scale_and_pose_say_in_the_order_of_the_file(scene
 
 
 def test_grids_and_meshes_lie_one_after_another(scene):
-    simulation = compile_scene(scene(overrides={
-        'cloths.a': {'grid': {'size': [1, 1], 'resolution': [3, 2]}, 'density': 1.0},
-        'cloths.z': {'mesh': {'file': 'disc.obj'}, 'density': 1.0}}))
+    disc = {'mesh': {'file': 'disc.obj'}, 'density': 1.0}
+    simulation = compile_scene(scene(overrides={'cloths': {
+        'c': disc, 'a': {'grid': {'size': [1, 1], 'resolution': [3, 2]}, 'density': 1.0},
+        'z': disc}}))
     assert [len(cloth.slots) for cloth in simulation.cloths] == [61, 6, 61]
     assert len(np.unique(simulation.slot)) == 128
     assert simulation.state.x.shape[1] > simulation.slot.max()

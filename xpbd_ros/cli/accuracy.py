@@ -71,7 +71,9 @@ def run(arguments) -> int:
     jobs = machine()['cores'] or 1 if arguments.jobs is None else arguments.jobs
     if jobs < 1:
         raise InputError(f'--jobs: must be >= 1 (got {jobs})')
-    commands = commands_of('accuracy', arguments.commands) if arguments.commands else {}
+    commands = {}
+    if arguments.commands:
+        commands = commands_of('accuracy', arguments.commands, scene, frames)
     folder = Path(arguments.output) if arguments.output else fresh_folder('accuracy')
     from xpbd_ros.study.accuracy import study
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)

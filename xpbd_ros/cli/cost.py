@@ -44,7 +44,7 @@ def run(arguments) -> int:
     frames = count_frames(scene)
     commands = {}
     if arguments.commands:
-        commands = commands_of('cost', arguments.commands)
+        commands = commands_of('cost', arguments.commands, scene, frames)
     from xpbd_ros.study.cost import cost
     from xpbd_ros.study.cost.limits import limits
     from xpbd_ros.study.machine import describe, machine

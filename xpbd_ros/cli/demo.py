@@ -71,6 +71,7 @@ def play(folder: Path, duration: float, say) -> None:
     try:
         node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
                      '-p', f'record.path:={folder / "run"}',
+                     '-p', 'publish_clock:=true',    # a slow machine tells the story slowly
                      stdout=node_log, stderr=subprocess.STDOUT)
         observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'),
                          stdout=subprocess.PIPE, text=True)

@@ -2,11 +2,12 @@
 What a log holds, and whether it is whole.
 
 The exit code is 1 for a log that is damaged or was cut short; it is listed as far as it can be
-read.
+read, and ``xpbd_ros recover`` makes a whole one of that.
 """
 
 from datetime import datetime, timezone
 from pathlib import Path
+import shlex
 
 import yaml
 
@@ -29,25 +30,33 @@ def run(arguments) -> int:
         'run': Path(arguments.run),
         'whole': log.whole,
         'damage': log.damage,
-        'messages': log.count,
-        'topics': {name: {'type': topic.type, 'count': topic.count}
-                   for name, topic in log.topics.items()},
-        'start_ns': log.start_ns,
-        'end_ns': log.end_ns,
-        'frames': log.frames,
+        **content(log),
         'bytes': log.path.stat().st_size,
         'settings': log.settings,
-        'scene': log.scene,
     })
     if arguments.json != '-':
-        print('\n'.join(lines(log)))
+        print('\n'.join(lines(log, arguments.run)))
     return 0 if log.whole else 1
 
 
-def lines(log: LogReader) -> list[str]:
-    """Return what there is to say about a log."""
+def content(log: LogReader) -> dict:
+    """Return the keys of ``--json`` that describe what a log holds."""
+    return {'messages': log.count,
+            'topics': {name: {'type': topic.type, 'count': topic.count}
+                       for name, topic in log.topics.items()},
+            'start_ns': log.start_ns,
+            'end_ns': log.end_ns,
+            'frames': log.frames,
+            'scene': log.scene}
+
+
+def lines(log: LogReader, run: str) -> list[str]:
+    """Return what there is to say about a log, which the user named ``run``."""
     found = [f'{log.path}: {"whole" if log.whole else "damaged"}',
              *(f'  {text}' for text in log.damage)]
+    if not log.whole:
+        found.append(f"'xpbd_ros recover {shlex.quote(str(run))}' makes a whole log of what can "
+                     'be read')
     rows = [('size', f'{log.path.stat().st_size * 1e-6:.3f} MB')]
     if log.start_ns is not None:
         start = datetime.fromtimestamp(log.start_ns * 1e-9, timezone.utc)

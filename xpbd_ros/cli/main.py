@@ -24,6 +24,7 @@ VERBS = {
     'run': 'run a scene as fast as it can, without DDS, and write the same log as the node',
     'replay': 'publish a log again',
     'info': 'what a log holds, and whether it is whole',
+    'recover': 'make a log whole again that was cut short or damaged',
     'verify': 'compare the simulation with answers that are known',
     'accuracy': 'error against time for a scene, and the setting to take',
     'stress': 'the hard cases that break solvers, at every setting',

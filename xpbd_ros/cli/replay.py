@@ -3,7 +3,9 @@ Publish a log again, with the flags of ros2 bag play.
 
 Each message leaves as it was recorded, when its time comes. The node's services ~/pause, ~/resume,
 ~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) say what they did. A damaged log is played
-as far as it can be read.
+as far as it can be read. The inputs in it (pins, colliders, wind, parameters) are left out, or
+they would drive a node that is running; --inputs publishes them, and so does --topics with their
+names.
 """
 
 import argparse
@@ -37,6 +39,8 @@ def add_arguments(parser):
                         help='publish the time of the log on /clock (40 Hz if not given), instead '
                              'of a recorded /clock')
     parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='publish only these')
+    parser.add_argument('--inputs', action='store_true',
+                        help='publish the inputs too, which drive a node that listens')
     parser.add_argument('-m', '--remap', type=rule, nargs='+', default=[], metavar='FROM:=TO',
                         help='publish a topic under another name')
     add_json_argument(parser)
@@ -50,19 +54,23 @@ def run(arguments) -> int:
     check_output(arguments.json)
     log = LogReader(arguments.run)
     check(log, arguments)
+    topics, left_out = chosen(log, arguments)
     say = functools.partial(print, flush=True) if arguments.json != '-' else lambda text: None
     for text in log.damage:
         print(f'xpbd_ros replay: damaged log: {text}', file=sys.stderr)
     duration = (log.end_ns - log.start_ns) * 1e-9
     say(f'{log.path}: {log.count} messages, {duration:.3f} s')
+    if left_out:
+        say(f'left out, as inputs: {", ".join(left_out)} (--inputs publishes them)')
     published, stopped = replay(
-        log, topics=arguments.topics, rate=arguments.rate, loop=arguments.loop,
+        log, topics=topics, rate=arguments.rate, loop=arguments.loop,
         start_offset=arguments.start_offset, paused=arguments.start_paused,
         clock_hz=arguments.clock, remap=arguments.remap)
     say(f'{"stopped" if stopped else "ended"} after {published.total()} messages')
     write_json(arguments.json, {
         'run': Path(arguments.run), 'whole': log.whole, 'damage': log.damage,
-        'messages': published.total(), 'topics': dict(published), 'stopped': stopped})
+        'messages': published.total(), 'topics': dict(published), 'left_out': left_out,
+        'stopped': stopped})
     return 0
 
 
@@ -80,6 +88,19 @@ def check(log: LogReader, arguments: argparse.Namespace) -> None:
     if arguments.start_offset > duration:
         raise InputError(f'--start-offset: must be within the log, which is {duration:.3f} s long '
                          f'(got {arguments.start_offset:g} s)')
+
+
+def chosen(log: LogReader, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Return the topics to publish, and the inputs that are left out."""
+    from xpbd_ros.ros.playback import is_input
+    if arguments.topics or arguments.inputs:
+        return arguments.topics or list(log.topics), []
+    left_out = [name for name, topic in log.topics.items() if is_input(name, topic.type)]
+    topics = [name for name in log.topics if name not in left_out]
+    if not topics:
+        raise InputError(f'{log.path}: holds nothing but inputs ({", ".join(left_out)}); '
+                         '--inputs publishes them')
+    return topics, left_out
 
 
 def positive(text: str) -> float:

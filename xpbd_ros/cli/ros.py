@@ -15,9 +15,24 @@ def need_ros(verb: str) -> None:
                 "/opt/ros/jazzy/setup.bash, or pip install 'xpbd_ros[ros]'")
 
 
-def commands_of(verb: str, log: str) -> dict:
-    """Return a log's inputs by frame; say what is damaged of it, since some may be lost."""
+def recording_of(verb: str, log: str):
+    """Return a recorded run; say what is damaged of its log, since inputs may be lost."""
     need_ros(f'{verb} --commands')
-    from xpbd_ros.ros.playback import commands_by_frame
-    return commands_by_frame(log, lambda text: print(
+    from xpbd_ros.ros.playback import Recording
+    return Recording(log, lambda text: print(
         f'xpbd_ros {verb}: damaged log: {text}; inputs may be lost', file=sys.stderr))
+
+
+def commands_of(verb: str, log: str, scene, frames: int) -> dict:
+    """
+    Return a log's inputs by frame, for a study that varies the solver.
+
+    What else differs from the recorded run, which the study may mean to, is said.
+    """
+    from xpbd_ros.scene.compare import differences, told
+    recording = recording_of(verb, log).from_its_start()
+    found = [one for one in differences(scene, recording.scene)
+             if not one[0].startswith('solver.')]
+    for text in [*told(found), *recording.beyond(frames)]:
+        print(f'xpbd_ros {verb}: {recording.path}: {text}', file=sys.stderr)
+    return recording.commands

@@ -2,19 +2,22 @@
 Run a scene as fast as it can, without DDS, and write the same log as the node.
 
 The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log,
-at the frames that they acted on.
+at the frames that they acted on, for as long as the log goes. Then the exit code is 0 where scene
+and states are those of the log, bit for bit, and else 1: another scene, other keys (--set too), a
+log that began in the midst of a run, an input that is refused.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 import signal
+import sys
 import time
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import commands_of, need_ros
+from xpbd_ros.cli.ros import need_ros, recording_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
@@ -34,7 +37,8 @@ def add_arguments(parser):
     parser.add_argument('-o', '--output', metavar='RUN', help='folder of the log; must not exist')
     parser.add_argument('--duration', type=float, metavar='S',
                         help="simulated seconds, instead of the scene's")
-    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+    parser.add_argument('--commands', metavar='LOG',
+                        help='apply the inputs of this log, and compare with its states')
     parser.add_argument('--settings', metavar='FILE',
                         help="a file with a 'solver:' block, to override the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
@@ -62,11 +66,23 @@ def run(arguments) -> int:
     for output in (arguments.json, arguments.picture):
         check_output(output)
     scene = load_scene(arguments.scene, overrides)
+    recording = recording_of('run', arguments.commands) if arguments.commands else None
+    if recording is not None:
+        if recording.late:
+            print(f'xpbd_ros run: {recording.late}', file=sys.stderr)
+            return 1
+        if arguments.duration is None:
+            overrides['duration'] = recording.last / scene.top.frame_rate
+            scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
-    commands = commands_of('run', arguments.commands) if arguments.commands else {}
     simulation = compile_scene(scene)
     quiet = arguments.json == '-'
     outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
+    repeat = None
+    if recording is not None:
+        from xpbd_ros.ros.repeat import Repeat
+        repeat = Repeat(recording, scene, simulation, frames)
+        repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
@@ -83,11 +99,13 @@ def run(arguments) -> int:
         with signals_wait() as signals:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
-                frame = simulation.step([*commands.get(index, ()), *watch.commands()],
-                                        keep=watch.due())
+                inputs = repeat.commands(index) if repeat else ()
+                frame = simulation.step([*inputs, *watch.commands()], keep=watch.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 watch.look(1e-3 * step_ms[-1])
                 refused += len(frame.refused)
+                if repeat:
+                    repeat.look(frame)
                 if shots:
                     shots.look(frame)
                 notes += [f'frame {index}: {text}' for text in frame.news]
@@ -111,6 +129,9 @@ def run(arguments) -> int:
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
     }
+    if repeat:
+        notes += repeat.notes
+        numbers['commands'] = repeat.numbers()
     if shots:
         numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
@@ -130,10 +151,16 @@ def run(arguments) -> int:
             print(f'note     {text}')
         if refused:
             print(f'refused  {refused} commands')
+        if repeat and repeat.identical:
+            print(f'commands as in {recording.path}: {repeat.compared} frames, bit for bit')
         for name, text in GUARDS.items():
             if numbers.get(name):
                 print(f'note     {numbers[name]} frames {text}')
-    return 0
+    if repeat is None:
+        return 0
+    for text in repeat.problems:
+        print(f'xpbd_ros run: {recording.path}: {text}', file=sys.stderr)
+    return 0 if repeat.identical else 1
 
 
 @contextmanager

@@ -10,6 +10,8 @@ from textwrap import indent
 from xpbd_ros.log.qos import Qos
 
 FILE = 'metadata.yaml'
+WIDTH = 20
+"""of a number [characters]: 64 bits and a sign"""
 
 
 @dataclass
@@ -23,13 +25,43 @@ class TopicRecord:
     count: int = 0
 
 
-def write_metadata(folder: Path, file: str, topics: Iterable[TopicRecord], *,
-                   start_ns: int, end_ns: int, custom_data: Mapping[str, str]) -> None:
-    """Write ``metadata.yaml`` for a folder that holds one MCAP file, at once or not at all."""
-    beside = folder / f'.{FILE}'
-    beside.write_text(metadata_text(file, list(topics), start_ns, end_ns, custom_data),
-                      encoding='utf-8')
-    os.replace(beside, folder / FILE)
+class MetadataFile:
+    """
+    The ``metadata.yaml`` of a folder that holds one MCAP file, which may still grow.
+
+    Numbers are of one width, so that the text changes its length with the topics alone. Then it is
+    replaced, at once or not at all; ext4 takes milliseconds for that. Else it is overwritten in
+    place, which takes microseconds, needs no room, and leaves each number an old or a new one
+    whenever it is cut short.
+    """
+
+    def __init__(self, folder: Path, file: str, custom_data: Mapping[str, str]):
+        self._folder = folder
+        self._name = file
+        self._custom_data = custom_data
+        self._descriptor: int | None = None
+        self._length = 0
+
+    def write(self, topics: Iterable[TopicRecord], *, start_ns: int, end_ns: int) -> None:
+        """Write what the log holds by now."""
+        text = metadata_text(self._name, list(topics), start_ns, end_ns, self._custom_data)
+        data = text.encode()
+        if self._descriptor is not None and len(data) == self._length:
+            os.pwrite(self._descriptor, data, 0)
+            return
+        self.close()
+        beside = self._folder / f'.{FILE}'
+        with open(beside, 'wb') as file:
+            file.write(data)
+            self._descriptor = os.dup(file.fileno())
+        os.replace(beside, self._folder / FILE)
+        self._length = len(data)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+            self._descriptor = None
 
 
 def metadata_text(file: str, topics: list[TopicRecord], start_ns: int, end_ns: int,
@@ -47,10 +79,10 @@ rosbag2_bagfile_information:
   version: 9
   storage_identifier: mcap
   duration:
-    nanoseconds: {end_ns - start_ns}
+    nanoseconds: {end_ns - start_ns:{WIDTH}}
   starting_time:
-    nanoseconds_since_epoch: {start_ns}
-  message_count: {count}
+    nanoseconds_since_epoch: {start_ns:{WIDTH}}
+  message_count: {count:{WIDTH}}
   topics_with_message_count:{''.join(map(topic_text, topics)) or ' []'}
   compression_format: ""
   compression_mode: ""
@@ -59,10 +91,10 @@ rosbag2_bagfile_information:
   files:
     - path: {quoted(file)}
       starting_time:
-        nanoseconds_since_epoch: {start_ns}
+        nanoseconds_since_epoch: {start_ns:{WIDTH}}
       duration:
-        nanoseconds: {end_ns - start_ns}
-      message_count: {count}
+        nanoseconds: {end_ns - start_ns:{WIDTH}}
+      message_count: {count:{WIDTH}}
   custom_data:{''.join(map(custom_text, custom_data.items())) or ' ~'}
   ros_distro: jazzy
 """
@@ -79,7 +111,7 @@ def topic_text(topic: TopicRecord) -> str:
         offered_qos_profiles:
 {profiles}
         type_description_hash: {quoted(topic.type_hash)}
-      message_count: {topic.count}"""
+      message_count: {topic.count:{WIDTH}}"""
 
 
 def custom_text(entry: tuple[str, str]) -> str:

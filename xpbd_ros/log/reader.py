@@ -36,6 +36,8 @@ class Topic:
     """Of the data: cdr in any log of ROS 2."""
     definition: str
     """Text of the schema."""
+    type_hash: str
+    """RIHS01 hash of the type; empty if none was recorded."""
 
 
 class Message(NamedTuple):
@@ -75,6 +77,8 @@ class LogReader:
         How many frames the messages are of.
     damage : list of str
         What is missing or wrong, in words; empty if the log is whole.
+    lossy : bool
+        Whether something is lost that was written whole; a log whose end is missing is not lossy.
 
     """
 
@@ -98,6 +102,7 @@ class LogReader:
         self.end_ns = scan.end_ns
         self.frames = len(scan.frames)
         self.damage = scan.damage
+        self.lossy = scan.lossy
 
     @property
     def whole(self) -> bool:
@@ -149,7 +154,8 @@ class LogReader:
         schema = self._types[channel.id]
         self.topics[channel.topic] = Topic(
             schema.name, count, recorded_qos(channel.metadata.get('offered_qos_profiles', '')),
-            channel.message_encoding, schema.data.decode(errors='replace'))
+            channel.message_encoding, schema.data.decode(errors='replace'),
+            channel.metadata.get('topic_type_hash', ''))
 
 
 def log_file(path: Path) -> Path:

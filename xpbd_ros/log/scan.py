@@ -51,6 +51,8 @@ class Scan:
         Metadata records, by name.
     attachments : dict of bytes
         By name.
+    lossy : bool
+        Whether something is lost that was written whole; a log whose end is missing is not lossy.
 
     """
 
@@ -64,6 +66,7 @@ class Scan:
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: dict[str, bytes] = {}
+        self.lossy = False
         self._places: list[str] = []    # of the file that are damaged
         self._lacks: list[str] = []     # of the log as a whole
         self._crc = zlib.crc32(MAGIC)
@@ -95,6 +98,7 @@ class Scan:
         def lost(start: int, end: int) -> None:
             self._places.append(f'bytes {start} to {end} are of no use: ' + (
                 'no whole record' if end == size else 'a record is damaged'))
+            self.lossy |= end != size
 
         starts = [start for start in (summary.starts if summary else ()) if start < size]
         for record in walk(file, [*starts, size], lost):
@@ -103,6 +107,7 @@ class Scan:
             except Exception as error:    # whatever untrusted bytes do to a parser
                 self._places.append(f'bytes {record.start} to {record.end} are of no use: '
                                     f'{title(record.opcode)} is damaged ({reason(error)})')
+                self.lossy = True
             self._crc = zlib.crc32(record.body, zlib.crc32(record.head, self._crc))
             if record.opcode == Opcode.FOOTER:
                 return record.end
@@ -181,11 +186,13 @@ class Scan:
                        if channel not in self.channels)
         if nameless:
             self._lacks.append(f'{nameless} messages are of topics whose description is lost')
+            self.lossy = True
         if summary.statistics:
             count = summary.statistics.message_count
             lost = count - self.counts.total()
             if lost:
                 self._lacks.append(f'{lost} of {count} messages are lost')
+                self.lossy = True
 
 
 def decompressed(chunk: bytes) -> bytes:

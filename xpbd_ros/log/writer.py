@@ -4,8 +4,9 @@ Write a run as MCAP, the way that rosbag2, Foxglove and the ``mcap`` tools read 
 The log lies in a folder of its own, ``RUN/RUN_0.mcap`` beside a ``metadata.yaml``. Messages are
 given as CDR bytes, so that what goes to the wire goes into the log unchanged. Whatever ends the
 process, what was flushed can be read again: every whole chunk is handed to the operating system
-as soon as it is made, and ``flush`` makes one of what is left. (That outlasts a kill, not a power
-cut: nothing waits for the disk.)
+as soon as it is made, and ``flush`` makes one of what is left and brings ``metadata.yaml`` up to
+date. (That outlasts a kill, not a power cut: nothing waits for the disk.) A killed log has no
+summary, which strict readers want; ``recover`` writes it again with one.
 """
 
 from collections.abc import Callable, Mapping
@@ -20,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.errors import LogError
-from xpbd_ros.log.metadata import TopicRecord, write_metadata
+from xpbd_ros.log.metadata import MetadataFile, TopicRecord
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.schemas import message_definition, type_hash
 
@@ -41,7 +42,7 @@ class LogWriter:
     folder
         Where to; refused if it exists.
     scene
-        YAML text of the scene as it runs.
+        YAML text of the scene as it runs; None where it is among the attachments, or lost.
     settings
         Whatever else the run depends on; the version is added.
     attachments
@@ -55,7 +56,7 @@ class LogWriter:
 
     """
 
-    def __init__(self, folder: Path, *, scene: str, settings: Mapping[str, str],
+    def __init__(self, folder: Path, *, scene: str | None, settings: Mapping[str, str],
                  attachments: Mapping[str, bytes] | None = None, flush_period: float = 1.0,
                  name: str | None = None):
         self.folder = Path(folder).absolute()
@@ -68,12 +69,14 @@ class LogWriter:
         self._start_ns: int | None = None
         self._end_ns = 0
         self._whole = 0    # bytes of the file that are whole records
-        self._described = -1    # topics that metadata.yaml tells of
+        self._described = -1    # messages and topics that metadata.yaml tells of
         self._ended = ''    # why nothing more can be written
+        self._metadata = MetadataFile(self.folder, self.path.name, self._settings)
         self._file = self._create()
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
                             enable_data_crcs=True)
-        self._put(self._begin, {SCENE: scene.encode(), **(attachments or {})})
+        self._put(self._begin, {**({} if scene is None else {SCENE: scene.encode()}),
+                                **(attachments or {})})
         self.flush()
 
     def __enter__(self) -> 'LogWriter':
@@ -94,14 +97,16 @@ class LogWriter:
         """Whether the log is closed, by ``close`` or by a write that failed."""
         return bool(self._ended)
 
-    def add_channel(self, topic: str, type_name: str, qos: Qos) -> None:
-        """Add a topic; its type's definition must be installed."""
+    def add_channel(self, topic: str, type_name: str, qos: Qos, *,
+                    definition: str | None = None, hashed: str | None = None) -> None:
+        """Add a topic; definition and hash of its type are the installed ones unless given."""
         assert topic not in self._channels, topic
-        record = TopicRecord(topic, type_name, qos, type_hash(type_name))
+        hashed = type_hash(type_name) if hashed is None else hashed
+        record = TopicRecord(topic, type_name, qos, hashed)
         if type_name not in self._schemas:
             self._schemas[type_name] = self._put(
                 self._mcap.register_schema, type_name, 'ros2msg',
-                message_definition(type_name).encode())
+                (definition or message_definition(type_name)).encode())
         self._channels[topic] = self._put(
             self._mcap.register_channel, topic, 'cdr', self._schemas[type_name],
             {'offered_qos_profiles': qos.offered_profiles(), 'topic_type_hash': record.type_hash})
@@ -123,7 +128,7 @@ class LogWriter:
     def flush(self) -> None:
         """Hand all that was written to the operating system, in chunks that can be read."""
         self._put(self._mcap.flush)
-        if self._described != len(self._topics):
+        if self._described != self._size:
             self._put(self._describe)
         self._flushed = time.monotonic()
 
@@ -133,6 +138,7 @@ class LogWriter:
             return
         self._put(self._mcap.finish)
         self._put(self._describe)
+        self._metadata.close()
         self._file.close()
         self._ended = f'{self.path}: is closed'
 
@@ -157,10 +163,14 @@ class LogWriter:
 
     def _describe(self) -> None:
         """Write ``metadata.yaml`` for what the log holds by now."""
-        write_metadata(self.folder, self.path.name, self._topics.values(),
-                       start_ns=self._start_ns or 0, end_ns=self._end_ns,
-                       custom_data=self._settings)
-        self._described = len(self._topics)
+        self._metadata.write(self._topics.values(), start_ns=self._start_ns or 0,
+                             end_ns=self._end_ns)
+        self._described = self._size
+
+    @property
+    def _size(self) -> int:
+        """How many messages and topics it has; this only grows."""
+        return len(self._topics) + sum(topic.count for topic in self._topics.values())
 
     def _put(self, write: Callable[..., int | None], *arguments: object) -> int | None:
         """
@@ -180,6 +190,7 @@ class LogWriter:
         except BaseException as error:
             reason = error.strerror if isinstance(error, OSError) else repr(error)
             self._ended = f'{self.path}: cannot be written any further: {reason}'
+            self._metadata.close()
             with suppress(OSError):
                 self._file.close()
             with suppress(OSError):

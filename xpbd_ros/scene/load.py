@@ -8,9 +8,10 @@ import yaml
 from xpbd_ros.effects import EFFECTS, load as load_effect, SECTIONS
 from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.materials import with_material
-from xpbd_ros.scene.model import ClothKeys, Scene, SolverKeys, TopKeys, with_key
+from xpbd_ros.scene.model import ClothKeys, Grid, Scene, SolverKeys, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
 from xpbd_ros.share import share_folder
+from xpbd_ros.sim.mesh import grid_spacing, is_square
 
 LARGEST_FILE = 16 * 2**20
 """[bytes]"""
@@ -107,10 +108,27 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
     try:
         raw = mapping(raw, 'the scene')
         for key, value in (overrides or {}).items():
+            _check_member(raw, key)
             raw = with_key(raw, key, value)
         return _scene(_resolved(raw, folder or Path()), where, name)
     except InputError as error:
         raise InputError(f'{where}: {brief(str(error))}') from None
+
+
+def _check_member(raw: dict, key: str) -> None:
+    """
+    Refuse an override within a cloth, pin, collider or seam that the scene does not have.
+
+    A misspelt name would make a new one. A whole section may be given, with new names in it.
+    """
+    section, _, rest = key.partition('.')
+    name = rest.partition('.')[0]
+    if name and section in ('cloths', *SECTIONS):
+        known = mapping(raw.get(section), section)
+        if name not in known:
+            raise InputError(f'{section}.{name}: ' + (
+                unknown(name, known, section.removesuffix('s')) if known
+                else 'the scene has none'))
 
 
 def settings_overrides(file: str) -> dict[str, Any]:
@@ -136,13 +154,23 @@ def _resolved(raw: dict, folder: Path) -> dict:
     """Return a scene that says all: values of materials, and files that are found anywhere."""
     cloths = {}
     for name, cloth in names(raw.get('cloths'), 'cloths').items():
-        cloths[name] = _found(with_material(cloth, f'cloths.{name}'), 'mesh', folder)
+        cloths[name] = _found(with_material(
+            cloth, f'cloths.{name}', square=_square_cells(cloth, f'cloths.{name}.grid')),
+            'mesh', folder)
     raw = {**raw, 'cloths': cloths} if cloths else raw
     colliders = raw.get('colliders')
     if not isinstance(colliders, dict):
         return raw
     return {**raw, 'colliders': {name: _found(_found(entry, 'mesh', folder), 'heights', folder)
                                  for name, entry in colliders.items()}}
+
+
+def _square_cells(cloth: Any, path: str) -> bool:
+    """Tell whether a cloth's mapping says a grid with square cells."""
+    if not isinstance(cloth, dict) or not isinstance(cloth.get('grid'), dict):
+        return False
+    grid = read(Grid, cloth['grid'], path)
+    return min(grid.resolution) > 1 and is_square(grid_spacing(grid.size, grid.resolution))
 
 
 def _found(entry: Any, key: str, folder: Path) -> Any:

@@ -1,0 +1,76 @@
+"""What two scenes differ in: their keys, defaults included."""
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.scene.save import CHOSEN
+from xpbd_ros.sim.simulation import Solver
+
+WITHOUT_EFFECT = {'duration', 'frame_id', 'solver.threads', 'solver.budget_ms'}
+"""keys that no state depends on, once ``auto`` has chosen"""
+MOST = 5
+"""of a kind that are told one by one"""
+
+
+def with_solver(scene: Scene, solver: Solver) -> Scene:
+    """Return a scene with what ``auto`` chose for it."""
+    keys = replace(scene.top.solver, **{key: getattr(solver, key) for key in CHOSEN})
+    return replace(scene, top=replace(scene.top, solver=keys))
+
+
+def differences(ours: Scene, theirs: Scene) -> list[tuple[str, Any, Any]]:
+    """
+    Return the keys that states depend on and in which two scenes differ, with both values.
+
+    A key that a scene does not have is None there. Paths of files do not count: where a mesh lies
+    does not say what is in it.
+    """
+    one, other = dict(_keys(ours)), dict(_keys(theirs))
+    return [(key, one.get(key), other.get(key)) for key in dict.fromkeys((*one, *other))
+            if one.get(key) != other.get(key)
+            and key not in WITHOUT_EFFECT and not key.endswith('.file')]
+
+
+def _keys(scene: Scene) -> Iterator[tuple[str, Any]]:
+    yield from _walk('', scene.top)
+    for name, cloth in scene.cloths.items():
+        yield from _walk(f'cloths.{name}', cloth)
+        yield from _walk(f'cloths.{name}.effects', scene.cloth_effects[name])
+    for section, entries in scene.sections.items():
+        yield from _walk(section, entries)
+    yield from _walk('effects', scene.effects)
+
+
+def _walk(path: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted keys below a value; what has none is one itself."""
+    if is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if not isinstance(value, dict):
+        yield path, value
+        return
+    if path and not value:
+        yield path, {}
+    for key, inner in value.items():
+        yield from _walk(f'{path}.{key}' if path else key, inner)
+
+
+def told(found: list[tuple[str, Any, Any]]) -> list[str]:
+    """Return differences from a recorded scene in words."""
+    return first_of([f'scene: {key}: {as_text(ours)} here, {as_text(theirs)} in the log'
+                     for key, ours, theirs in found], 'keys differ')
+
+
+def first_of(items: list[str], what: str) -> list[str]:
+    """Return the first of many, and how many more there are."""
+    more = len(items) - MOST
+    return [*items[:MOST], *[f'{more} more {what}'] * (more > 0)]
+
+
+def as_text(value: Any) -> str:
+    """Return a value of a scene as people write it."""
+    if value is None:
+        return 'nothing'
+    found = str(list(value)) if isinstance(value, tuple) else str(value)
+    return found if len(found) <= 60 else f'{found[:57]}...'
