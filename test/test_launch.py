@@ -162,15 +162,54 @@ def test_the_launch_files_need_nothing_but_launch():
         assert not [name for name in names if name.startswith('xpbd_ros')], file
 
 
-def test_rviz_listens_to_the_topics_of_the_node():
-    view = yaml.safe_load((share_folder() / 'views' / 'cloth.rviz').read_text())
+SHEET = 'grid: {size: [1, 1], resolution: [3, 3]}, density: 0.1'
+
+
+def outputs(*cloths: str):
+    """Return what a node publishes of a scene with these cloths."""
+    pytest.importorskip('rclpy', reason='needs ROS: the messages')
+    from xpbd_ros.ros.outputs import Outputs
+    from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.scene.load import scene_from_text
+    scene = scene_from_text('cloths: {' + ', '.join(f'{name}: {{{SHEET}}}' for name in cloths)
+                            + '}', where='here', name='here')
+    return Outputs(compile_scene(scene), 'world', '')
+
+
+def check_view(view: dict, published) -> None:
+    """Each topic of a view is published, with its type; it colours by what is in the clouds."""
+    from rclpy.serialization import deserialize_message
+    from sensor_msgs.msg import PointCloud2
     manager = view['Visualization Manager']
-    topics = {entry['Class']: entry['Topic']['Value']
-              for entry in manager['Displays'] + manager['Tools'] if 'Topic' in entry}
-    assert topics == {'rviz_default_plugins/PointCloud2': '/cloth/particles',
-                      'rviz_default_plugins/MarkerArray': '/cloth/markers',
-                      'rviz_default_plugins/PublishPoint': '/cloth/clicked_point'}
+    shown = {entry['Topic']['Value']: entry for entry in manager['Displays'] + manager['Tools']
+             if 'Topic' in entry}
+    kinds = {f'/cloth/{topic}': output.kind.__name__ for topic, output in published.topics.items()}
+    assert {topic: entry['Class'].split('/')[1] for topic, entry in shown.items()} == {
+        topic: kind for topic, kind in kinds.items()
+        if topic.endswith(('particles', 'markers'))}
+    frame = published.simulation.frame()
+    for topic, data in published.frame(frame, 0).items():
+        fields = {field.name for field in deserialize_message(data, PointCloud2).fields}
+        entry = shown[f'/cloth/{topic}']
+        assert {entry.get('Axis', 'x').lower(), entry.get('Channel Name', 'x')} <= fields
+        assert entry['Color Transformer'] in ('AxisColor', 'FlatColor') or 'Channel Name' in entry
     assert manager['Global Options']['Fixed Frame'] == 'world'
+
+
+def test_rviz_shows_topics_and_channels_that_the_node_publishes():
+    view = yaml.safe_load((share_folder() / 'views' / 'cloth.rviz').read_text())
+    check_view(view, outputs('towel'))
+
+
+@needs_launch
+def test_rviz_shows_several_cloths(tmp_path):
+    scene = tmp_path / 'two.yaml'
+    scene.write_text(f'cloths:\n  shirt: {{{SHEET}}}\n  sock: {{{SHEET}}}\n')
+    (rviz, _), context = started('cloth', scene=str(scene), rviz='true', namespace='left')
+    words = command_line(rviz, context)
+    view = yaml.safe_load(Path(words[words.index('-d') + 1]).read_text())
+    check_view(view, outputs('shirt', 'sock'))
+    assert '/cloth/cloth/sock/particles:=/left/cloth/cloth/sock/particles' in words
 
 
 def test_the_parameter_file_holds_the_defaults_of_the_node():

@@ -9,7 +9,9 @@ Start the cloth node; it configures and activates itself.
 An argument left empty means what the parameter file says.
 """
 
+import copy
 from pathlib import Path
+import tempfile
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
@@ -17,6 +19,7 @@ from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
+import yaml
 
 SHARE = Path(__file__).resolve().parents[1]    # holds launch/, views/, scenes/, cloth_node.yaml
 
@@ -72,11 +75,52 @@ def nodes(context):
         ros_arguments=['--log-level', LaunchConfiguration('log_level')],
         output='screen',
         sigterm_timeout='30')    # s after Ctrl-C: what the node needs to close its log, and more
+    cloths = cloths_of(given['scene'] or scene_in(file))
     rviz = Node(
         package='rviz2', executable='rviz2', namespace=namespace,
-        arguments=['-d', str(SHARE / 'views' / 'cloth.rviz')],
+        arguments=['-d', str(view(cloths))],
         parameters=[{'use_sim_time': parameters['use_sim_time']}],
         remappings=[(f'/cloth/{topic}', f'/{namespace}/cloth/{topic}')
-                    for topic in ('particles', 'markers', 'clicked_point') if namespace],
+                    for topic in (*clouds(cloths), 'markers') if namespace],
         condition=IfCondition(LaunchConfiguration('rviz')))
     return [rviz, cloth]    # rviz first: where it is missing, launch gives up with nothing started
+
+
+def scene_in(file):
+    """Return what a parameter file says of the scene."""
+    for node in (yaml.safe_load(Path(file).read_text()) or {}).values():
+        scene = (node or {}).get('ros__parameters', {}).get('scene')
+        if scene:
+            return str(scene)
+    return ''
+
+
+def cloths_of(scene):
+    """Return the names of a scene's cloths; none where it cannot be read, which the node says."""
+    file = Path(scene) if Path(scene).is_file() else SHARE / 'scenes' / f'{scene}.yaml'
+    try:
+        return list(yaml.safe_load(file.read_text())['cloths'])
+    except (OSError, KeyError, TypeError, UnicodeDecodeError, yaml.YAMLError):
+        return []
+
+
+def clouds(cloths):
+    """Return the topics of the particles, below the node's name."""
+    return [f'cloth/{name}/particles' for name in cloths] if len(cloths) > 1 else ['particles']
+
+
+def view(cloths):
+    """Return the file for RViz: as it is installed, or with one display for each cloth."""
+    file = SHARE / 'views' / 'cloth.rviz'
+    if len(cloths) < 2:
+        return file
+    view = yaml.safe_load(file.read_text())
+    displays = view['Visualization Manager']['Displays']
+    (particles,) = (each for each in displays if each['Class'].endswith('PointCloud2'))
+    at = displays.index(particles)
+    displays[at:at + 1] = own = [copy.deepcopy(particles) for _ in cloths]
+    for display, name, topic in zip(own, cloths, clouds(cloths)):
+        display['Name'], display['Topic']['Value'] = f'Particles of {name}', f'/cloth/{topic}'
+    with tempfile.NamedTemporaryFile('w', suffix='.rviz', delete=False) as made:
+        yaml.safe_dump(view, made, sort_keys=False)
+    return Path(made.name)

@@ -19,8 +19,8 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 PHASES = {'wait': 0.08, 'grasp': 0.02, 'lift': 0.18, 'hold': 0.2, 'sweep': 0.17, 'carry': 0.1,
-          'lower': 0.13, 'rest': 0.12}
-"""share of the whole duration"""
+          'lower': 0.13, 'settle': 0.02, 'rest': 0.1}
+"""share of the whole duration; grippers follow with a delay, so they settle before they let go"""
 LIFT = np.array([0.0, 0.1, 0.9])
 CARRY = np.array([0.0, 0.3, 0.0])
 LOWER = np.array([0.0, 0.5, -0.6])
@@ -112,7 +112,7 @@ class Robot(Node):
         order = list(PHASES)
         done = {name: 1.0 if order.index(name) < order.index(phase) else
                 smooth(s) if name == phase else 0.0 for name in order} if phase in order else {}
-        if phase in ('lift', 'hold', 'sweep', 'carry', 'lower'):
+        if phase in ('lift', 'hold', 'sweep', 'carry', 'lower', 'settle'):
             way = done['lift'] * LIFT + done['carry'] * CARRY + done['lower'] * LOWER
             targets = {name: corner + way for name, corner in self.corners.items()}
             message = MultiDOFJointState(joint_names=list(targets))
