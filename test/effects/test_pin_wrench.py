@@ -26,6 +26,7 @@ def write(folder, vertices, cells) -> str:
     return str(file)
 
 
+SOFT = {'stretch': {'warp': 20.0, 'weft': 20.0}, 'strain_limit': {'max': 0.03}}
 CASES = {
     'lattice': {'effects': LATTICE, 'pins': CORNERS},
     'lattice-gauss_seidel': {'effects': LATTICE, 'pins': CORNERS, 'method': 'gauss_seidel',
@@ -34,9 +35,14 @@ CASES = {
                          'integrator': 'leapfrog'},
     'membrane': {'effects': MEMBRANE, 'pins': CORNERS},
     'mesh': {'effects': MESH, 'pins': SPOTS, 'mesh': True},
+    'limit': {'effects': {**SOFT, 'shear': {'stiffness': 5.0}}, 'pins': CORNERS,
+              'integrator': 'backward_euler'},
+    'mesh-limit': {'effects': SOFT, 'pins': SPOTS, 'mesh': True,
+                   'integrator': 'backward_euler'},
 }
 SLOW = {
     'lattice-jacobi': {'effects': LATTICE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
+    'limit-jacobi': {'effects': SOFT, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
     'membrane-jacobi': {'effects': MEMBRANE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
     'ball': {'effects': BALL, 'pins': SPOTS, 'mesh': lambda folder: write(folder, *ball(1))},
 }

@@ -177,6 +177,8 @@ class BuiltContact(Built):
                                      world.slots)
         if 'self_collision' in world.built:
             world.built['self_collision'].heed(self.contacts)
+        if 'strain_limit' in world.built:
+            world.built['strain_limit'].take_turns()
         bounce = None
         if any(entry.restitution > 0.0 for entry in self.entries.values()):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))

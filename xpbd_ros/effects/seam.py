@@ -154,6 +154,8 @@ class BuiltSeam(Built):
         if first:
             self.data = Seam(*map(np.concatenate, (first, second, compliance)),
                              np.zeros((sum(map(len, first)), 3)))
+            if 'strain_limit' in world.built:
+                world.built['strain_limit'].take_turns()
 
     def again(self):
         for seam in self.parts:

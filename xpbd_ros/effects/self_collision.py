@@ -226,6 +226,8 @@ class BuiltSelfCollision(Built):
                                                          kin(world)),
             new_touches(room, 4 if surface else 2),
             new_planes(LISTED * room, count, world.slots) if surface else None, None)
+        if 'strain_limit' in world.built:
+            world.built['strain_limit'].take_turns()
 
     def heed(self, contacts: Contacts) -> None:
         """Let nothing through colliders either."""

@@ -17,12 +17,14 @@ last two lead (Nesterov 1983),
 
 with k counted anew when the largest excess has grown (O'Donoghue and Candès 2015). Where nothing
 is too long one pass finds so. It comes last in each iteration, after all that is elastic and
-before contact. Edges are those along warp and weft of a grid, and all of any other mesh.
+before seams, contact and friction. Where these pull an edge beyond the limit again, they and the
+limit are repeated in turn until they agree. Edges are those along warp and weft of a grid, and all
+of any other mesh.
 
 Limits: it takes energy away, as an inelastic stop does; what it holds takes steps of backward
-Euler, since an integrator that remembers would throw it back. Contact and friction come after it,
-and pins further apart than the cloth may reach do not give way: ``strain_over_limit`` says how far
-an edge is beyond the limit. Shear of a grid's cells is not limited.
+Euler, since an integrator that remembers would throw it back. Pins and colliders that leave the
+cloth no room have their way: ``strain_over_limit`` says how far an edge is beyond the limit. Shear
+of a grid's cells is not limited.
 """
 
 from dataclasses import dataclass
@@ -30,7 +32,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim import taut
+from xpbd_ros.sim.distance import note_packs, react_edges, room, Stops
 from xpbd_ros.sim.effect import Built, Effect, quantity
+from xpbd_ros.sim.held import collect, hold, hold_packs, Packs, packs_for, segment, segment_count
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.layout import zeros
 from xpbd_ros.sim.lines import grid_lines, Lines
@@ -44,10 +49,9 @@ from xpbd_ros.sim.records import (
     to_positions,
     to_records,
 )
-from xpbd_ros.sim.ropes import tighten
-from xpbd_ros.sim.stages import prepare, react, stage, touch
+from xpbd_ros.sim.ropes import per_euler, tighten
+from xpbd_ros.sim.stages import bound, prepare, react, stage, touch, unmet
 from xpbd_ros.sim.state import places
-from xpbd_ros.sim.taut import hold, room_for, straighten, Taut
 from xpbd_ros.sim.update import release_forces
 from xpbd_ros.sim.vector import (
     both,
@@ -68,8 +72,15 @@ FINE, FEW = 1e-5, 8
 """the same in so many passes, if they suffice: what is left over makes forces chatter"""
 NEAR = 3e-3
 """how much shorter than the limit an edge of a line may be that a first pass takes as pulling"""
-PASSES = 200
-"""most passes over all lines, or pairs of passes over the edges of meshes, in an iteration"""
+PASSES, PASSES_AGAIN = 200, 20
+"""most passes over all lines, or pairs of passes over the edges of meshes, in an iteration; and
+where they are repeated"""
+AGREED = 6e-3
+"""what an edge may be longer than the limit after seams, contact and friction, relative"""
+TURNS = 400
+"""most repetitions in an iteration"""
+PATIENCE = 20
+"""repetitions in which the largest excess must halve; else there is no room"""
 GROWTH = 1.2
 """by how much the largest excess may grow before k is counted anew"""
 SUBSTEPS = 8
@@ -85,12 +96,14 @@ class Parameters:
 
 
 class Pulled(NamedTuple):
-    """The edges one by one, for the forces on pinned particles."""
+    """The edges one by one."""
 
     particles: np.ndarray
     """slots of both ends, shape (2, edges)"""
     index: np.ndarray
     """where each keeps its force, shape (edges,)"""
+    longest: np.ndarray
+    """L (1 + max) [m], shape (edges,)"""
 
 
 class StrainLimit(NamedTuple):
@@ -101,8 +114,13 @@ class StrainLimit(NamedTuple):
     force: np.ndarray
     """f [N], negative in tension, shape (2 grids * slots,)"""
     pulled: Pulled
-    taut: Taut | None
+    taut: taut.Taut | None
     """None in a scene without pins"""
+    stops: Stops | None
+    """edges at pinned particles; None in a scene without pins"""
+    trend: np.ndarray | None
+    """touches in this iteration, the largest excess some touches ago (relative), and 1 where there
+    is no room; shape (3,); None in a scene where nothing comes after"""
 
 
 class MeshStrainLimit(NamedTuple):
@@ -123,6 +141,14 @@ class MeshStrainLimit(NamedTuple):
     force_before: np.ndarray
     """f [N] after the last pair of passes, shape (edges,)"""
     pulled: Pulled
+    packs: Packs | None
+    """edges at pinned particles; None in a scene without pins"""
+    pull: np.ndarray | None
+    """impulse on each pinned particle in this touch, over h [N], shape (3, slots)"""
+    pull_before: np.ndarray | None
+    """the same after the last pair of passes"""
+    trend: np.ndarray | None
+    """as of grids"""
 
 
 @stage(prepare, StrainLimit)
@@ -130,7 +156,7 @@ class MeshStrainLimit(NamedTuple):
 def prepare_lines(limit, state, substep):
     """Zero the forces, but for lines that cannot be."""
     release_forces(None, limit.force)
-    straighten(limit.taut, limit.lines, limit.force, state)
+    taut.straighten(limit.taut, limit.lines, limit.force, state)
 
 
 @stage(prepare, MeshStrainLimit)
@@ -144,10 +170,15 @@ def prepare_edges(limit, state, substep):
 @jit
 def limit_lines(limit, state, substep):
     """Put lines that are too long back, until none is."""
-    for k in range(PASSES):
-        most = tighten(limit.lines, limit.force, state, NEAR if k == 0 else 0.0)
+    found = 0.0
+    for k in range(most_passes(limit.trend)):
+        most = tighten(limit.lines, limit.force, limit.stops, state, substep,
+                       NEAR if k == 0 else 0.0)
+        if k == 0:
+            found = most
         if most <= (FINE if k < FEW else EASE):
             break
+    note_turn(limit.trend, found)
     _stop(limit.pulled, limit.force, state)
 
 
@@ -156,25 +187,140 @@ def limit_lines(limit, state, substep):
 def limit_edges(limit, state, substep):
     """Put edges that are too long back, until none is."""
     first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
-    i, j = limit.particles[0], limit.particles[1]
     to_records(state, limit.records, first, last)
-    step, before = 0.0, np.inf
-    for k in range(PASSES):
+    begin_pull(limit.pull)
+    step, before, found = 0.0, np.inf, 0.0
+    for k in range(most_passes(limit.trend)):
         if k > 0:
             share = max(step - 1.0, 0.0) / (step + 2.0)
             _go_on(limit.records, limit.before, 4 * first, 4 * last, share)
             _go_on(limit.force, limit.force_before, 0, count, share)
-        most = _put_back(limit.records, i, j, limit.longest, limit.force, False)
+            go_on_pulling(limit.pull, limit.pull_before, share)
+        most = _sweep(limit, state, False)
+        if k == 0:
+            found = most
         if most <= (FINE if k < FEW else EASE):
             break
         if k == 0:
             _go_on(limit.records, limit.before, 4 * first, 4 * last, 0.0)
             _go_on(limit.force, limit.force_before, 0, count, 0.0)
-        _put_back(limit.records, i, j, limit.longest, limit.force, True)
+            go_on_pulling(limit.pull, limit.pull_before, 0.0)
+        _sweep(limit, state, True)
         step = 0.0 if most > GROWTH * before else step + 1.0
         before = most
     to_positions(state, limit.records, first, last)
+    end_pull(limit.pull, substep.end - substep.begin, state.reaction)
+    note_turn(limit.trend, found)
     _stop(limit.pulled, limit.force, state)
+
+
+@jit
+def _sweep(limit, state, reverse):
+    """Pass over all edges; return the largest excess over the limit that it found, relative."""
+    most, packs = 0.0, limit.packs
+    for number in range(segment_count(packs)):
+        begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
+        note_packs(packs, a, b, limit.records, None, limit.force)
+        weigh(packs, a, b, state)
+        most = max(most, _put_back(limit.records, limit.particles[0], limit.particles[1],
+                                   limit.longest, limit.force, begin, end, reverse))
+        collect(packs, a, b, limit.force, 1.0, limit.pull)
+    return most
+
+
+@jit
+def weigh(packs, first, last, state):
+    """Let the edges of a pack count as what they do to momentum."""
+    if packs is not None:
+        for k in range(first, last):
+            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
+            share = per_euler(state, i, j)
+            for p in range(2):
+                for a in range(3):
+                    packs.gradient[k - first, 0, p, a] *= share
+
+
+@jit
+def begin_pull(pull):
+    """Begin a touch."""
+    if pull is not None:
+        pull[:] = 0.0
+
+
+@jit
+def go_on_pulling(pull, before, share):
+    """Go on with impulses as with what exerts them."""
+    if pull is not None:
+        for a in range(3):
+            _go_on(pull[a], before[a], 0, pull.shape[1], share)
+
+
+@jit
+def end_pull(pull, part, reaction):
+    """Add the impulses of a touch to those of the frame."""
+    if pull is not None:
+        for a in range(3):
+            for i in range(pull.shape[1]):
+                reaction[a, i] += part * pull[a, i]
+
+
+@jit(inline=True)
+def most_passes(trend):
+    """Return how many passes there may be."""
+    if trend is None:
+        return PASSES
+    else:    # Numba prunes the branch that is not taken
+        return PASSES if trend[0] == 0.0 else PASSES_AGAIN
+
+
+@jit
+def note_turn(trend, found):
+    """Note what a repetition found; where the excess does not halve in time there is no room."""
+    if trend is not None:
+        if trend[0] % PATIENCE == 1.0:
+            trend[2] = trend[0] > 1.0 and found > 0.5 * trend[1]
+            trend[1] = found
+        trend[0] += 1.0
+
+
+@stage(bound, StrainLimit)
+@stage(bound, MeshStrainLimit)
+@jit
+def end_turns(limit, state, substep):
+    """Get ready for the next iteration."""
+    forget_turns(limit.trend)
+
+
+@jit
+def forget_turns(trend):
+    """Count from the first touch again."""
+    if trend is not None:
+        trend[:] = 0.0
+
+
+@stage(unmet, StrainLimit)
+@stage(unmet, MeshStrainLimit)
+@jit
+def is_unmet(limit, state, turn):
+    """Tell whether what came after has pulled an edge beyond its limit, and may let go of it."""
+    (i, j), longest = limit.pulled.particles, limit.pulled.longest
+    if may_turn(limit.trend, turn):
+        x, w = state.x, state.inv_mass
+        for c in range(len(longest)):
+            a, b, most = i[c], j[c], (1.0 + AGREED) * longest[c]
+            square = (x[0, a] - x[0, b])**2 + (x[1, a] - x[1, b])**2 + (x[2, a] - x[2, b])**2
+            if square > most**2 and w[a] + w[b] > 0.0:
+                return True
+    return False
+
+
+@jit(inline=True)
+def may_turn(trend, turn):
+    """Tell whether there may be another repetition."""
+    if trend is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return turn <= TURNS and trend[2] == 0.0
 
 
 @jit
@@ -197,11 +343,11 @@ def _go_on(numbers, before, first, last, share):
 
 
 @jit
-def _put_back(records, i, j, longest, force, reverse):
-    """Pass over all edges; return the largest excess over the limit that it found, relative."""
-    count, step, most = len(longest), lanes(longest), splat(longest, 0.0)
-    for p in range(0, count, step):
-        q = count - step - p if reverse else p
+def _put_back(records, i, j, longest, force, begin, end, reverse):
+    """Pass over some edges; return the largest excess over the limit that it found, relative."""
+    step, most = lanes(longest), splat(longest, 0.0)
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
         xi, yi, zi, mi = load_records(records, i, q)
         xj, yj, zj, mj = load_records(records, j, q)
         dx, dy, dz, total, longest_ = xi - xj, yi - yj, zi - zj, mi + mj, load(longest, q)
@@ -220,27 +366,10 @@ def _put_back(records, i, j, longest, force, reverse):
 
 
 @stage(react, StrainLimit)
-@stage(react, MeshStrainLimit)
 @jit
 def react_limit(limit, state, substep):
-    """
-    Force on pinned particles: f n.
-
-    What f moved by m f ends the substep with backward Euler, so the force was m f / (w h²).
-    """
-    part, x, w = substep.end - substep.begin, state.x, state.inv_mass
-    ends, index = limit.pulled.particles, limit.pulled.index
-    for c in range(len(index)):
-        i, j, f = ends[0, c], ends[1, c], limit.force[index[c]]
-        if f != 0.0 and (w[i] == 0.0 or w[j] == 0.0):
-            free = i if w[i] > 0.0 else j
-            if state.mobility[free] > 0.0:    # else it lies between pins too far apart
-                f *= state.mobility[free] / (w[free] * substep.h**2)
-            dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
-            f *= part / np.sqrt(dx * dx + dy * dy + dz * dz)
-            for k, d in enumerate((dx, dy, dz)):
-                state.reaction[k, i] += f * d
-                state.reaction[k, j] -= f * d
+    """Forces of lines between pins too far apart; all others are known by now."""
+    react_edges(limit.stops.held, limit.force, state, substep)
 
 
 def limited_edges(mesh) -> np.ndarray:
@@ -258,15 +387,17 @@ def _on_grids(cloths, world) -> StrainLimit:
         blocks, [(1.0 + chosen.max) * np.array(cloth.mesh.spacing) for cloth, chosen in cloths],
         [(np.zeros(block.rows), np.zeros(block.columns)) for block in blocks],
         slots=world.slots, dtype=world.state.x.dtype)
-    ends, index = [], []
-    for g, block in enumerate(blocks):
+    ends, index, longest = [], [], []
+    for g, (block, (cloth, chosen))  in enumerate(zip(blocks, cloths)):
         slots = block.slots
         for along, (a, b) in enumerate(((slots[:, :-1], slots[:, 1:]), (slots[:-1], slots[1:]))):
             ends.append(np.stack([a.ravel(), b.ravel()]))
             index.append(lines.force[g, along] + a.ravel())
+            longest.append(np.full(a.size, (1.0 + chosen.max) * cloth.mesh.spacing[along]))
     return StrainLimit(lines, zeros(2 * len(blocks) * world.slots, world.state.x.dtype),
-                       Pulled(np.concatenate(ends, 1), np.concatenate(index)),
-                       room_for(blocks) if world.pins else None)
+                       Pulled(np.concatenate(ends, 1), *map(np.concatenate, (index, longest))),
+                       taut.room_for(blocks) if world.pins else None,
+                       stops_of(sum(map(len, index))) if world.pins else None, None)
 
 
 def _on_meshes(cloths, world) -> MeshStrainLimit:
@@ -282,7 +413,23 @@ def _on_meshes(cloths, world) -> MeshStrainLimit:
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(longest, order, 1.0, dtype), zeros(len(order), dtype),
         new_records(world.slots, dtype), zeros(len(order), dtype),
-        Pulled(particles[order[index]].T.astype(np.int64), index))
+        Pulled(particles[order[index]].T.astype(np.int64), index, longest[order[index]]),
+        packs_for(room(len(order))) if world.pins else None,
+        *(zeros((3, world.slots), dtype) if world.pins else None for _ in range(2)), None)
+
+
+def stops_of(count: int) -> Stops:
+    """Return room to note so many edges at pinned particles."""
+    return Stops(room(count), np.zeros(0, np.int64), np.zeros((count, 3)), np.zeros(count))
+
+
+class Listed(NamedTuple):
+    """Edges one by one, in sweep order."""
+
+    particles: np.ndarray
+    """slots, shape (edges, 2)"""
+    index: np.ndarray
+    """where each keeps its force, shape (edges,)"""
 
 
 class BuiltStrainLimit(Built):
@@ -310,7 +457,17 @@ class BuiltStrainLimit(Built):
 
     def hold(self, inv_mass):
         if self._blocks:
-            hold(self.data.taut, self._blocks, inv_mass)
+            taut.hold(self.data.taut, self._blocks, inv_mass)
+        for part in self.parts:
+            edges = Listed(part.pulled.particles.T, part.pulled.index)
+            if isinstance(part, StrainLimit):
+                hold(part.stops.held, edges, inv_mass)
+            else:
+                hold_packs(part.packs, edges, inv_mass, len(part.force))
+
+    def take_turns(self) -> None:
+        """Repeat itself where what comes after it pulls it beyond the limit."""
+        self.data, *self.also = (part._replace(trend=np.zeros(3)) for part in self.parts)
 
     def least_substeps(self, frame_dt):
         return SUBSTEPS

@@ -441,7 +441,7 @@ def project_packs(edges, state, substep, reverse):
     to_records(state, edges.records, first_, last)
     for number in range(segment_count(edges.packs)):
         begin, end, a, b = segment(edges.packs, number, len(edges.rest_length), reverse)
-        _note_packs(edges.packs, a, b, edges.records, state.apart, edges.force)
+        note_packs(edges.packs, a, b, edges.records, state.apart, edges.force)
         _project_packs(edges.records, state.apart, edges.particles[0],
                        edges.particles[1], edges.rest_length, edges.compliance, edges.force,
                        edges.damping, begin, end, reverse)
@@ -450,7 +450,7 @@ def project_packs(edges, state, substep, reverse):
 
 
 @jit
-def _note_packs(packs, first_, last, x, apart, force):
+def note_packs(packs, first_, last, x, apart, force):
     """Note n and -n of the edges of a pack."""
     if packs is not None:
         remember(packs, first_, last, apart, force)

@@ -7,8 +7,10 @@ take no part cut a line in two. A warp line and a weft line share a particle, so
 are solved again and again until none of them is too long.
 """
 
+from xpbd_ros.sim.distance import gather_reaction, note
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.lines import gather_rows, scatter_rows
+from xpbd_ros.sim.multistep import weights_at
 from xpbd_ros.sim.vector import (
     after,
     both,
@@ -26,18 +28,56 @@ from xpbd_ros.sim.vector import (
 
 
 @jit
-def tighten(lines, force, state, near):
+def tighten(lines, force, stops, state, substep, near):
     """
     Solve every warp line, then every weft line; return the largest excess found, relative.
 
     Edges that are shorter than they may be by up to ``near`` of it take part: a first guess of
     what pulls, without which a line that hangs at rest would learn of its weight edge by edge.
+    Impulses on pinned particles go to ``state.reaction``.
     """
-    most = 0.0
+    most, part = 0.0, substep.end - substep.begin
     for g in range(len(lines.first)):
-        most = max(most, _warp(lines, g, force, state, near),
-                   _weft(lines, g, force, state, near))
+        _note(stops, lines.force[g, 0], state, force)
+        most = max(most, _warp(lines, g, force, state, near))
+        _gather(stops, lines.force[g, 0], state, force, part)
+        _note(stops, lines.force[g, 1], state, force)
+        most = max(most, _weft(lines, g, force, state, near))
+        _gather(stops, lines.force[g, 1], state, force, part)
     return most
+
+
+@jit(inline=True)
+def per_euler(state, i, j):
+    """
+    Return what a force on an edge at a pinned particle is in a substep of backward Euler, over f.
+
+    What f moves by w H² f ends the substep with backward Euler, as if h² had been H².
+    """
+    share = weights_at(state.history, i if state.inv_mass[i] > 0.0 else j)[0]
+    return share * share
+
+
+@jit
+def _note(stops, base, state, force):
+    """Note the edges at pinned particles whose multipliers begin at ``base``."""
+    if stops is not None:
+        held, x = stops.held, state.x
+        for k in range(held.count[0]):
+            if base <= held.index[k] < base + x.shape[1]:
+                note(stops, k, k + 1, x[0], x[1], x[2], None, force)
+                share = per_euler(state, held.particles[k, 0], held.particles[k, 1])
+                for a in range(3):
+                    stops.direction[k, a] *= share
+
+
+@jit
+def _gather(stops, base, state, force, part):
+    """Add what they exerted since."""
+    if stops is not None:
+        for k in range(stops.held.count[0]):
+            if base <= stops.held.index[k] < base + state.x.shape[1]:
+                gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
 
 
 @jit

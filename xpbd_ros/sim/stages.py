@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import lower_builtin, type_callable
 
 from xpbd_ros.sim.team import alone, wait
-from xpbd_ros.sim.written import written_out
+from xpbd_ros.sim.written import Writer, written_out
 
 
 def force(effects, state, substep):
@@ -48,6 +48,14 @@ def touch(effects, state, substep):
 
 def bound(effects, state, substep):
     """Last in an iteration: how far particles may get."""
+
+
+def unmet(effects, state, turn):
+    """Tell whether a touch must be repeated, since what came after an effect has undone it."""
+
+
+def may_repeat(effects):
+    """Tell whether an effect takes part in ``unmet``."""
 
 
 def finish(effects, state, substep):
@@ -135,7 +143,25 @@ def _tells_of(stub: Callable, question: Callable) -> None:
             kernel_of(stub, effect) is not None for effect in signature.args[0]))
 
 
+def _asks_all(stub: Callable) -> None:
+    """Let Numba compile ``stub`` as whether the kernel of any effect says so."""
+    type_callable(stub)(lambda typing: lambda effects, state, turn: types.boolean)
+
+    @lower_builtin(stub, *[types.Any] * 3)
+    def ask(context, builder, signature, arguments):
+        effects, state, turn = zip(signature.args, arguments)
+        writer, found = Writer(context, builder), context.get_constant(types.boolean, False)
+        for k, kind in enumerate(effects[0]):
+            kernel = kernel_of(stub, kind)
+            if kernel is not None:
+                found = builder.or_(found, writer.call(kernel, writer.item(effects, k), state,
+                                                       turn)[1])
+        return found
+
+
+_asks_all(unmet)
 _tells_of(force, pushes)
+_tells_of(unmet, may_repeat)
 _tells_of(finish, finishes)
 for _stub in (force, prepare, project, touch, bound, finish, kick):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))

@@ -7,7 +7,18 @@ Macklin et al., "Small steps in physics simulation", 2019.
 
 from xpbd_ros.sim.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import bound, finish, finishes, force, prepare, pushes, react, touch
+from xpbd_ros.sim.stages import (
+    bound,
+    finish,
+    finishes,
+    force,
+    may_repeat,
+    prepare,
+    pushes,
+    react,
+    touch,
+    unmet,
+)
 from xpbd_ros.sim.state import (
     begin,
     predict,
@@ -18,6 +29,7 @@ from xpbd_ros.sim.state import (
     update_velocity_and_begin,
 )
 from xpbd_ros.sim.sweeps import enter, leave, sweep
+from xpbd_ros.sim.team import wait
 
 
 def advance(effects, state, method, frame_dt, substeps):
@@ -45,6 +57,13 @@ def advance(effects, state, method, frame_dt, substeps):
         for _ in range(method.iterations):
             sweep(method, effects, now, substep)
             touch(effects, now, substep)
+            if may_repeat(effects):
+                turn = 1
+                while unmet(effects, now, turn):
+                    wait(now.team)    # until all have asked
+                    touch(effects, now, substep)
+                    turn += 1
+                wait(now.team)
             bound(effects, now, substep)
         react(effects, now, substep)
         begun = k + 1 < substeps and not finishes(effects)

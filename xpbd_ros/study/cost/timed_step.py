@@ -26,6 +26,7 @@ from xpbd_ros.sim.stages import (
     react,
     solve_lines,
     touch,
+    unmet,
 )
 from xpbd_ros.sim.state import (
     add_moves,
@@ -51,8 +52,8 @@ SWEEPS = {GaussSeidel: ((project, False),),
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
     add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict,
-    pushes, put_back, restore_mode, set_mobility, Substep, turned, update_velocity,
-    update_velocity_and_begin)}
+    pushes, put_back, restore_mode, set_mobility, Substep, turned, unmet,
+    update_velocity, update_velocity_and_begin)}
 
 
 def timed_step(effects: tuple, method: type):
@@ -101,6 +102,10 @@ class _Step:
             yield from self._integrate(
                 inner, 'kick_on(state, substep)' if leaps else 'add_moves(state)')
         yield from self._walk(inner, touch)
+        yield f'{inner}turn = 1'
+        yield f'{inner}while unmet(effects, state, turn):'
+        yield f'{inner}    turn += 1'
+        yield from self._walk(f'{inner}    ', touch)
         yield from self._walk(inner, bound)
         yield f'{inner}pass'
         yield from self._walk(each, react, backwards=True)
