@@ -34,7 +34,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.holding import go_share, hold_back, left_over, mark, rest_step
+from xpbd_ros.sim.holding import go_share, hold_back, left_over, mark, mark_behind, rest_step
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.listing import list_close
 from xpbd_ros.sim.nearby import common_step, gone, Nearby, new_nearby, seek, survey
@@ -49,6 +49,8 @@ SLACK = 0.25
 """of the thickness: how far pushes may move what does not move by itself"""
 ROUNDS = 24
 """in which pushes that keep momentum must part all pairs"""
+TURNS = 3
+"""in which what is left is held back, as seen from what gets in the way"""
 LISTED = 4
 """pairs listed in a search, per pair that may touch"""
 
@@ -166,18 +168,33 @@ def give_way(effect, near, planes, contacts, state, substep):
         for i in range(len(near.slot)):
             go_share(near, state, i, 1.0)
     else:    # Numba prunes the branch that is not taken
-        planes.held[:] = False
-        mark(planes, near, state)
-        rest_step(near, planes.held, contacts, state, substep)
-        find_pairs(effect, state, substep, False)
-        planes.held[:] = False
-        for i in range(len(near.slot)):
-            j = near.slot[i]
-            if gone(state.x, near.x, near.step, j, i) > near.travel[i]:
-                planes.held[j] = True
-        mark(planes, near, state)
-        hold_back(planes, near, state)
-        near.count[3] += left_over(planes, near, contacts, state)
+        left = 0
+        for turn in range(TURNS):
+            mark_all(planes, near, contacts, state, turn > 0)
+            rest_step(near, planes.held, contacts, state, substep)
+            find_pairs(effect, state, substep, False)
+            mark_all(planes, near, contacts, state, turn > 0)
+            for i in range(len(near.slot)):
+                j = near.slot[i]
+                if gone(state.x, near.x, near.step, j, i) > near.travel[i]:
+                    planes.held[j] = True
+            hold_back(planes, near, state)
+            left = left_over(planes, near, contacts, state)
+            if left == 0:
+                break
+        near.count[3] += left
+
+
+@jit
+def mark_all(planes, near, contacts, state, again):
+    """Mark what does not part; and, if that has been tried before, what is behind a collider."""
+    planes.held[:] = False
+    planes.stays[:] = False
+    if again:
+        mark_behind(contacts, planes.stays, state)
+        for j in range(len(planes.stays)):
+            planes.held[j] = planes.stays[j]
+    mark(planes, near, state)
 
 
 @stage(finish, SelfCollision)

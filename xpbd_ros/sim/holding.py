@@ -12,6 +12,7 @@ What pins and colliders still force through one another is counted.
 import numpy as np
 
 from xpbd_ros.sim.contacts import count_behind, surface_motion
+from xpbd_ros.sim.corners import is_behind
 from xpbd_ros.sim.jit import jit
 from xpbd_ros.sim.multistep import lose_history
 from xpbd_ros.sim.nearby import gone
@@ -78,6 +79,9 @@ def share_out(planes, near, state):
 def hold_back(planes, near, state):
     """Let what is marked go only its share of the way; then what that gets in the way of."""
     share_out(planes, near, state)
+    for i in range(len(near.slot)):
+        if planes.stays[near.slot[i]]:
+            planes.share[i] = 0.0
     for _ in range(len(near.slot)):
         for i in range(len(near.slot)):
             j = near.slot[i]
@@ -135,6 +139,15 @@ def add_to_step(step, rank, count, one, way):
         for a in range(3):
             step[a] += way[a]
     return rank, count
+
+
+@jit
+def mark_behind(contacts, marks, state):
+    """Mark the particles that are behind a collider."""
+    if contacts is not None:
+        for k in range(contacts.count[0]):
+            if is_behind(contacts, k, state):
+                marks[contacts.particle[k]] = True
 
 
 @jit

@@ -38,6 +38,8 @@ class Planes(NamedTuple):
     """how far they stay apart [m], shape (room,)"""
     held: np.ndarray
     """whether a particle is held back, shape (slots,)"""
+    stays: np.ndarray
+    """whether it goes no way at all, shape (slots,)"""
     share: np.ndarray
     """of its way, that a particle may go if it is; shape (particles,)"""
     points: np.ndarray
@@ -49,7 +51,7 @@ class Planes(NamedTuple):
 def new_planes(room: int, particles: int, slots: int) -> Planes:
     """Return room for that many pairs, and none of them."""
     return Planes(np.zeros(1, np.int64), np.zeros(room, np.int64), np.zeros((room, 4), np.int64),
-                  np.zeros((room, 3)), np.zeros(room), np.zeros(slots, np.bool_),
+                  np.zeros((room, 3)), np.zeros(room), *(np.zeros(slots, np.bool_) for _ in range(2)),
                   np.zeros(particles), np.zeros((8, 3)), np.zeros(8))
 
 
