@@ -51,8 +51,8 @@ class Planes(NamedTuple):
 def new_planes(room: int, particles: int, slots: int) -> Planes:
     """Return room for that many pairs, and none of them."""
     return Planes(np.zeros(1, np.int64), np.zeros(room, np.int64), np.zeros((room, 4), np.int64),
-                  np.zeros((room, 3)), np.zeros(room), *(np.zeros(slots, np.bool_) for _ in range(2)),
-                  np.zeros(particles), np.zeros((8, 3)), np.zeros(8))
+                  np.zeros((room, 3)), np.zeros(room), np.zeros(slots, np.bool_),
+                  np.zeros(slots, np.bool_), np.zeros(particles), np.zeros((8, 3)), np.zeros(8))
 
 
 @jit
