@@ -352,6 +352,8 @@ class BuiltPin(Built):
         return [held for held in self.held.values() if held.compliance]
 
     def refusal(self, commands, state):
+        if all(isinstance(command, MovePin) and command.pin in self.held for command in commands):
+            return None    # without a copy of all pins for each of a hundred targets
         holds = {name: held.particles for name, held in self.held.items()}
         taken = self._taken(state) if any(isinstance(c, Grasp) for c in commands) else None
         for command in commands:
