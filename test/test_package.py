@@ -118,6 +118,12 @@ def test_every_console_script_resolves(setup_arguments):
             pytest.skip(f'{script}: needs ROS: {error}')
 
 
+ROOMS = ('commands', 'parameters', 'backend', 'particles', 'geometry', 'target_stream',
+         'target_motion', 'constraints', 'contact', 'self_collision', 'stepping', 'effect',
+         'pin_states', 'measure', 'simulation')
+"""of the simulation, from the bottom up"""
+
+
 def sources() -> list[Path]:
     return sorted(PACKAGE.rglob('*.py'))
 
@@ -156,6 +162,21 @@ def test_imports_point_one_way():
 def is_ros(package: str) -> bool:
     return package in {'rclpy', 'launch', 'launch_ros', 'ament_index_python'} or package.endswith(
         ('_msgs', '_srvs'))
+
+
+def test_rooms_of_the_simulation_import_only_what_is_below():
+    """``ROOMS`` is their order; a directory and a file beside it count alike."""
+    folder, wrong = PACKAGE / 'sim', []
+    for file in sorted(folder.rglob('*.py')):
+        room = file.relative_to(folder).with_suffix('').parts[0]
+        if room == '__init__':
+            continue
+        for name in imported(file):
+            if name.startswith('xpbd_ros.sim.'):
+                other = name.split('.')[2]
+                if ROOMS.index(other) > ROOMS.index(room):
+                    wrong.append(f'{file.relative_to(ROOT)}: {name}')
+    assert not wrong, '\n'.join(wrong)
 
 
 def test_effects_never_import_one_another():

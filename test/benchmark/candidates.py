@@ -19,19 +19,19 @@ from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.curvature import curvature_shapes, twist_shapes
-from xpbd_ros.sim.distance import by_place, grid_edges, mesh_edges
-from xpbd_ros.sim.layout import blocks, zeros
-from xpbd_ros.sim.lines import grid_lines, solve_warp, solve_weft
-from xpbd_ros.sim.mesh import cuthill_mckee
-from xpbd_ros.sim.records import new_records
-from xpbd_ros.sim.runs import grid_runs, Shape
+from xpbd_ros.sim.backend.threads import Crew
+from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
+from xpbd_ros.sim.constraints.distance import by_place, grid_edges, mesh_edges
+from xpbd_ros.sim.constraints.grid_batches import grid_runs, Shape
+from xpbd_ros.sim.constraints.line_solver import grid_lines, solve_warp, solve_weft
+from xpbd_ros.sim.geometry.mesh import cuthill_mckee
+from xpbd_ros.sim.particles.memory_layout import blocks, zeros
+from xpbd_ros.sim.particles.records import new_records
+from xpbd_ros.sim.particles.state import new_state, places, Substep
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.stages import prepare, project
-from xpbd_ros.sim.state import new_state, places, Substep
-from xpbd_ros.sim.step import compiled
-from xpbd_ros.sim.sweeps import METHODS
-from xpbd_ros.sim.team import Crew
+from xpbd_ros.sim.stepping.methods import METHODS
+from xpbd_ros.sim.stepping.stages import prepare, project
+from xpbd_ros.sim.stepping.step import compiled
 
 
 @dataclass

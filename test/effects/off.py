@@ -3,7 +3,7 @@
 import os
 
 from xpbd_ros.effects import load
-from xpbd_ros.sim import stages
+from xpbd_ros.sim.stepping import stages
 
 
 def pytest_configure(config):

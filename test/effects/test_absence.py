@@ -12,7 +12,7 @@ from sim.small import EXAMPLES, run, SHAPES, simulate, with_effects
 
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import stages
+from xpbd_ros.sim.stepping import stages
 
 ROOT = Path(__file__).resolve().parents[2]
 CHILD = """

@@ -15,7 +15,7 @@ from xpbd_ros.sim.commands import (
     Reset,
     SetKey,
 )
-from xpbd_ros.sim.contacts import DEPENETRATION
+from xpbd_ros.sim.contact.contacts import DEPENETRATION
 
 R = 0.01
 SHAPES = {'plane': {'plane': {}}, 'sphere': {'sphere': {'radius': 0.3}},

@@ -10,8 +10,8 @@ import yaml
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim import field
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, SetKey
+from xpbd_ros.sim.contact import distance_field
 
 R = 0.01
 
@@ -164,7 +164,7 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
 
 
 def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypatch):
-    monkeypatch.setattr(field, '_stamp', None)
+    monkeypatch.setattr(distance_field, '_stamp', None)
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})
     (_, why), = simulation.step([PlaceCollider('crate', 'mesh', corners(box()), Pose())]).refused
     assert 'and there is room for 1000; raise effects.contact.mesh_nodes by ' in why

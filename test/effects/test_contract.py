@@ -21,15 +21,15 @@ from xpbd_ros.effects import EFFECTS, load, SECTIONS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim import stages
-from xpbd_ros.sim.distance import hold_edges
-from xpbd_ros.sim.held import hold, hold_packs
+from xpbd_ros.sim.backend.simd import lane_count
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.constraints.distance import hold_edges
+from xpbd_ros.sim.constraints.grid_batches import Runs
+from xpbd_ros.sim.constraints.pinned import hold, hold_packs
 from xpbd_ros.sim.measure import elastic_energy
-from xpbd_ros.sim.records import PACK
-from xpbd_ros.sim.runs import Runs
-from xpbd_ros.sim.state import places, Substep
-from xpbd_ros.sim.update import Explicit, Jacobi
-from xpbd_ros.sim.vector import lane_count
+from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
+from xpbd_ros.sim.particles.state import places, Substep
+from xpbd_ros.sim.stepping import stages
 
 OF_CLOTHS = [name for name, scope in EFFECTS.items() if scope == 'cloth']
 ELASTIC = [name for name in OF_CLOTHS if name not in ('strain_limit', 'tether', 'rayleigh')]

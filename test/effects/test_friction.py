@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 from sim.small import GRAVITY, run, run_stage, simulate, with_effects
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import stages
 from xpbd_ros.sim.commands import MoveCollider, Pose, SetKey, Twist
-from xpbd_ros.sim.state import Substep
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 MU, R = 0.4, 0.01
 

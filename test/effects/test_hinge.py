@@ -9,9 +9,9 @@ from sim.small import run, run_stage, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim import stages
 from xpbd_ros.sim.measure import kinetic_energy
-from xpbd_ros.sim.state import places, Substep
+from xpbd_ros.sim.particles.state import places, Substep
+from xpbd_ros.sim.stepping import stages
 
 B = 3e-4
 

@@ -12,8 +12,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.mend import surface_mesh
-from xpbd_ros.sim.state import places
+from xpbd_ros.sim.geometry.mesh_repair import surface_mesh
+from xpbd_ros.sim.particles.state import places
 
 WARP, WEFT, SHEAR, POISSON = 90.0, 40.0, 15.0, 0.35
 CLOTH = {'warp': WARP, 'weft': WEFT, 'shear': SHEAR, 'poisson': POISSON}

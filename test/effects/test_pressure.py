@@ -6,7 +6,7 @@ from sim.shapes import ball, box, disc, file_of
 from sim.small import run, simulate
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.mesh import cross, dot, length
+from xpbd_ros.sim.geometry.mesh import cross, dot, length
 
 RADIUS = 0.5
 YOUNG, POISSON = 300.0, 0.3

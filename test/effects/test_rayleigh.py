@@ -8,8 +8,8 @@ from sim.small import DOWN, GRAVITY, run, run_stage, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim import stages
-from xpbd_ros.sim.state import Substep
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 TAU, K, H = 0.02, 30.0, 1.0 / 60.0
 

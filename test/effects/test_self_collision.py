@@ -10,9 +10,9 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import MovePin, Pose
-from xpbd_ros.sim.contacts import DEPENETRATION
+from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
-from xpbd_ros.sim.state import places
+from xpbd_ros.sim.particles.state import places
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}

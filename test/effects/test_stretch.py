@@ -8,11 +8,11 @@ from sim.small import GRAVITY, hang, run, run_stage, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim import stages
-from xpbd_ros.sim.lines import TINY
+from xpbd_ros.sim.constraints.line_solver import TINY
+from xpbd_ros.sim.geometry.mesh import edge_areas, edges
 from xpbd_ros.sim.measure import largest_strain
-from xpbd_ros.sim.mesh import edge_areas, edges
-from xpbd_ros.sim.state import Substep
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 WARP, WEFT, G = 70.0, 40.0, 15.0
 CELLS = pytest.mark.parametrize('grid, size', [((5, 5), (0.8, 0.8)), ((4, 7), (0.9, 0.6)),

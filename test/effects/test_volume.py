@@ -8,10 +8,10 @@ from sim.shapes import box, disc, file_of
 from sim.small import run, run_stage, simulate
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import stages
+from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
-from xpbd_ros.sim.mesh import cross, dot
-from xpbd_ros.sim.state import Substep
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 pytestmark = WITH_MESHIO
 CELLS, SIZE = (2, 2, 3), 0.1

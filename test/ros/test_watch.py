@@ -7,9 +7,9 @@ from sim.small import simulate
 
 from xpbd_ros.ros.watch import LATER, SHARE, substeps_for, Watch
 from xpbd_ros.sim.commands import SetKey
-from xpbd_ros.sim.doubling import Estimate
 from xpbd_ros.sim.measure import stiffness_given
 from xpbd_ros.sim.simulation import Solver
+from xpbd_ros.sim.stepping.error_estimate import Estimate
 
 FINE = Estimate(frame=10, substeps=20, rms=1e-4, largest=3e-4, resolved=True, frames=2)
 

@@ -20,7 +20,7 @@ from sim.test_field import box
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.sim.records import PACK
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.study.stress import all_hard
 
 METHODS = [('line', 'bdf2', 'surface', 'grid'),

@@ -12,8 +12,8 @@ from sim.shapes import ball, box, disc, obj_text
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim import stages
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.stepping import stages
 
 GRAVITY = 9.80665
 DOWN = [0.0, 0.5**0.5, 0.0, 0.5**0.5]

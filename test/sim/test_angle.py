@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from xpbd_ros.sim.angle import angle_of
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.vector import lanes, load, store
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lanes, load, store
+from xpbd_ros.sim.constraints.atan2 import angle_of
 
 
 @jit

@@ -9,10 +9,11 @@ from numba import config
 import numpy as np
 import pytest
 
-from xpbd_ros.sim.colliders import grid_distance, ground_distance, new_colliders
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.records import load_records, load_row, store_records, store_row
-from xpbd_ros.sim.vector import lane_count, load, store, transpose
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lane_count, load, store, transpose
+from xpbd_ros.sim.backend.simd_records import load_records, load_row, store_records, store_row
+from xpbd_ros.sim.contact.colliders import new_colliders
+from xpbd_ros.sim.contact.signed_distance import grid_distance, ground_distance
 
 LANES = lane_count(np.float64)
 

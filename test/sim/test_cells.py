@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xpbd_ros.sim.cells import fill, in_order, look_up, new_cells
+from xpbd_ros.sim.self_collision.spatial_hash import fill, in_order, look_up, new_cells
 
 
 @pytest.mark.parametrize('count', [0, 1, 2, 5, 100, 3000])

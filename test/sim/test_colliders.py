@@ -7,20 +7,19 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from xpbd_ros.sim.colliders import (
+from xpbd_ros.sim.contact.colliders import (
     BOX,
     CAPSULE,
     Colliders,
     CYLINDER,
     PLANE,
     reach,
-    shape_distance,
-    signed_distance,
     SPHERE,
     to_local,
     to_world,
     write_pose,
 )
+from xpbd_ros.sim.contact.signed_distance import shape_distance, signed_distance
 
 RADIUS, HALF = 0.3, 0.5
 SIZES = {SPHERE: (RADIUS, 0.0, 0.0), CAPSULE: (RADIUS, HALF, 0.0), CYLINDER: (RADIUS, HALF, 0.0),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sim.small import simulate
 
-from xpbd_ros.sim.denormals import flush_denormals, ON_X86, restore_mode
-from xpbd_ros.sim.jit import jit
+from xpbd_ros.sim.backend.denormals import flush_denormals, ON_X86, restore_mode
+from xpbd_ros.sim.backend.jit import jit
 
 TINY = 2.0**-1030
 

@@ -7,9 +7,9 @@ from sim.small import EXAMPLES, SETTINGS, simulate, with_effects
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.doubling import estimate, refine, rms
 from xpbd_ros.sim.measure import largest_strain
-from xpbd_ros.sim.state import new_state, remembered, solved_by
+from xpbd_ros.sim.particles.state import new_state, remembered, solved_by
+from xpbd_ros.sim.stepping.error_estimate import estimate, refine, rms
 
 
 def kept(simulation, frames: int):

@@ -10,8 +10,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim import calm
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
+from xpbd_ros.sim.stepping import explicit_guard
 
 PINS = {'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}}
 EFFECTS = {'stretch': {'warp': 60.0, 'weft': 40.0}, 'shear': {'stiffness': 5.0},
@@ -177,8 +177,8 @@ def test_frames_that_are_not_calm_are_done_again_with_lines_and_counted():
 
 
 def test_without_its_guard_it_explodes(monkeypatch):
-    monkeypatch.setattr('xpbd_ros.sim.simulation.was_calm', lambda *_, **__: True)
-    monkeypatch.setattr('xpbd_ros.sim.last_good.REACH', np.inf)    # which would take it back
+    monkeypatch.setattr('xpbd_ros.sim.stepping.explicit_guard.was_calm', lambda *_, **__: True)
+    monkeypatch.setattr('xpbd_ros.sim.stepping.rollback.REACH', np.inf)
     wild = sheet(2, effects=STIFF)
     with np.errstate(all='ignore'):
         assert not np.abs(run(wild, 40).x).max() < 1e3
@@ -188,8 +188,8 @@ def test_without_its_guard_it_explodes(monkeypatch):
                                    (np.nan, 1.0, 0.0), (0.0, np.nan, 0.0), (0.0, np.inf, 0.0)])
 def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
     kept = {'mass': 0.1, 'gravity': GRAVITY, 'dt': 1.0 / 60.0}
-    assert calm.was_calm((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
-    assert not calm.was_calm((0.0, 1.0, 0.0), after, **kept)
+    assert explicit_guard.was_calm((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
+    assert not explicit_guard.was_calm((0.0, 1.0, 0.0), after, **kept)
 
 
 @pytest.mark.parametrize(('stiffness', 'redone'), [(0.01, 0), (1.0, 1)])

@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.colliders import BOX, grid_distance, Grids, shape_distance, SPHERE
-from xpbd_ros.sim.field import distance_field
+from xpbd_ros.sim.contact.colliders import BOX, Grids, SPHERE
+from xpbd_ros.sim.contact.distance_field import distance_field
+from xpbd_ros.sim.contact.signed_distance import grid_distance, shape_distance
 
 FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7],
                   [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]])

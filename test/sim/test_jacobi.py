@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from sim.small import run, run_stage, run_until_still, simulate
 
-from xpbd_ros.sim import stages
 from xpbd_ros.sim.measure import momentum
-from xpbd_ros.sim.state import Substep
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 PINS = {'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}}
 EFFECTS = {'stretch': {'warp': 60.0, 'weft': 40.0}, 'shear': {'stiffness': 5.0},

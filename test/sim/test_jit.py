@@ -3,7 +3,7 @@
 import fcntl
 import gc
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 from threading import Thread
 
 from numba import config, types, TypingError
@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from sim.small import hang
 
-from xpbd_ros.sim import jit, parts
-from xpbd_ros.sim.packs import _fill as pack_kernel
-from xpbd_ros.sim.state import begin, Substep
+from xpbd_ros.sim.backend import jit, linking
+from xpbd_ros.sim.constraints import mesh_batches
+from xpbd_ros.sim.particles.integration import begin
+from xpbd_ros.sim.particles.state import Substep
 
 
 @pytest.fixture
@@ -33,7 +34,7 @@ def test_the_cache_is_where_the_user_says_and_changes_with_the_sources(tmp_path,
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
     assert jit._cache_folder() == tmp_path / 'numba' / 'xpbd_ros' / folder.name
     assert jit._cache_folder().is_dir()
-    monkeypatch.setattr(jit, '__file__', str(tmp_path / 'package' / 'sim' / 'jit.py'))
+    monkeypatch.setattr(jit, '__file__', str(tmp_path / 'package' / 'sim' / 'backend' / 'jit.py'))
     other = jit._sources_hash()
     assert other != folder.name
     (tmp_path / 'package' / 'effects').mkdir(parents=True)
@@ -86,11 +87,11 @@ def test_no_kernel_allocates_but_what_runs_when_a_scene_is_compiled():
     """Without a runtime for it Numba refuses to compile an array that a kernel makes."""
     allocates = set()
     for name in ('xpbd_ros.effects', 'xpbd_ros.sim'):
-        for info in iter_modules(import_module(name).__path__, f'{name}.'):
+        for info in walk_packages(import_module(name).__path__, f'{name}.'):
             for each in vars(import_module(info.name)).values():
                 if isinstance(each, Dispatcher) and each.targetoptions['_nrt']:
                     allocates.add(each)
-    assert allocates == {pack_kernel}
+    assert allocates == {mesh_batches._fill}
 
 
 @jit.jit
@@ -133,7 +134,7 @@ def test_parts_are_kept_for_other_kernels(tmp_path, monkeypatch, recwarn):
     monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
     counts = []
     for _ in range(2):
-        monkeypatch.setattr(parts, 'KERNELS', set())
+        monkeypatch.setattr(linking, 'KERNELS', set())
         for name in ('third', 'thirds'):    # as another process would have them
             monkeypatch.setitem(globals(), name, jit.jit(globals()[name].py_func))
         thirds.part().compile((types.float64, types.int64))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sim.small import run, with_effects
 
-from xpbd_ros.sim.last_good import REACH
-from xpbd_ros.sim.state import remembered
+from xpbd_ros.sim.particles.state import remembered
+from xpbd_ros.sim.stepping.rollback import REACH
 
 
 @pytest.fixture(scope='module')

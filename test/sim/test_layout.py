@@ -6,9 +6,9 @@ from sim.small import run, with_effects
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.layout import APART, blocks, LINE, PAGE, zeros
-from xpbd_ros.sim.state import forget, new_state, places, solved_by
-from xpbd_ros.sim.vector import BITS, lane_count
+from xpbd_ros.sim.backend.simd import BITS, lane_count
+from xpbd_ros.sim.particles.memory_layout import APART, blocks, LINE, PAGE, zeros
+from xpbd_ros.sim.particles.state import forget, new_state, places, solved_by
 
 DTYPES = pytest.mark.parametrize('dtype', ['float64', 'float32'])
 GRIDS = [[(1, 1)], [(1, 9)], [(9, 1)], [(5, 6)], [(33, 17)], [(4, 32)], [(8, 33)],

@@ -5,8 +5,8 @@ import pytest
 from sim.shapes import box, disc
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.mend import solid_mesh, surface_mesh
-from xpbd_ros.sim.mesh import cross, hinges
+from xpbd_ros.sim.geometry.mesh import cross, hinges
+from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
 
 SCALES = pytest.mark.parametrize('scale', [1e-150, 1e-6, 1.0, 1e6, 1e150])
 SQUARE = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from xpbd_ros.sim.mesh import cross, dot, grid_mesh, hinges, length
+from xpbd_ros.sim.geometry.mesh import cross, dot, grid_mesh, hinges, length
 
 SIZES = [((0.5, 0.7), (4, 6)), ((1.0, 2.0), (7, 3)), ((0.3, 0.4), (2, 2)), ((1.0, 0.2), (9, 1)),
          ((0.2, 1.0), (1, 9)), ((0.2, 0.3), (1, 1))]

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose, Twist
-from xpbd_ros.sim.motion import check_motion, MAX_TURN, monotone_cubic, Motion
+from xpbd_ros.sim.target_motion import check_motion, MAX_TURN, monotone_cubic, Motion
 
 RATE = 60
 DT = 1.0 / RATE

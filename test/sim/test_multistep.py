@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.multistep import FULL, HALF, NONE, REACH, steadied
-from xpbd_ros.sim.vector import lanes
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lanes
+from xpbd_ros.sim.particles.history import FULL, HALF, NONE, REACH, steadied
+from xpbd_ros.sim.particles.memory_layout import zeros
 
 H, GAP = 0.1, 0.5
 

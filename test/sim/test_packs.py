@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from sim.shapes import disc
 
-from xpbd_ros.sim.mesh import edges, hinges
-from xpbd_ros.sim.packs import EMPTY, pack, padded
-from xpbd_ros.sim.records import PACK
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.constraints.mesh_batches import EMPTY, pack, padded
+from xpbd_ros.sim.geometry.mesh import edges, hinges
 
 
 def triangles(n):

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from sim.crossings import volume
 
-from xpbd_ros.sim.parting import part, write_vectors
+from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 NEED = 0.05
 

@@ -5,7 +5,14 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation, Slerp
 
-from xpbd_ros.sim.rotation import conjugate, flow, from_z_axis, interpolate, multiply, rotate
+from xpbd_ros.sim.geometry.quaternion import (
+    conjugate,
+    flow,
+    from_z_axis,
+    interpolate,
+    multiply,
+    rotate,
+)
 
 
 @pytest.fixture

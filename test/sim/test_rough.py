@@ -21,11 +21,12 @@ import pytest
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import Release
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.lines import solve_warp, solve_weft
-from xpbd_ros.sim.stages import kernel_of, prepare, project, solve_lines, touch, walk
-from xpbd_ros.sim.state import begin, forget, put_back, Substep, turned, update_velocity
+from xpbd_ros.sim.constraints.line_solver import solve_warp, solve_weft
+from xpbd_ros.sim.particles.integration import begin, put_back, turned, update_velocity
+from xpbd_ros.sim.particles.state import forget, Substep
+from xpbd_ros.sim.stepping.stages import kernel_of, prepare, project, solve_lines, touch, walk
 
 HERE = 1.01
 """how far a method may be above Gauss-Seidel: rounding, and what a mean over a frame hides"""

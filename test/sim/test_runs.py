@@ -9,12 +9,12 @@ from sim.small import numbers, simulate
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.curvature import curvature_shapes, twist_shapes
-from xpbd_ros.sim.distance import room as make_room
-from xpbd_ros.sim.held import hold
-from xpbd_ros.sim.layout import blocks
-from xpbd_ros.sim.runs import grid_runs, join, listed, Runs, STRIP
-from xpbd_ros.sim.vector import lane_count
+from xpbd_ros.sim.backend.simd import lane_count
+from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
+from xpbd_ros.sim.constraints.distance import room
+from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, listed, Runs, STRIP
+from xpbd_ros.sim.constraints.pinned import hold
+from xpbd_ros.sim.particles.memory_layout import blocks
 
 EFFECTS = {'stretch': {'warp': 1.0, 'weft': 1.0}, 'shear': {'stiffness': 1.0},
            'bend': {'stiffness': 1.0}}
@@ -188,9 +188,9 @@ def test_held_lists_the_edges_at_a_pinned_particle_and_forgets_the_last_list():
     simulation = simulate((4, 1), effects={'stretch': {'compliance': 1.0}},
                           scene_effects={'pin': {}})
     edges = simulation.effects['stretch'].constraints
-    room = len(edges.particles)
-    assert room == 3
-    held = make_room(room)
+    count = len(edges.particles)
+    assert count == 3
+    held = room(count)
     inv_mass = simulation.state.inv_mass.copy()
     inv_mass[simulation.slot[1]] = 0.0
     hold(held, edges, inv_mass)

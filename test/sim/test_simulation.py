@@ -26,7 +26,7 @@ from xpbd_ros.sim.commands import (
     Twist,
 )
 from xpbd_ros.sim.measure import angular_momentum, momentum
-from xpbd_ros.sim.state import remembered
+from xpbd_ros.sim.particles.state import remembered
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOTH = {name: EXAMPLES[name] for name in ('bend', 'shear', 'stretch')}

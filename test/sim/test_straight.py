@@ -5,7 +5,7 @@ import pytest
 from sim.shapes import ball, disc
 from sim.test_field import box
 
-from xpbd_ros.sim.straight import straight_lines
+from xpbd_ros.sim.geometry.geodesics import straight_lines
 
 
 @pytest.mark.parametrize('across', [1, 2, 4])

@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from xpbd_ros.sim.commands import Pose, Twist
-from xpbd_ros.sim.motion import Motion
-from xpbd_ros.sim.stream import CATCH_UP, Stream, UNEVEN_NS
+from xpbd_ros.sim.target_motion import Motion
+from xpbd_ros.sim.target_stream import CATCH_UP, Stream, UNEVEN_NS
 
 FRAME = 1 / 60
 EPOCH = 1_700_000_000_000_000_000

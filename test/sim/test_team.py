@@ -6,7 +6,7 @@ import pytest
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.team import alone, Crew, share, Team, wait
+from xpbd_ros.sim.backend.threads import alone, Crew, share, Team, wait
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
 ALL = {'stretch': STRETCH, 'shear': {'stiffness': 300.0}, 'bend': {'stiffness': 1e-4}}

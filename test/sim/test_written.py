@@ -6,8 +6,8 @@ from numba import njit
 import numpy as np
 import pytest
 
-from xpbd_ros.sim.jit import FLAGS, jit
-from xpbd_ros.sim.written import written_out
+from xpbd_ros.sim.backend.emit import written_out
+from xpbd_ros.sim.backend.jit import FLAGS, jit
 
 
 class Pair(NamedTuple):

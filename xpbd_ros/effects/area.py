@@ -18,9 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.distance import softest
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import (
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import both, fma, lanes, load, root, select
+from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.pinned import (
     collect,
     hold_packs,
     Packs,
@@ -30,14 +33,13 @@ from xpbd_ros.sim.held import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.mesh import cross, length
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
-from xpbd_ros.sim.vector import both, fma, lanes, load, root, select
+from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import cross, length
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import from_records, put_records, to_records
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ On any other mesh a hinge (x0, x1) with opposite particles x2, x3 and rest areas
 
 with c01 = cot(e, x2-x0), c02 = cot(e, x3-x0), c03 = cot(-e, x2-x1), c04 = cot(-e, x3-x1) at rest
 (Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). Each hinge of a flat
-mesh has a b of its own, so that the sheet bends as a plate (``sim.plate``). The hinges of a
-regular grid see the curvature of every other particle only, so a sheet free to relax would be a
-quarter too soft; hence the stencils above.
+mesh has a b of its own, so that the sheet bends as a plate (``constraints.plate_rigidity``). The
+hinges of a regular grid see the curvature of every other particle only, so a sheet free to relax
+would be a quarter too soft; hence the stencils above.
 
 All gradients are constant weights k_i: no singularity, no wrap at 180°. In force form, with
 mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / H²,
@@ -35,19 +35,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.curvature import curvature_shapes, straighten, twist_shapes, untwist
-from xpbd_ros.sim.distance import by_place, softest
-from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
-from xpbd_ros.sim.held import hold, room_for
-from xpbd_ros.sim.isometric import isometric_weights, project_packs
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.plate import plate, shortfall
-from xpbd_ros.sim.records import from_records, to_records
-from xpbd_ros.sim.runs import grid_runs, join, listed, Runs
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import release_forces, row
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints.curvature import curvature_shapes, straighten, twist_shapes, untwist
+from xpbd_ros.sim.constraints.distance import by_place, softest
+from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, listed, Runs
+from xpbd_ros.sim.constraints.isometric_bending import isometric_weights, project_packs
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.pinned import hold, room_for
+from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
+from xpbd_ros.sim.constraints.projection import release_forces, row
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import need_one_or_two, quantity
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import from_records, to_records
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,14 @@ move through the frame from pose to pose and carry the cloth along.
 A collider's restitution e turns the velocity with which a particle came into -e times that, along
 the normal, at the substep's end (Müller et al. 2020); slower than 2 g h nothing bounces.
 
-A particle that moves, relative to a collider, more than a quarter of the collider's thickness in
-a substep is followed on its way (``sim.crossing``): where that first comes within r, the surface's
-tangent plane is what it stays in front of. So it ends on the side that it came from, however fast
-either is and however thin the collider.
+A particle that moves, relative to a collider, more than a quarter of the collider's thickness in a
+substep is followed on its way (``contact.continuous_detection``): where that first comes within r,
+the surface's tangent plane is what it stays in front of. So it ends on the side that it came from,
+however fast either is and however thin the collider.
 
 Limits: particles are tested, not triangles, so what is thinner than the spacing of particles can
-slip between them. A mesh is as sharp as its grid (``sim.field``). The distance to ground is that
-to the plane that touches it right below.
+slip between them. A mesh is as sharp as its grid (``contact.distance_field``). The distance to
+ground is that to the plane that touches it right below.
 """
 
 from collections.abc import Iterable
@@ -38,24 +38,31 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.bounce import Bounce, drive_away, rebound, speed_away
-from xpbd_ros.sim.candidates import find_candidates
-from xpbd_ros.sim.colliders import Colliders, new_colliders, write_grid, write_heights
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import (
     MoveCollider,
     PlaceCollider,
     RemoveAllColliders,
     RemoveCollider,
 )
-from xpbd_ros.sim.contacts import Contacts, count_behind, move_colliders, new_contacts, push_all
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.field import distance_field, Field, MOST_NODES, NoRoomError
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.motion import delays
-from xpbd_ros.sim.placed import ColliderState, motion_of, Placed
-from xpbd_ros.sim.shapes import Entry, shape_of, shape_size, SHAPES, table
-from xpbd_ros.sim.stages import finish, kick, prepare, stage, touch
-from xpbd_ros.sim.state import stay
+from xpbd_ros.sim.contact.broad_phase import find_candidates
+from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
+from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES, table
+from xpbd_ros.sim.contact.colliders import Colliders, new_colliders, write_grid, write_heights
+from xpbd_ros.sim.contact.contacts import (
+    Contacts,
+    count_behind,
+    move_colliders,
+    new_contacts,
+    push_all,
+)
+from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
+from xpbd_ros.sim.contact.restitution import Bounce, drive_away, rebound, speed_away
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.explicit_updates import stay
+from xpbd_ros.sim.stepping.stages import finish, kick, prepare, stage, touch
+from xpbd_ros.sim.target_motion import delays
 
 CANDIDATES = 16
 """room for candidates, per particle"""

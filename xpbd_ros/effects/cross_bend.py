@@ -1,10 +1,10 @@
 """
 Cross bend: elastic edges between the opposite particles of each hinge, the cheapest bending.
 
-C = |x2 - x3| - L (``sim.distance``), L the distance at rest. Folded by θ, triangles of heights h2,
-h3 over the shared edge, their feet p apart, have their tips sqrt(p² + h2² + h3² + 2 h2 h3 cos θ)
-apart. Each edge has the k that stores, 90° from rest, what a hinge of rigidity B would
-(``sim.hinges``): k C² = B |e|² (π/2)² / (A0 + A1).
+C = |x2 - x3| - L (``constraints.distance``), L the distance at rest. Folded by θ, triangles of
+heights h2, h3 over the shared edge, their feet p apart, have their tips sqrt(p² + h2² + h3² + 2 h2
+h3 cos θ) apart. Each edge has the k that stores, 90° from rest, what a hinge of rigidity B would
+(``constraints.hinges``): k C² = B |e|² (π/2)² / (A0 + A1).
 
 Limits: a flat hinge gives way to small folds (C grows with θ², so at 10° it stores 1 % of what a
 hinge would) and folds either way; a curved one resists at once. The edges also resist stretch and
@@ -16,13 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim import distance
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.hinges import all_hinges, dihedral, slenderness
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import dot, length
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import release_forces
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints import distance
+from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, slenderness
+from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import dot, length
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
 
 
 @dataclass(frozen=True)

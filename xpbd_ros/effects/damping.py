@@ -15,11 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.multistep import step_of
-from xpbd_ros.sim.stages import force, stage
-from xpbd_ros.sim.vector import lanes, load, select, store
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lanes, load, select, store
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.history import step_of
+from xpbd_ros.sim.stepping.stages import force, stage
 
 
 @dataclass(frozen=True)

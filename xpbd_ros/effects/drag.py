@@ -29,15 +29,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.mesh import cross, length
-from xpbd_ros.sim.multistep import lose_history, step_at
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.records import load_records, new_records, store_records
-from xpbd_ros.sim.stages import force, react, stage
-from xpbd_ros.sim.vector import fma, lanes, larger, root, select
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
+from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import cross, length
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.history import lose_history, step_at
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import new_records
+from xpbd_ros.sim.stepping.stages import force, react, stage
 
 RESOLVED = 0.5
 """largest trace of Z that ``auto`` allows the scene's wind, and with which BDF2 goes on"""

@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.multistep import step_of
-from xpbd_ros.sim.stages import force, kick, react, stage
-from xpbd_ros.sim.vector import fma, lanes, load, select, store
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import fma, lanes, load, select, store
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.particles.history import step_of
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.stepping.stages import force, kick, react, stage
 
 Vector = tuple[float, float, float]
 

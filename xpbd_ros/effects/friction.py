@@ -11,7 +11,7 @@ stick where |Δp_t| ≤ μ_s d, else slide with the friction μ_k d. In rest on 
 so sticking is exact and a sliding particle slows by exactly μ_k g cos(θ). ``friction`` of a
 surface is its μ_k, and its μ_s too unless it has a ``static_friction``. μ of a pair is the
 geometric mean of the two coefficients unless one is given for the pair. Where the scene has
-self_collision, cloths rub against one another by the same law (``sim.touches``).
+self_collision, cloths rub against one another by the same law (``self_collision.pair_contacts``).
 
 Limits: what slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity changes where
 frames meet, at once, so cloth on one that speeds up slips a little where smooth motion would carry
@@ -25,11 +25,12 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contacts import Contacts, push_once, shortened, surface_motion
-from xpbd_ros.sim.corners import leave_corners
-from xpbd_ros.sim.effect import Built, check_static, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import stage, touch
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surface_motion
+from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import check_static, quantity
+from xpbd_ros.sim.stepping.stages import stage, touch
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 Hinge: the dihedral angle of each hinge, kept near the one at rest, so that a shape can be curved.
 
 For the edge (x0, x1) with opposite particles x2, x3, e = x1 - x0, n1 = e × (x2 - x0) and
-n2 = (x3 - x0) × e (``sim.hinges``; NUMERICS 2.4),
+n2 = (x3 - x0) × e (``constraints.hinges``; NUMERICS 2.4),
 
     C = θ - θ0,   θ = atan2((n1 × n2)·e / |e|, n1·n2) = atan2(-|e| n1·(x3 - x0), n1·n2)
     g2 = -|e| n1 / |n1|²,   g3 = -|e| n2 / |n2|²,   g1 = t1 n1 / |n1|² + t2 n2 / |n2|²
@@ -11,7 +11,8 @@ n2 = (x3 - x0) × e (``sim.hinges``; NUMERICS 2.4),
 with the energy B |e|² C² / (2 (A0 + A1)) of the rest shape, so α = (A0 + A1) / (B |e|²) [1/(N m)].
 In force form Δf = -(C + α f) / (W + α), x_i += m_i g_i Δf, with W = Σ m_i |g_i|². The angle goes
 on beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last. On a
-flat mesh each hinge has a B of its own, so that the sheet bends as a plate (``sim.plate``).
+flat mesh each hinge has a B of its own, so that the sheet bends as a plate
+(``constraints.plate_rigidity``).
 
 A hinge whose triangle has no height (below 1e-12 of its edge; 5e-4 in float32) has no angle: it is
 left alone until it has one.
@@ -26,11 +27,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim import closest
-from xpbd_ros.sim.angle import angle_of
-from xpbd_ros.sim.distance import softest
-from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
-from xpbd_ros.sim.held import (
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import both, fma, lanes, load, nearest, root, select, store
+from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.constraints.atan2 import angle_of
+from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, rigidity, slenderness
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.pinned import (
     collect,
     hold_packs,
     Packs,
@@ -40,16 +44,15 @@ from xpbd_ros.sim.held import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.hinges import all_hinges, dihedral, rigidity, slenderness
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.mesh import cross, dot, length
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.plate import plate, shortfall
-from xpbd_ros.sim.records import from_records, load_records, put_records, to_records
-from xpbd_ros.sim.stages import prepare, project, project_back, stage
-from xpbd_ros.sim.update import divisor, keep, misfit, recall, release_forces
-from xpbd_ros.sim.vector import both, fma, lanes, load, nearest, root, select, store
+from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
+from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.closest_points import cross as cross_3, dot as dot_3
+from xpbd_ros.sim.geometry.mesh import cross, dot, length
+from xpbd_ros.sim.parameters import need_one_or_two, quantity
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import from_records, put_records, to_records
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
 
 
 @dataclass(frozen=True)
@@ -196,11 +199,11 @@ def _note(packs, first, last, records, apart, force):
         for h in range(first, last):
             i0, i1, i2, i3 = packs.held.particles[h]
             e, a, b = way(records, i0, i1), way(records, i0, i2), way(records, i0, i3)
-            n, o = closest.cross(e, a), closest.cross(b, e)
-            l, n_n, o_o = np.sqrt(closest.dot(e, e)), closest.dot(n, n), closest.dot(o, o)
+            n, o = cross_3(e, a), cross_3(b, e)
+            l, n_n, o_o = np.sqrt(dot_3(e, e)), dot_3(n, n), dot_3(o, o)
             if n_n == 0.0 or o_o == 0.0:
                 continue
-            t1, t2, g = closest.dot(a, e) / l, closest.dot(b, e) / l, packs.gradient[h - first, 0]
+            t1, t2, g = dot_3(a, e) / l, dot_3(b, e) / l, packs.gradient[h - first, 0]
             for k in range(3):
                 u, v = n[k] / n_n, o[k] / o_o
                 g[0, k], g[1, k] = (l - t1) * u + (l - t2) * v, t1 * u + t2 * v

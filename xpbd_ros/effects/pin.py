@@ -38,16 +38,17 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
-from xpbd_ros.sim.effect import Built, check_place, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import length
-from xpbd_ros.sim.motion import check_motion, delays, monotone_cubic, Motion
-from xpbd_ros.sim.multistep import weights_at
-from xpbd_ros.sim.pins import chosen, Held, PinStates
-from xpbd_ros.sim.rotation import conjugate, interpolate, rotate
-from xpbd_ros.sim.stages import kick, prepare, react, stage
-from xpbd_ros.sim.state import forget, places
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import length
+from xpbd_ros.sim.geometry.quaternion import conjugate, interpolate, rotate
+from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.particles.history import weights_at
+from xpbd_ros.sim.particles.state import forget, places
+from xpbd_ros.sim.pin_states import chosen, Held, PinStates
+from xpbd_ros.sim.stepping.stages import kick, prepare, react, stage
+from xpbd_ros.sim.target_motion import check_motion, delays, monotone_cubic, Motion
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ give it away. Corners are taken from the first particle, and sums over triangles
 the same order whatever the width of a vector.
 
 A surface that floats and is taut would begin to turn, since the gas and what holds it are solved
-one after another; that turn is taken back (``sim.unturned``).
+one after another; that turn is taken back (``constraints.spin_correction``).
 
 Limits: the gas law's tangent at V*, so the overpressure is right within itself over the outside
 pressure (2 % at 2 kPa). The surface must be closed and in one piece. All particles move at once: a
@@ -26,16 +26,26 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.mesh import cross, dot
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.records import load_records, PACK, store_records
-from xpbd_ros.sim.stages import bound, prepare, project, project_back, stage, touch
-from xpbd_ros.sim.unturned import keep_places, turn_back
-from xpbd_ros.sim.update import at_the_end, divisor, keep, misfit, moves, put, recall, row
-from xpbd_ros.sim.vector import fma, lanes, load, splat, store
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import fma, lanes, load, splat, store
+from xpbd_ros.sim.backend.simd_records import load_records, PACK, store_records
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.projection import (
+    at_the_end,
+    divisor,
+    keep,
+    misfit,
+    moves,
+    put,
+    recall,
+    row,
+)
+from xpbd_ros.sim.constraints.spin_correction import keep_places, turn_back
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import cross, dot
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.stepping.stages import bound, prepare, project, project_back, stage, touch
 
 AIR = 101325.0
 """[Pa]"""

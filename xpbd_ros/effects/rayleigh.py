@@ -2,8 +2,9 @@
 Rayleigh: stretch and shear lose energy as they are strained, by one relaxation time.
 
 Beside each edge of stiffness k acts a damper β = k time (Kelvin and Voigt), which is γ = time / H
-for every constraint (``sim.relax``; Macklin et al. 2016, eq 26). So a mode of frequency ω decays
-at the rate ω² time / 2, fast ones before slow ones, and motion as a whole goes on unhindered.
+for every constraint (``constraints.damping``; Macklin et al. 2016, eq 26). So a mode of frequency
+ω decays at the rate ω² time / 2, fast ones before slow ones, and motion as a whole goes on
+unhindered.
 
 Limits: it acts on ``stretch`` and ``shear``; rigid edges (compliance 0) have nothing to damp. The
 methods ``line`` and ``explicit`` do without it and are refused; ``auto`` takes
@@ -13,14 +14,15 @@ methods ``line`` and ``explicit`` do without it and are refused; ``auto`` takes
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.multistep import usual_step
-from xpbd_ros.sim.records import new_records
-from xpbd_ros.sim.relax import Past
-from xpbd_ros.sim.stages import prepare, stage
-from xpbd_ros.sim.state import write_starts
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints.damping import Past
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.history import usual_step
+from xpbd_ros.sim.particles.integration import write_starts
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import new_records
+from xpbd_ros.sim.stepping.stages import prepare, stage
 
 
 @dataclass(frozen=True)

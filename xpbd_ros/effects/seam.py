@@ -25,10 +25,11 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.distance import softest
-from xpbd_ros.sim.effect import Built, check_place, Cloth, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import kick, prepare, react, stage, touch
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.effect import Built, Cloth, Effect
+from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.stepping.stages import kick, prepare, react, stage, touch
 
 CLOSING = 1.0
 """how fast a rigid seam that is open closes [m/s]"""

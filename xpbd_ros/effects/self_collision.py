@@ -5,16 +5,17 @@ C = n · Σ b x - r ≥ 0,   ∇C = b n,   for two points of cloths that are nea
 
 With ``mode: surface`` the points are the closest ones of a particle and a triangle or of two edges
 that share no particle, with ``particles`` the particles themselves. n points from the one to the
-other and stays through the substep (``sim.listing``); r is the thickness, but at most half of
-their distance at rest, so that nothing pushes against the cloth's own make. Such pairs are found
-by ``sim.nearby`` once per frame, again where something moves further, and kept apart as unilateral
-constraints with friction by ``sim.touches``; an overlap that was there before comes apart at no
-more than DEPENETRATION, which leaves no velocity.
+other and stays through the substep (``self_collision.narrow_phase``); r is the thickness, but at
+most half of their distance at rest, so that nothing pushes against the cloth's own make. Such
+pairs are found by ``self_collision.neighbour_list`` once per frame, again where something moves
+further, and kept apart as unilateral constraints with friction by
+``self_collision.pair_contacts``; an overlap that was there before comes apart at no more than
+DEPENETRATION, which leaves no velocity.
 
 Surfaces do not pass through one another: each pair that could must part along one direction
-through the whole substep (``sim.planes``). What would not is pushed apart, in turn with what
-colliders push, until both are content; where that does not come to an end, what is left is held
-back (``sim.holding``).
+through the whole substep (``self_collision.separating_planes``). What would not is pushed apart,
+in turn with what colliders push, until both are content; where that does not come to an end, what
+is left is held back (``self_collision.motion_limit``).
 
 Limits: particles alone are tight only from a thickness of about their spacing on, and pass through
 faster than half of it per substep. What crosses at the start stays as it is or comes apart by
@@ -31,17 +32,40 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contacts import Contacts, DEPENETRATION, push_all
-from xpbd_ros.sim.corners import leave_corners
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.holding import go_share, hold_back, left_over, mark, mark_behind, rest_step
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.listing import list_close
-from xpbd_ros.sim.nearby import common_step, gone, Nearby, new_nearby, seek, survey
-from xpbd_ros.sim.planes import new_planes, part_sides, Planes
-from xpbd_ros.sim.stages import bound, finish, kick, prepare, react, stage, touch
-from xpbd_ros.sim.state import stay
-from xpbd_ros.sim.touches import calm_down, new_touches, press, push_apart, rub, Rubbing, Touches
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
+from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.explicit_updates import stay
+from xpbd_ros.sim.self_collision.motion_limit import (
+    go_share,
+    hold_back,
+    left_over,
+    mark,
+    mark_behind,
+    rest_step,
+)
+from xpbd_ros.sim.self_collision.narrow_phase import list_close
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    common_step,
+    gone,
+    Nearby,
+    new_nearby,
+    seek,
+    survey,
+)
+from xpbd_ros.sim.self_collision.pair_contacts import (
+    calm_down,
+    new_touches,
+    press,
+    push_apart,
+    rub,
+    Rubbing,
+    Touches,
+)
+from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
+from xpbd_ros.sim.stepping.stages import bound, finish, kick, prepare, react, stage, touch
 
 NOT_SOUGHT = -1
 """count of pairs before the first iteration of a substep"""

@@ -1,15 +1,15 @@
 """
 Shear: elastic edges along both diagonals of square cells; the slant of oblong ones.
 
-Diagonals of square cells: C = |x1 - x2| - L (``sim.distance``). On cells of dx × dy with diagonals
-of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m], which gives the sheet the
-shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (NUMERICS 2.7).
+Diagonals of square cells: C = |x1 - x2| - L (``constraints.distance``). On cells of dx × dy with
+diagonals of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m], which gives the
+sheet the shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (NUMERICS 2.7).
 
 On oblong cells such edges would add stiffness (dx/dy)² to C11 and stiffness (dy/dx)² to C22, up to
 many times the warp of a soft knit. There each cell has one constraint instead, the difference of
-its diagonals (``sim.slant``), with α = 4 dx dy / (stiffness l²). It gives C66 = stiffness whatever
-the cell, and adds nothing to C11, C22 and C12. A cell is square where its sides differ by no more
-than a thousandth (``sim.mesh``).
+its diagonals (``constraints.shear_cells``), with α = 4 dx dy / (stiffness l²). It gives C66 =
+stiffness whatever the cell, and adds nothing to C11, C22 and C12. A cell is square where its sides
+differ by no more than a thousandth (``geometry.mesh``).
 
 Limits: Poisson's ratio is what comes of C12: stiffness / (weft + stiffness) on square cells, 0 on
 oblong ones.
@@ -21,14 +21,15 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim import distance, slant
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import is_square
-from xpbd_ros.sim.runs import grid_runs, join, Shape
-from xpbd_ros.sim.slant import Slant
-from xpbd_ros.sim.stages import prepare, project, project_back, react, stage
-from xpbd_ros.sim.update import release_forces
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints import distance, shear_cells
+from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
+from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.constraints.shear_cells import Slant
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import is_square
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
 
 
 @dataclass(frozen=True)
@@ -83,21 +84,21 @@ def prepare_slant(slants, state, substep):
 @jit
 def project_slant(slants, state, substep):
     """One pass over all oblong cells."""
-    slant.project_slants(slants, state, substep, False)
+    shear_cells.project_slants(slants, state, substep, False)
 
 
 @stage(project_back, Slant, shared=True)
 @jit
 def project_slant_back(slants, state, substep):
     """Do the same pass in reverse."""
-    slant.project_slants(slants, state, substep, True)
+    shear_cells.project_slants(slants, state, substep, True)
 
 
 @stage(react, Slant)
 @jit
 def react_slant(slants, state, substep):
     """Forces between pinned particles."""
-    slant.react_slants(slants, state, substep)
+    shear_cells.react_slants(slants, state, substep)
 
 
 def _on_square_cells(cloths, world) -> Shear:
@@ -123,13 +124,14 @@ def _on_oblong_cells(cloths, world) -> Slant:
     runs, alpha, time = [], [], []
     for number, (cloth, chosen) in enumerate(cloths):
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        runs.append(grid_runs(block, [slant.slant_shape(block.rows, block.columns)], world.slots,
-                              families=number, shapes_before=number))
+        shape = shear_cells.slant_shape(block.rows, block.columns)
+        runs.append(grid_runs(block, [shape], world.slots, families=number,
+                              shapes_before=number))
         time.append(distance.relaxation(world, cloth))
         with np.errstate(over='ignore'):
             alpha.append(np.full((1, 1), world.compliance_scale * 4.0 * dx * dy
                                  / (chosen.stiffness * (dx * dx + dy * dy))))
-    return slant.slants(join(runs), alpha, world=world, time=distance.times(time))
+    return shear_cells.slants(join(runs), alpha, world=world, time=distance.times(time))
 
 
 class BuiltShear(Built):
@@ -149,9 +151,9 @@ class BuiltShear(Built):
             if cloths:
                 parts.append(make(cloths, world))
         self.data, *self.also = parts
-        self.lists = [slant.Slants.of(part) if isinstance(part, Slant)
+        self.lists = [shear_cells.Slants.of(part) if isinstance(part, Slant)
                       else distance.Edges.of(part.edges) for part in parts]
-        self.constraints = slant.Slants.joined(self.lists)
+        self.constraints = shear_cells.Slants.joined(self.lists)
 
     def hold(self, inv_mass):
         for part, these in zip(self.parts, self.lists):

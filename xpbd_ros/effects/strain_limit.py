@@ -8,10 +8,10 @@ a force f ≤ 0 that only pulls (Provot 1995; NUMERICS 2.12):
 
 with mobilities m = w H². Where all edges keep to it is a convex set, so what is sought is the
 point of it that is nearest to where the elastic forces left the particles, weighed by mass. On a
-grid whole lines are solved at once (``sim.ropes``), warp and weft in turn, until no edge is
-longer than it may be by more than EASE. Edges of other meshes take passes forth and back; since a
-net that hangs by a corner would take thousands of them, each pair of passes starts from where the
-last two lead (Nesterov 1983),
+grid whole lines are solved at once (``constraints.inextensible_lines``), warp and weft in turn,
+until no edge is longer than it may be by more than EASE. Edges of other meshes take passes forth
+and back; since a net that hangs by a corner would take thousands of them, each pair of passes
+starts from where the last two lead (Nesterov 1983),
 
     x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
 
@@ -32,28 +32,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim import taut
-from xpbd_ros.sim.distance import note_packs, react_edges, room, Stops
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.held import collect, hold, hold_packs, Packs, packs_for, segment, segment_count
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.layout import zeros
-from xpbd_ros.sim.lines import grid_lines, Lines
-from xpbd_ros.sim.mesh import length
-from xpbd_ros.sim.multistep import lose_history
-from xpbd_ros.sim.packs import pack, padded
-from xpbd_ros.sim.records import (
-    load_records,
-    new_records,
-    store_records,
-    to_positions,
-    to_records,
-)
-from xpbd_ros.sim.ropes import per_euler, tighten
-from xpbd_ros.sim.stages import bound, prepare, react, stage, touch, unmet
-from xpbd_ros.sim.state import places
-from xpbd_ros.sim.update import release_forces
-from xpbd_ros.sim.vector import (
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import (
     both,
     fma,
     highest,
@@ -65,6 +45,30 @@ from xpbd_ros.sim.vector import (
     splat,
     store,
 )
+from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.constraints import overextended_lines
+from xpbd_ros.sim.constraints.distance import note_packs, react_edges, room, Stops
+from xpbd_ros.sim.constraints.inextensible_lines import per_euler, tighten
+from xpbd_ros.sim.constraints.line_solver import grid_lines, Lines
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.pinned import (
+    collect,
+    hold,
+    hold_packs,
+    Packs,
+    packs_for,
+    segment,
+    segment_count,
+)
+from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import length
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import new_records, to_positions, to_records
+from xpbd_ros.sim.particles.state import places
+from xpbd_ros.sim.stepping.stages import bound, prepare, react, stage, touch, unmet
 
 EASE = 3e-3
 """what an edge may be longer than the limit, relative"""
@@ -114,7 +118,7 @@ class StrainLimit(NamedTuple):
     force: np.ndarray
     """f [N], negative in tension, shape (2 grids * slots,)"""
     pulled: Pulled
-    taut: taut.Taut | None
+    taut: overextended_lines.Taut | None
     """None in a scene without pins"""
     stops: Stops | None
     """edges at pinned particles; None in a scene without pins"""
@@ -156,7 +160,7 @@ class MeshStrainLimit(NamedTuple):
 def prepare_lines(limit, state, substep):
     """Zero the forces, but for lines that cannot be."""
     release_forces(None, limit.force)
-    taut.straighten(limit.taut, limit.lines, limit.force, state)
+    overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
 
 
 @stage(prepare, MeshStrainLimit)
@@ -396,7 +400,7 @@ def _on_grids(cloths, world) -> StrainLimit:
             longest.append(np.full(a.size, (1.0 + chosen.max) * cloth.mesh.spacing[along]))
     return StrainLimit(lines, zeros(2 * len(blocks) * world.slots, world.state.x.dtype),
                        Pulled(np.concatenate(ends, 1), *map(np.concatenate, (index, longest))),
-                       taut.room_for(blocks) if world.pins else None,
+                       overextended_lines.room_for(blocks) if world.pins else None,
                        stops_of(sum(map(len, index))) if world.pins else None, None)
 
 
@@ -457,7 +461,7 @@ class BuiltStrainLimit(Built):
 
     def hold(self, inv_mass):
         if self._blocks:
-            taut.hold(self.data.taut, self._blocks, inv_mass)
+            overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
         for part in self.parts:
             edges = Listed(part.pulled.particles.T, part.pulled.index)
             if isinstance(part, StrainLimit):

@@ -1,7 +1,8 @@
 """
 Stretch: elastic edges along warp and weft.
 
-C = |x1 - x2| - L (``sim.distance``); the method ``line`` solves whole lines (``sim.lines``).
+C = |x1 - x2| - L (``constraints.distance``); the method ``line`` solves whole lines
+(``constraints.line_solver``).
 
 On a grid of cells dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along
 weft k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for
@@ -11,7 +12,8 @@ of length l, at an angle θ from warp, k = (warp cos²θ + weft sin²θ) A / l²
 isotropic lattice it is where warp = weft). Instead of moduli, ``compliance`` [m/N] sets every edge
 alike; 0 is rigid.
 
-A rigid line between two pins further apart than it is long is straight and even (``sim.taut``).
+A rigid line between two pins further apart than it is long is straight and even
+(``constraints.overextended_lines``).
 
 Limits: a lattice, so Poisson's ratio is not free: 0 on a grid, about 1/3 on other meshes. Fewer
 substeps than the wave needs to cross an edge make it softer than asked.
@@ -22,13 +24,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim import distance, lines, taut
-from xpbd_ros.sim.effect import Built, Effect, need_one_or_two, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import edge_areas
-from xpbd_ros.sim.runs import grid_runs, join, Shape
-from xpbd_ros.sim.stages import prepare, project, project_back, react, solve_lines, stage
-from xpbd_ros.sim.update import release_forces
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
+from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
+from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.mesh import edge_areas
+from xpbd_ros.sim.parameters import need_one_or_two, quantity
+from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, solve_lines, stage
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,8 @@ class Stretch(NamedTuple):
     """Data of the kernels: grids."""
 
     edges: distance.GridEdges
-    lines: lines.Lines
-    taut: taut.Taut | None
+    lines: line_solver.Lines
+    taut: overextended_lines.Taut | None
     """None in a scene without pins"""
 
 
@@ -68,7 +71,7 @@ class MeshStretch(NamedTuple):
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers, but for lines that cannot be."""
     release_forces(state.apart, stretch.edges.force)
-    taut.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
+    overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
 @stage(prepare, MeshStretch)
@@ -110,7 +113,7 @@ def project_mesh_stretch_back(stretch, state, substep):
 @jit
 def solve_stretch(stretch, state, substep):
     """Solve every line, twice."""
-    lines.solve_edges(stretch.lines, stretch.edges, state, substep)
+    line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
 
 
 @stage(react, Stretch)
@@ -164,10 +167,10 @@ def _on_grids(cloths, world) -> Stretch:
     edges = distance.grid_edges(join(runs), family, rest, alpha, world=world,
                                 time=distance.times(time))
     blocks = [c.block for c in cloths]
-    return Stretch(edges, lines.grid_lines(
+    return Stretch(edges, line_solver.grid_lines(
         blocks, [c.mesh.spacing for c in cloths], line_alpha, slots=world.slots,
         dtype=world.state.x.dtype, threads=world.threads),
-        taut.room_for(blocks) if world.pins else None)
+        overextended_lines.room_for(blocks) if world.pins else None)
 
 
 def _on_meshes(cloths, world) -> MeshStretch:
@@ -211,7 +214,7 @@ class BuiltStretch(Built):
         for part, edges in zip(self.parts, self.lists):
             distance.hold_edges(part.edges, edges, inv_mass)
         if self._blocks:
-            taut.hold(self.data.taut, self._blocks, inv_mass)
+            overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
 
 
 EFFECT = Effect('stretch', Parameters, BuiltStretch)

@@ -8,7 +8,7 @@ C = |x - a| - r ≤ 0 for a particle x and a pinned particle a, gradient n = (x 
 
 with r = (1 + slack) times the shortest way from a to x over the surface at rest (Kim, Chentanez
 and Müller 2012, algorithm 1): on a grid, which is flat, the straight line; on other meshes the
-shortest path of straight lines across at most ACROSS edges (``sim.straight``). Each group of
+shortest path of straight lines across at most ACROSS edges (``geometry.geodesics``). Each group of
 neighbouring pinned particles holds every particle by the nearest of them, up to four groups each;
 ways and groups are found anew when a pin grasps or lets go. So an error of the solver cannot grow
 along the cloth, however few the substeps. It comes last in each iteration, before contact.
@@ -26,11 +26,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.mesh import length
-from xpbd_ros.sim.stages import prepare, stage, touch
-from xpbd_ros.sim.straight import shortest, straight_lines
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry.geodesics import shortest, straight_lines
+from xpbd_ros.sim.geometry.mesh import length
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.stepping.stages import prepare, stage, touch
 
 GROUPS = 4
 """pinned groups that hold one particle"""

@@ -17,10 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import SetWind
-from xpbd_ros.sim.effect import Built, Effect, quantity
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import force, stage
+from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.stepping.stages import force, stage
 
 FASTEST = 1e4
 """what is called wind blows no faster [m/s]"""

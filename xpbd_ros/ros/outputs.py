@@ -16,8 +16,8 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages
+from xpbd_ros.sim.particles.state import remembered
 from xpbd_ros.sim.simulation import Frame, Simulation
-from xpbd_ros.sim.state import remembered
 
 LATCHED = Qos(durability='transient_local', depth=1)
 STREAM = Qos(depth=5)

@@ -13,9 +13,9 @@ from math import ceil
 import time
 
 from xpbd_ros.sim.commands import SetKey
-from xpbd_ros.sim.doubling import Estimate, estimate
 from xpbd_ros.sim.measure import largest_strain, stiffness_given
 from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.sim.stepping.error_estimate import Estimate, estimate
 
 FIRST = 10
 """the first frame that is looked at"""

@@ -13,13 +13,13 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.sim.effect import Built, Cloth, World
-from xpbd_ros.sim.layout import blocks
-from xpbd_ros.sim.mend import solid_mesh, surface_mesh
-from xpbd_ros.sim.mesh import grid_mesh, Mesh
-from xpbd_ros.sim.rotation import rotate
+from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
+from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
+from xpbd_ros.sim.geometry.quaternion import rotate
+from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
+from xpbd_ros.sim.particles.memory_layout import blocks
+from xpbd_ros.sim.particles.state import new_state, solved_by, State
 from xpbd_ros.sim.simulation import Change, Simulation
-from xpbd_ros.sim.state import new_state, solved_by, State
-from xpbd_ros.sim.update import Explicit, Jacobi
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""

@@ -11,7 +11,7 @@ from xpbd_ros.scene.materials import with_material
 from xpbd_ros.scene.model import ClothKeys, Grid, Scene, SolverKeys, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
 from xpbd_ros.share import share_folder
-from xpbd_ros.sim.mesh import grid_spacing, is_square
+from xpbd_ros.sim.geometry.mesh import grid_spacing, is_square
 
 LARGEST_FILE = 16 * 2**20
 """[bytes]"""

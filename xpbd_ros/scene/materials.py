@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.read import mapping, read, unknown
-from xpbd_ros.sim.effect import quantity
+from xpbd_ros.sim.parameters import quantity
 
 
 class Sheet(NamedTuple):

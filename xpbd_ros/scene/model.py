@@ -5,7 +5,7 @@ from typing import Any
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.materials import Isotropic
-from xpbd_ros.sim.effect import check_static, quantity
+from xpbd_ros.sim.parameters import check_static, quantity
 
 
 @dataclass(frozen=True)

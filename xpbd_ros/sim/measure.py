@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from xpbd_ros.sim.mesh import cross, length
-from xpbd_ros.sim.state import places
+from xpbd_ros.sim.geometry.mesh import cross, length
+from xpbd_ros.sim.particles.state import places
 
 ROUNDINGS = 8
 """of the coordinates, that an edge's length may be wrong by"""

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.sim import step
-from xpbd_ros.sim.calm import calm_edges, look, was_calm
+from xpbd_ros.sim.backend.threads import Crew
 from xpbd_ros.sim.commands import Command, Reset, SetKey
-from xpbd_ros.sim.doubling import Start
 from xpbd_ros.sim.effect import Built, Clock, Cloth
-from xpbd_ros.sim.last_good import LastGood
-from xpbd_ros.sim.state import forget, gather, places, remembered, State
-from xpbd_ros.sim.sweeps import METHODS
-from xpbd_ros.sim.team import Crew
+from xpbd_ros.sim.particles.state import forget, gather, places, remembered, State
+from xpbd_ros.sim.stepping import step
+from xpbd_ros.sim.stepping.error_estimate import Start
+from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
+from xpbd_ros.sim.stepping.methods import METHODS
+from xpbd_ros.sim.stepping.rollback import LastGood
 
 
 @dataclass(frozen=True)
@@ -265,67 +265,6 @@ class Simulation:
         if self._guard is not None:
             found['explicit_redone'] = self._guard.redone
         return found
-
-
-class ExplicitGuard:
-    """Looks at each frame of ``explicit``, and does it again with ``line`` if it was not calm."""
-
-    def __init__(self, simulation: Simulation):
-        self.redone = 0
-        """frames done again"""
-        self._simulation = simulation
-        state = simulation.state
-        self._x, self._v = state.x.copy(), state.v.copy()
-        self._mass = float(state.mass.sum())
-
-    def _look(self) -> tuple[float, float, float]:
-        state = self._simulation.state
-        return look(self._edges, state.x, state.v, state.mass, state.inv_mass)
-
-    def compile(self) -> None:
-        """Compile the look at a frame, and ``line``."""
-        self._look()
-        self.redo(0)
-
-    def collect(self) -> None:
-        """Learn the edges as they stand now."""
-        effects = self._simulation.effects
-        self._edges = calm_edges(
-            [these for built in effects.values() for these in built.by_part
-             if these.particles.shape[1] == 2],
-            [these for name in ('shear',) if name in effects for these in effects[name].by_part
-             if these.particles.shape[1] == 4])
-
-    def advance(self) -> None:
-        """Compute one frame."""
-        simulation, state = self._simulation, self._simulation.state
-        self._x[:], self._v[:] = state.x, state.v
-        before = self._look()
-        simulation._advance(simulation.solver.substeps)
-        if was_calm(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
-                    gravity=float(np.linalg.norm(state.gravity))):
-            return
-        state.x[:], state.v[:] = self._x, self._v
-        if state.reaction is not None:
-            state.reaction[:] = 0.0
-        for built in simulation.effects.values():
-            built.again()
-        self.redo(simulation.solver.rough_substeps)
-        self.redone += 1
-        if simulation.start is not None:
-            simulation.start = replace(
-                simulation.start, state=simulation.start.state._replace(apart=None),
-                method=self._rough(), substeps=simulation.solver.rough_substeps)
-
-    def _rough(self):
-        return METHODS['line'](self._simulation.solver.iterations)
-
-    def redo(self, substeps: int) -> None:
-        """Compute the frame with ``line``; it has no history, so with backward Euler."""
-        simulation = self._simulation
-        simulation._crew.run(simulation._step, simulation._tuple,
-                             simulation.state._replace(apart=None), self._rough(),
-                             simulation.frame_dt, substeps)
 
 
 @dataclass(frozen=True)

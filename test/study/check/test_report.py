@@ -15,7 +15,7 @@ from sim.test_field import box
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.sim.shapes import SHAPES
+from xpbd_ros.sim.contact.collider_entries import SHAPES
 from xpbd_ros.study.check import check
 from xpbd_ros.study.check.decay import factor
 from xpbd_ros.study.check.stiffness import stiffness

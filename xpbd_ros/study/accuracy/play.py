@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
-from xpbd_ros.sim.mesh import length
 from xpbd_ros.sim.simulation import Simulation
 
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import gmres, LinearOperator, splu
 
-from xpbd_ros.sim.lines import TINY
+from xpbd_ros.sim.constraints.line_solver import TINY
 
 FORTH, BACK, WHOLE, APART = 'forth', 'back', 'whole', 'apart'
 """Gauss-Seidel in order, in reverse, all solved at once, or each for itself (Jacobi)"""

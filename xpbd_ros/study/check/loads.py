@@ -13,7 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from xpbd_ros.sim.mesh import Mesh
+from xpbd_ros.sim.geometry.mesh import Mesh
 from xpbd_ros.sim.simulation import Simulation
 
 SOFT = 1e-9

@@ -8,8 +8,8 @@ import numpy as np
 from xpbd_ros.scene.auto import cost, INTEGRATOR
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.field import Field
-from xpbd_ros.sim.shapes import Entry
+from xpbd_ros.sim.contact.collider_entries import Entry
+from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.study.check.decay import Decay, decays
 from xpbd_ros.study.check.stiffness import Row, stiffness, UNPREDICTED

@@ -5,8 +5,8 @@ from time import perf_counter
 from numba import njit
 import numpy as np
 
-from xpbd_ros.sim.jit import FLAGS
-from xpbd_ros.sim.vector import fma, lane_count, lanes, load, splat, store
+from xpbd_ros.sim.backend.jit import FLAGS
+from xpbd_ros.sim.backend.simd import fma, lane_count, lanes, load, splat, store
 
 LARGE, SMALL = 4_000_000, 4_000
 """numbers in each array of the triad: far more than a cache holds, and what L2 holds"""

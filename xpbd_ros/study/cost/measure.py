@@ -17,8 +17,8 @@ import numpy as np
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim import stages
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.stepping import stages
 from xpbd_ros.study.cost.clock import lap_ns
 from xpbd_ros.study.cost.timed_step import timed_step
 

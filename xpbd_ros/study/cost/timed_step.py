@@ -1,18 +1,38 @@
 """
 The step of a scene with a clock in it: the same kernels in the same order, and the same bits.
 
-Written out for the scene's effects like ``sim.step.advance``, but each effect's stage is called by
-itself and followed by a reading of the clock. So an effect is timed inside the running scene, with
-the caches as the others leave them.
+Written out for the scene's effects like ``stepping.step.advance``, but each effect's stage is
+called by itself and followed by a reading of the clock. So an effect is timed inside the running
+scene, with the caches as the others leave them.
 """
 
 from collections.abc import Iterator
 
 from numba import typeof
 
-from xpbd_ros.sim.denormals import flush_denormals, restore_mode
-from xpbd_ros.sim.jit import jit
-from xpbd_ros.sim.stages import (
+from xpbd_ros.sim.backend.denormals import flush_denormals, restore_mode
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.particles.explicit_updates import add_moves, at_start, half_kick, kick_on
+from xpbd_ros.sim.particles.integration import (
+    begin,
+    predict,
+    put_back,
+    set_mobility,
+    turned,
+    update_velocity,
+    update_velocity_and_begin,
+)
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping.methods import (
+    back,
+    close,
+    forth,
+    GaussSeidel,
+    Leapfrog,
+    Line,
+    Symmetric,
+)
+from xpbd_ros.sim.stepping.stages import (
     bound,
     finish,
     finishes,
@@ -28,27 +48,13 @@ from xpbd_ros.sim.stages import (
     touch,
     unmet,
 )
-from xpbd_ros.sim.state import (
-    add_moves,
-    at_start,
-    begin,
-    half_kick,
-    kick_on,
-    predict,
-    put_back,
-    set_mobility,
-    Substep,
-    turned,
-    update_velocity,
-    update_velocity_and_begin,
-)
-from xpbd_ros.sim.sweeps import back, close, forth, GaussSeidel, Leapfrog, Line, Symmetric
 from xpbd_ros.study.cost.clock import lap
 
 SWEEPS = {GaussSeidel: ((project, False),),
           Symmetric: ((project, False), (project_back, True)),
           Line: ((forth, False), (back, True), (close, False))}
-"""the walks of each method that moves particles at once (``sim.sweeps``), whether backwards"""
+"""the walks of each method that moves particles at once (``stepping.methods``), and whether
+backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
     add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict,
@@ -74,7 +80,7 @@ class _Step:
         self.effects, self.method, self.names = effects, method, dict(NAMES)
 
     def lines(self) -> Iterator[str]:
-        """Yield ``sim.step.advance``."""
+        """Yield ``stepping.step.advance``."""
         once, each, inner = ' ' * 4, ' ' * 8, ' ' * 12
         leaps = self.method is Leapfrog
         yield 'def advance(effects, state, method, frame_dt, substeps, book):'

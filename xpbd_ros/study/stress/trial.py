@@ -24,8 +24,8 @@ from xpbd_ros.sim.commands import (
     Pose,
     Release,
 )
+from xpbd_ros.sim.particles.state import forget
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.state import forget
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.textbook import advance, BOX, CAPSULE, Model, PLANE, SPHERE
 from xpbd_ros.study.stress.track import Track

@@ -1,0 +1,164 @@
+"""
+Several threads on one step: all run the same code, each on its share of the particles.
+
+What can be shared out is such that no share reads what another one writes; where the next piece of
+work needs all of the last one, all ``wait`` for one another. What cannot be shared is done by one
+of them ``alone``. So the bits do not depend on how many there are. A state without a team
+(``state.team`` is None) belongs to one thread, and nothing of this is in its machine code.
+"""
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
+
+from llvmlite import binding, ir
+from numba import types
+from numba.extending import intrinsic
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import place
+
+APART = 8
+"""from one thread's number in a gate to the next: a cache line, so that only it writes there"""
+EAGER, PATIENCE = 100, 4096
+"""looks at the gate before the core pauses after each, and before it is offered to others"""
+X86 = binding.get_process_triple().startswith('x86_64')
+
+
+class Team(NamedTuple):
+    """One thread's place among those that share a step."""
+
+    worker: int
+    workers: int
+    gate: np.ndarray
+    """where they meet: how often each thread has come, at APART times its number, and at the end
+    whether one is missing for good; shape (APART * (workers + 1),)"""
+
+
+def share(team, count):
+    """Return where this thread's share of so many pieces begins and ends."""
+
+
+def alone(team):
+    """Tell whether this thread does what cannot be shared."""
+
+
+def wait(team):
+    """Go on when all are here."""
+
+
+def worker(team):
+    """Return this thread's number."""
+
+
+def _none(team) -> bool:
+    return isinstance(team, types.NoneType)
+
+
+@inline(share)
+def _share(team, count):
+    if _none(team):
+        return lambda team, count: (0, count)
+    return lambda team, count: (count * team.worker // team.workers,
+                                count * (team.worker + 1) // team.workers)
+
+
+@inline(alone)
+def _alone(team):
+    return (lambda team: True) if _none(team) else lambda team: team.worker == 0
+
+
+@inline(worker)
+def _worker(team):
+    return (lambda team: 0) if _none(team) else lambda team: team.worker
+
+
+@inline(wait)
+def _wait(team):
+    if _none(team):
+        return lambda team: None
+    return lambda team: _meet(team.gate, team.worker, team.workers)
+
+
+@intrinsic
+def _read(typing, gate, index):
+    """Return what is there now, and see all that was done before it was written."""
+    def generate(context, builder, signature, arguments):
+        return builder.load_atomic(place(context, builder, signature.args[0], *arguments),
+                                   'acquire', 8)
+    return types.int64(gate, types.intp), generate
+
+
+@intrinsic
+def _write(typing, gate, index, value):
+    """Write, after all that was done before."""
+    def generate(context, builder, signature, arguments):
+        gate_, index_, value_ = arguments
+        builder.store_atomic(value_, place(context, builder, signature.args[0], gate_, index_),
+                             'release', 8)
+        return context.get_dummy_value()
+    return types.void(gate, types.intp, types.int64), generate
+
+
+@intrinsic
+def _breathe(typing):
+    """Tell the core that this is a loop that waits."""
+    def generate(context, builder, signature, arguments):
+        if X86:
+            builder.call(builder.module.declare_intrinsic(
+                'llvm.x86.sse2.pause', (), ir.FunctionType(ir.VoidType(), [])), [])
+        return context.get_dummy_value()
+    return types.void(), generate
+
+
+_offer = types.ExternalFunction('sched_yield', types.int32())
+
+
+@jit
+def _meet(gate, worker, workers):
+    """Say that this thread is here, and wait until each of the others has come as often."""
+    times = gate[worker * APART] + 1
+    _write(gate, worker * APART, times)
+    for other in range(workers):
+        looks = 0
+        while _read(gate, other * APART) < times:
+            looks += 1
+            if looks > PATIENCE:
+                if _read(gate, workers * APART):
+                    return
+                _offer()
+            elif looks > EAGER:
+                _breathe()
+
+
+class Crew:
+    """The threads of one simulation."""
+
+    def __init__(self, workers: int):
+        self.workers = workers
+        self._gate = np.zeros(APART * (workers + 1), np.int64)
+        self._pool = ThreadPoolExecutor(workers - 1, 'xpbd_ros') if workers > 1 else None
+        self._others: list[Future] = []
+
+    def run(self, step, effects, state, *arguments) -> None:
+        """Call a step on all threads, this one among them."""
+        if self._pool is None:
+            step(effects, state, *arguments)
+            return
+        for other in self._others:    # where a frame was broken off
+            other.exception()
+        self._gate[:] = 0
+        self._others = []
+        for k in range(1, self.workers):
+            self._others.append(self._pool.submit(self._join, k, step, effects, state, *arguments))
+        self._join(0, step, effects, state, *arguments)
+        for other in self._others:
+            other.result()
+
+    def _join(self, worker: int, step, effects, state, *arguments) -> None:
+        """Call a step on one thread; if that fails, the others do not wait for it."""
+        try:
+            step(effects, state._replace(team=Team(worker, self.workers, self._gate)), *arguments)
+        except BaseException:    # such as Ctrl-C, before this thread came to the others
+            self._gate[-APART] = 1
+            raise

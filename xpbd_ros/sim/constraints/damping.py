@@ -1,0 +1,124 @@
+"""
+Damping of constraints (Macklin et al. 2016, eq 26), compiled only where a scene asks for it.
+
+A damper β beside each constraint of compliance α gives γ = α β / h; with β = τ / α, a relaxation
+time τ for all, γ = τ / h. In force form, with x̄ where the substep's velocity counts from
+(v = (x - x̄) / H) and γ = τ / H,
+
+    Δf = -(C + α f + γ ∇C·(x - x̄)) / ((1 + γ) W + α).
+
+``None`` for the damping, and so for γ and what comes of it, leaves the plain constraint.
+"""
+
+from typing import NamedTuple
+
+from numba import types
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import inline
+from xpbd_ros.sim.backend.simd import fma, load
+from xpbd_ros.sim.backend.simd_records import load_records
+
+
+class Past(NamedTuple):
+    """Where the velocities of a substep count from."""
+
+    x: np.ndarray
+    """x̄ [m], shape (3, slots)"""
+    records: np.ndarray
+    """the same as records, for constraints of meshes; shape (slots, 4)"""
+    per_step: np.ndarray
+    """1 / H [1/s], shape (1,)"""
+
+
+class Damping(NamedTuple):
+    """Damping of one batch of constraints."""
+
+    past: Past
+    time: np.ndarray
+    """τ [s], by shape, or of each constraint of a mesh"""
+
+
+def gamma_of(damping, shape):
+    """Return γ of a shape of constraints."""
+
+
+def gammas_of(damping, c):
+    """Return γ of the constraints from index c on."""
+
+
+def apart_before(damping, i, j):
+    """Return x̄_i - x̄_j of the particles from slots i and j on."""
+
+
+def records_before(damping, i, j, c):
+    """Return x̄_i - x̄_j of the constraints from index c on, by the slots in i and j."""
+
+
+def lag(misfit, gamma, before, dx, dy, dz, l):
+    """Return a misfit and γ n·(d - d̄) for an edge d = l n."""
+
+
+def shared(total, gamma):
+    """Return (1 + γ) W."""
+
+
+def _none(kind) -> bool:
+    return isinstance(kind, types.NoneType)
+
+
+@inline(gamma_of)
+def _gamma_of(damping, shape):
+    if _none(damping):
+        return lambda damping, shape: None
+    return lambda damping, shape: damping.time[shape] * damping.past.per_step[0]
+
+
+@inline(gammas_of)
+def _gammas_of(damping, c):
+    if _none(damping):
+        return lambda damping, c: None
+    return lambda damping, c: load(damping.time, c) * damping.past.per_step[0]
+
+
+@inline(apart_before)
+def _apart_before(damping, i, j):
+    if _none(damping):
+        return lambda damping, i, j: None
+
+    def apart(damping, i, j):
+        x = damping.past.x
+        n = x.shape[1]
+        return (load(x, i) - load(x, j), load(x, n + i) - load(x, n + j),
+                load(x, 2 * n + i) - load(x, 2 * n + j))
+    return apart
+
+
+@inline(records_before)
+def _records_before(damping, i, j, c):
+    if _none(damping):
+        return lambda damping, i, j, c: None
+
+    def apart(damping, i, j, c):
+        xi, yi, zi, _ = load_records(damping.past.records, i, c)
+        xj, yj, zj, _ = load_records(damping.past.records, j, c)
+        return xi - xj, yi - yj, zi - zj
+    return apart
+
+
+@inline(lag)
+def _lag(misfit, gamma, before, dx, dy, dz, l):
+    if _none(gamma):
+        return lambda misfit, gamma, before, dx, dy, dz, l: misfit
+
+    def lagging(misfit, gamma, before, dx, dy, dz, l):
+        along = fma(dx, before[0], fma(dy, before[1], dz * before[2])) / l
+        return fma(gamma, l - along, misfit)
+    return lagging
+
+
+@inline(shared)
+def _shared(total, gamma):
+    if _none(gamma):
+        return lambda total, gamma: total
+    return lambda total, gamma: fma(gamma, total, total)

@@ -1,0 +1,513 @@
+"""
+Distance constraints: C = |x1 - x2| - L, the physics of every effect that is an elastic edge.
+
+Gradient: n = (x1 - x2) / |x1 - x2| at x1, -n at x2 (Müller et al. 2006, eq 10-11). In force form,
+with f = λ / H² [N], mobilities m = w H² and W = m1 + m2,
+
+    Δf = -(C + α f) / (W + α),   x1 += m1 n Δf,   x2 -= m2 n Δf
+
+which is Macklin et al. 2016, eq 18 and 17, times H². α is in m/N; 0 is rigid. f < 0 is tension.
+Where two particles coincide the gradient is undefined: they part along an axis that each shape of
+edge has for itself, which keeps momentum and is the same in every run.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import both, first, fma, lane_count, lanes, load, root, select
+from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.backend.threads import alone, wait
+from xpbd_ros.sim.constraints.damping import (
+    apart_before,
+    Damping,
+    gamma_of,
+    gammas_of,
+    lag,
+    records_before,
+    shared,
+)
+from xpbd_ros.sim.constraints.grid_batches import first_of_runs, listed, PHASES, Runs, share_of
+from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.pinned import (
+    collect,
+    hold,
+    hold_packs,
+    Packs,
+    packs_for,
+    remember,
+    room_for,
+    segment,
+    segment_count,
+)
+from xpbd_ros.sim.constraints.projection import (
+    at_the_end,
+    divisor,
+    keep,
+    misfit,
+    moves,
+    put,
+    recall,
+    row,
+)
+from xpbd_ros.sim.geometry.mesh import length
+from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.records import from_records, put_records, to_records
+
+AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+HOLE = -1.0
+"""compliance where there is no edge"""
+
+
+class Held(NamedTuple):
+    """The edges at pinned particles, whose forces somebody asks for."""
+
+    count: np.ndarray
+    """shape (1,)"""
+    particles: np.ndarray
+    """slots, shape (room, 2)"""
+    index: np.ndarray
+    """where each keeps its force, shape (room,)"""
+    rest_length: np.ndarray
+    """[m], shape (room,)"""
+    compliance: np.ndarray
+    """[m/N], shape (room,)"""
+
+
+class Stops(NamedTuple):
+    """Where a sweep over runs stops for edges at pinned particles, and what is noted of them."""
+
+    held: Held
+    """the edges, in sweep order"""
+    first: np.ndarray
+    """number of each run's first of them, and how many there are; shape (runs + 1,)"""
+    direction: np.ndarray
+    """n of each, as it is projected; shape (room, 3)"""
+    before: np.ndarray
+    """f of each before that [N], shape (room,)"""
+
+
+class GridEdges(NamedTuple):
+    """Elastic edges in runs."""
+
+    runs: Runs
+    rest_length: np.ndarray
+    """[m], by shape; shape (shapes,)"""
+    compliance: np.ndarray
+    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    axis: np.ndarray
+    """where two particles coincide, by shape; shape (shapes, 3)"""
+    force: np.ndarray | None
+    """f, multiplier over H² [N], negative in tension, shape (families * slots,); None where nobody
+    asks"""
+    stops: Stops | None
+    """None in a scene without pins"""
+    damping: Damping | None = None
+    """None in a scene without ``rayleigh``"""
+
+
+class MeshEdges(NamedTuple):
+    """Elastic edges of meshes, in packs."""
+
+    records: np.ndarray
+    """particles as records, shape (slots, 4)"""
+    slots: np.ndarray
+    """first and last + 1 of the particles' slots, shape (2,)"""
+    particles: np.ndarray
+    """slots of both ends, shape (2, edges)"""
+    rest_length: np.ndarray
+    """[m], shape (edges,)"""
+    compliance: np.ndarray
+    """[m/N], shape (edges,)"""
+    force: np.ndarray | None
+    """f [N], shape (edges,); None where nobody asks"""
+    packs: Packs | None
+    """those at pinned particles; None in a scene without pins"""
+    damping: Damping | None = None
+    """None in a scene without ``rayleigh``"""
+
+
+class Edges:
+    """Edges one by one, in sweep order, as people and NumPy want them."""
+
+    def __init__(self, particles, index, rest_length, compliance):
+        self.particles = particles
+        self.index = index
+        self.rest_length = rest_length.astype(float)
+        self.compliance = compliance.astype(float)
+
+    @staticmethod
+    def of(batch: 'GridEdges | MeshEdges') -> 'Edges':
+        """Return the edges of a batch."""
+        if isinstance(batch, MeshEdges):
+            index = np.flatnonzero(batch.particles[0] != batch.particles[1])
+            return Edges(batch.particles[:, index].T.astype(np.int64), index,
+                         batch.rest_length[index], batch.compliance[index])
+        particles, index, shape, place = listed(batch.runs)
+        return Edges(particles, index, batch.rest_length[shape], batch.compliance[shape, place])
+
+    @staticmethod
+    def joined(lists: list['Edges']) -> 'Edges':
+        """Return the edges of several batches; ``index`` counts within each."""
+        return Edges(*(np.concatenate([getattr(edges, name) for edges in lists]) for name in (
+            'particles', 'index', 'rest_length', 'compliance')))
+
+    def residual(self, x: np.ndarray) -> np.ndarray:
+        """Return C [m], shape (edges,), straight from the definition; x has shape (3, slots)."""
+        i, j = self.particles.T
+        return length((x[:, i] - x[:, j]).T.astype(float)) - self.rest_length
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """
+        Return 2 Σ 1 / α at each particle [N/m], (slots, 3, 3): no less than K is.
+
+        That is so whichever way the edges turn: warp and weft of a sheet that hangs from its
+        corners come to pull along one direction.
+        """
+        found = np.zeros(x.shape[1])
+        with np.errstate(divide='ignore'):
+            stiffness = 2.0 / self.compliance
+        np.add.at(found, self.particles[:, 0], stiffness)
+        np.add.at(found, self.particles[:, 1], stiffness)
+        return found[:, None, None] * np.eye(3)
+
+    def energy(self, x: np.ndarray) -> float:
+        """Return Σ C² / (2 α) [J]; a rigid edge stores none."""
+        elastic = self.compliance > 0.0
+        return float((0.5 * self.residual(x)[elastic]**2 / self.compliance[elastic]).sum())
+
+
+def softest(dtype) -> float:
+    """Return the largest compliance: finite, so that times no force it is nothing."""
+    return float(np.sqrt(np.finfo(dtype).max))
+
+
+def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
+    """Return the compliances of grids as one table, HOLE where there is no constraint."""
+    table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
+    table[:] = HOLE
+    first_ = 0
+    for each in compliance:
+        each = np.minimum(each, softest(dtype))
+        there = np.s_[first_:first_ + len(each), :runs.present.shape[1]]
+        width = each.shape[1] if each.shape[1] > 1 else runs.present.shape[1]
+        table[there][:, :width] = each
+        first_ += len(each)
+    table[:, :runs.present.shape[1]][~runs.present] = HOLE
+    return table
+
+
+def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
+               time=None) -> GridEdges:
+    """
+    Return the edges of grids, ready for the kernels.
+
+    Parameters
+    ----------
+    runs : where they are
+    family : of each shape, shape (shapes,)
+    rest_length : by shape [m], shape (shapes,)
+    compliance : of each grid, by its shapes and places in a row [m/N], (shapes, places) or (…, 1)
+    world : tells the dtype, the slots, and what will be asked for
+    time : relaxation time by shape [s], where the scene has ``rayleigh``
+
+    """
+    dtype, family = world.state.x.dtype, np.asarray(family)
+    force = zeros((family.max(initial=0) + 1) * world.slots, dtype) if world.forces else None
+    table = by_place(runs, compliance, dtype)
+    return GridEdges(runs, np.array(rest_length, dtype), table,
+                     np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
+                     stops_for(runs) if world.pins else None,
+                     damping(world, time, (table == 0.0).any(1), dtype))
+
+
+def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.ndarray, *,
+               world, time=None) -> MeshEdges:
+    """
+    Return the edges of meshes, ready for the kernels.
+
+    Parameters
+    ----------
+    particles : slots, shape (edges, 2)
+    rest_length : [m], shape (edges,)
+    compliance : [m/N], shape (edges,)
+    world : tells the dtype, the slots, and what will be asked for
+    time : relaxation time [s], where the scene has ``rayleigh``; shape (edges,)
+
+    """
+    dtype = world.state.x.dtype
+    order = pack(particles)
+    count = len(order)
+    return MeshEdges(
+        world.records, np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
+        padded(particles, order, world.slots - 1, np.int32).T.copy(),
+        padded(rest_length, order, 0.0, dtype),
+        padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+        zeros(count, dtype) if world.forces else None,
+        packs_for(room(count)) if world.pins else None,
+        None if time is None else damping(world, padded(time, order, 0.0, dtype),
+                                          padded(compliance, order, 1.0, dtype) == 0.0, dtype))
+
+
+def damping(world, time, rigid: np.ndarray, dtype) -> Damping | None:
+    """Return the damping of constraints by their relaxation times; what is rigid has none."""
+    if time is None:
+        return None
+    return Damping(world.built['rayleigh'].past, np.where(rigid, 0.0, time).astype(dtype))
+
+
+def times(found: list) -> np.ndarray | None:
+    """Return relaxation times as an array; None where there are none."""
+    return None if None in found else np.array(found)
+
+
+def relaxation(world, cloth) -> float | None:
+    """Return the relaxation time of a cloth [s]; None in a scene without ``rayleigh``."""
+    return world.built['rayleigh'].time(cloth) if 'rayleigh' in world.built else None
+
+
+def room(count: int) -> Held:
+    """Return a list for as many edges as there are."""
+    return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
+
+
+def stops_for(runs: Runs) -> Stops:
+    """Return the stops of a sweep over some runs."""
+    count = len(listed(runs)[1])
+    return Stops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
+                 np.zeros(count))
+
+
+def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndarray) -> None:
+    """Learn which edges touch a pinned particle."""
+    if isinstance(edges, MeshEdges):
+        hold_packs(edges.packs, listed_, inv_mass, edges.particles.shape[1])
+    else:
+        found = hold(edges.stops.held, listed_, inv_mass)
+        edges.stops.first[:] = np.searchsorted(found, first_of_runs(edges.runs))
+
+
+@jit(inline=True)
+def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
+    """
+    Return s and d of an edge and Δf, for particles dx, dy, dz apart.
+
+    n Δf = -s d, so that one division does for both; ``there`` says which lanes hold an edge.
+    """
+    l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
+    apart_ = l > 0.0
+    l_or_1 = select(apart_, l, 1.0)
+    wrong = lag(misfit(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
+    s = select(both(total > 0.0, there),
+               wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
+    return (s, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
+            -(s * l_or_1))
+
+
+@jit
+def note(stops, first, last, x, y, z, apart, force):
+    """Note the directions and multipliers of some edges at pinned particles."""
+    if stops is not None:
+        for k in range(first, last):
+            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
+            dx, dy, dz = x[i] - x[j], y[i] - y[j], z[i] - z[j]
+            l = np.sqrt(dx * dx + dy * dy + dz * dz)
+            per = 1.0 / l if l > 0.0 else 0.0
+            stops.direction[k, 0] = per * dx
+            stops.direction[k, 1] = per * dy
+            stops.direction[k, 2] = per * dz
+            stops.before[k] = force[stops.held.index[k]] if at_the_end(apart) else 0.0
+
+
+@jit
+def gather_reaction(stops, first, last, mobility, force, part, reaction):
+    """Add what they exerted since, n Δf; what cannot move is for ``react_edges``."""
+    if stops is not None:
+        for k in range(first, last):
+            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
+            if mobility[i] + mobility[j] > 0.0:
+                df = part * (force[stops.held.index[k]] - stops.before[k])
+                for a in range(3):
+                    reaction[a, i] += df * stops.direction[k, a]
+                    reaction[a, j] -= df * stops.direction[k, a]
+
+
+@jit(inline=True)
+def stops_of(stops, run):
+    """Return the first of a run's edges at pinned particles, and the one after the last."""
+    if stops is None:
+        return 0, 0
+    else:
+        return stops.first[run], stops.first[run + 1]
+
+
+@jit
+def stops_between(stops, first, last, begin, end, reverse):
+    """Return the next of them in a sweep, whose multipliers are kept from begin to end."""
+    if stops is None:
+        return 0, 0
+    else:
+        index = stops.held.index
+        if reverse:
+            k = last
+            while k > first and index[k - 1] >= begin:
+                k -= 1
+            return k, last
+        k = first
+        while k < last and index[k] < end:
+            k += 1
+        return first, k
+
+
+@jit
+def note_line(stops, base, state, force):
+    """Note the edges at pinned particles whose multipliers begin at ``base``, before a solve."""
+    if stops is not None:
+        if alone(state.team):
+            for k in range(stops.held.count[0]):
+                if base <= stops.held.index[k] < base + state.x.shape[1]:
+                    note(stops, k, k + 1, state.x[0], state.x[1], state.x[2], state.apart, force)
+        wait(state.team)
+
+
+@jit
+def gather_line_reaction(stops, base, state, force, part):
+    """Add what they exerted in the solve."""
+    if stops is not None:
+        if alone(state.team):
+            for k in range(stops.held.count[0]):
+                if base <= stops.held.index[k] < base + state.x.shape[1]:
+                    gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
+        wait(state.team)
+
+
+@jit
+def project_edges(edges, state, substep, reverse):
+    """One Gauss-Seidel pass over all edges, run after run."""
+    part = substep.end - substep.begin
+    for phase in range(PHASES):
+        begin, end = share_of(edges.runs, state.team, phase, reverse)
+        _project(state.x[0], state.x[1], state.x[2], state.mobility, state.apart,
+                 row(moves(state.apart), 0), row(moves(state.apart), 1),
+                 row(moves(state.apart), 2), edges.runs, edges.rest_length, edges.compliance,
+                 edges.force, edges.axis, edges.damping, edges.stops, part, state.reaction, begin,
+                 end, reverse)
+        wait(state.team)
+
+
+@jit
+def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance, force, axis,
+             damping, stops, part, reaction, begin, end, reverse):
+    places = compliance.shape[1]
+    for a in range(end - begin):
+        r = end - 1 - a if reverse else begin + a
+        shape = runs.shape[r]
+        to_i, to_j, base = runs.offset[r, 0], runs.offset[r, 1], runs.base[r]
+        ux, uy, uz = axis[shape, 0], axis[shape, 1], axis[shape, 2]
+        gamma = gamma_of(damping, shape)
+        rest, numbers = rest_length[shape], shape * places + runs.place[r]
+        next_, past = stops_of(stops, r)
+        for b in range(runs.rows[r]):
+            row = runs.rows[r] - 1 - b if reverse else b
+            anchor = runs.start[r] + row * runs.stride[r]
+            last = (runs.count[r] - 1) // lanes(x) * lanes(x)
+            for p in range(0, runs.count[r], lanes(x)):
+                q = last - p if reverse else p
+                i, j, c = anchor + to_i + q, anchor + to_j + q, base + anchor + q
+                xi, yi, zi, mi = load(x, i), load(y, i), load(z, i), load(mobility, i)
+                xj, yj, zj, mj = load(x, j), load(y, j), load(z, j), load(mobility, j)
+                stop, on = next_, next_
+                if next_ < past:
+                    stop, on = stops_between(stops, next_, past, c, c + lanes(x), reverse)
+                    note(stops, stop, on, x, y, z, apart, force)
+                alpha, f = load(compliance, numbers + q), recall(apart, force, c)
+                there = both(alpha >= 0.0, first(x, runs.count[r] - q))
+                s, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj, rest, alpha,
+                                         f, there, ux, uy, uz, gamma,
+                                         apart_before(damping, i, j))
+                keep(force, c, f, df)
+                gi, gj = -(s * mi), s * mj
+                put(x, tx, i, xi, gi, dx)
+                put(y, ty, i, yi, gi, dy)
+                put(z, tz, i, zi, gi, dz)
+                put(x, tx, j, xj, gj, dx)
+                put(y, ty, j, yj, gj, dy)
+                put(z, tz, j, zj, gj, dz)
+                if stop < on:
+                    gather_reaction(stops, stop, on, mobility, force, part, reaction)
+                    next_, past = (next_, stop) if reverse else (on, past)
+
+
+@jit
+def project_packs(edges, state, substep, reverse):
+    """One Gauss-Seidel pass over all edges, pack after pack."""
+    first_, last = edges.slots[0], edges.slots[1]
+    to_records(state, edges.records, first_, last)
+    for number in range(segment_count(edges.packs)):
+        begin, end, a, b = segment(edges.packs, number, len(edges.rest_length), reverse)
+        note_packs(edges.packs, a, b, edges.records, state.apart, edges.force)
+        _project_packs(edges.records, state.apart, edges.particles[0],
+                       edges.particles[1], edges.rest_length, edges.compliance, edges.force,
+                       edges.damping, begin, end, reverse)
+        collect(edges.packs, a, b, edges.force, substep.end - substep.begin, state.reaction)
+    from_records(state, edges.records, first_, last)
+
+
+@jit
+def note_packs(packs, first_, last, x, apart, force):
+    """Note n and -n of the edges of a pack."""
+    if packs is not None:
+        remember(packs, first_, last, apart, force)
+        for k in range(first_, last):
+            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
+            dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
+            l = np.sqrt(dx * dx + dy * dy + dz * dz)
+            per = 1.0 / l if l > 0.0 else 0.0
+            for a, d in enumerate((dx, dy, dz)):
+                packs.gradient[k - first_, 0, 0, a] = per * d
+                packs.gradient[k - first_, 0, 1, a] = -per * d
+
+
+@jit
+def _project_packs(records, apart, i, j, rest_length, compliance, force, damping, begin, end,
+                   reverse):
+    step = lanes(rest_length)
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
+        xi, yi, zi, mi = load_records(records, i, q)
+        xj, yj, zj, mj = load_records(records, j, q)
+        alpha, f = load(compliance, q), recall(apart, force, q)
+        s, dx, dy, dz, df = pull(apart, xi - xj, yi - yj, zi - zj, mi + mj,
+                                 load(rest_length, q), alpha, f, alpha >= 0.0, 1.0, 0.0, 0.0,
+                                 gammas_of(damping, q), records_before(damping, i, j, q))
+        keep(force, q, f, df)
+        gi, gj = -(s * mi), s * mj
+        put_records(records, apart, i, q, xi, yi, zi, mi, gi, dx, dy, dz)
+        put_records(records, apart, j, q, xj, yj, zj, mj, gj, dx, dy, dz)
+
+
+@jit
+def react_edges(held, force, state, substep):
+    """
+    Add what edges exert that cannot move: -C / α n between two pins.
+
+    What is taut between two pins (``constraints.overextended_lines``) pulls with the f that it was
+    given.
+    """
+    weight, x = substep.end - substep.begin, state.x
+    for k in range(held.count[0]):
+        i, j, c = held.particles[k, 0], held.particles[k, 1], held.index[k]
+        if state.mobility[i] + state.mobility[j] > 0.0:
+            continue
+        dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+        l = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if l == 0.0:
+            continue
+        f = force[c]
+        if state.inv_mass[i] + state.inv_mass[j] == 0.0 and held.compliance[k] > 0.0:
+            f = -(l - held.rest_length[k]) / held.compliance[k]
+        f *= weight / l
+        for a, d in enumerate((dx, dy, dz)):
+            state.reaction[a, i] += f * d
+            state.reaction[a, j] -= f * d

@@ -1,0 +1,177 @@
+"""
+Ropes: whole lines of edges that only pull, and only where they are too long, solved at once.
+
+As ``lines``, with α = 0, but an edge takes part only where it is longer than it may be or pulls
+already (f < 0), and f > 0 is cut off: one step of an active set method for each line. Edges that
+take no part cut a line in two. A warp line and a weft line share a particle, so the lines of a net
+are solved again and again until none of them is too long.
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import (
+    after,
+    both,
+    either,
+    fma,
+    highest,
+    lanes,
+    larger,
+    load,
+    root,
+    select,
+    splat,
+    store,
+)
+from xpbd_ros.sim.constraints.distance import gather_reaction, note
+from xpbd_ros.sim.constraints.line_solver import gather_rows, scatter_rows
+from xpbd_ros.sim.particles.history import weights_at
+
+
+@jit
+def tighten(lines, force, stops, state, substep, near):
+    """
+    Solve every warp line, then every weft line; return the largest excess found, relative.
+
+    Edges that are shorter than they may be by up to ``near`` of it take part: a first guess of
+    what pulls, without which a line that hangs at rest would learn of its weight edge by edge.
+    Impulses on pinned particles go to ``state.reaction``.
+    """
+    most, part = 0.0, substep.end - substep.begin
+    for g in range(len(lines.first)):
+        _note(stops, lines.force[g, 0], state, force)
+        most = max(most, _warp(lines, g, force, state, near))
+        _gather(stops, lines.force[g, 0], state, force, part)
+        _note(stops, lines.force[g, 1], state, force)
+        most = max(most, _weft(lines, g, force, state, near))
+        _gather(stops, lines.force[g, 1], state, force, part)
+    return most
+
+
+@jit(inline=True)
+def per_euler(state, i, j):
+    """
+    Return what a force on an edge at a pinned particle is in a substep of backward Euler, over f.
+
+    What f moves by w H² f ends the substep with backward Euler, as if h² had been H².
+    """
+    share = weights_at(state.history, i if state.inv_mass[i] > 0.0 else j)[0]
+    return share * share
+
+
+@jit
+def _note(stops, base, state, force):
+    """Note the edges at pinned particles whose multipliers begin at ``base``."""
+    if stops is not None:
+        held, x = stops.held, state.x
+        for k in range(held.count[0]):
+            if base <= held.index[k] < base + x.shape[1]:
+                note(stops, k, k + 1, x[0], x[1], x[2], None, force)
+                share = per_euler(state, held.particles[k, 0], held.particles[k, 1])
+                for a in range(3):
+                    stops.direction[k, a] *= share
+
+
+@jit
+def _gather(stops, base, state, force, part):
+    """Add what they exerted since."""
+    if stops is not None:
+        for k in range(stops.held.count[0]):
+            if base <= stops.held.index[k] < base + state.x.shape[1]:
+                gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
+
+
+@jit
+def _warp(lines, g, force, state, near):
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    tile, count, most = lines.tile[0], lanes(x), splat(x, 0.0)
+    start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
+    part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
+    if columns > 1:
+        for begin in range(0, rows, count):
+            row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
+            top, at = start + row * stride, lines.force[g, 0] + start + row * stride
+            gather_rows(x, top, parts, part, stride, tile[0])
+            gather_rows(y, top, parts, part, stride, tile[1])
+            gather_rows(z, top, parts, part, stride, tile[2])
+            gather_rows(m, top, parts, part, stride, tile[3])
+            gather_rows(force, at, parts, part, stride, tile[4])
+            most = larger(most, _solve(
+                tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns, begin - row,
+                lines.rest_length[g, 0], lines.work[0], lines.tiny, near))
+            scatter_rows(tile[0], x, top, parts, part, stride)
+            scatter_rows(tile[1], y, top, parts, part, stride)
+            scatter_rows(tile[2], z, top, parts, part, stride)
+            scatter_rows(tile[4], force, at, parts, part, stride)
+    return highest(most)
+
+
+@jit
+def _weft(lines, g, force, state, near):
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    most = splat(x, 0.0)
+    if lines.rows[g] > 1:
+        for q in range(0, lines.parts[g] * lines.part[g], lanes(x)):
+            at = lines.first[g] + q
+            most = larger(most, _solve(
+                x, y, z, m, force, at, lines.force[g, 1] + at, lines.stride[g], lines.rows[g], 0,
+                lines.rest_length[g, 1], lines.work[0], lines.tiny, near))
+    return highest(most)
+
+
+@jit
+def _solve(x, y, z, m, force, start, edge, stride, nodes, done, longest, work, tiny, near):
+    """
+    Solve one line per lane, but for the first lanes that are ``done``; return the excess found.
+
+    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its multiplier
+    at edge + k stride.
+    """
+    n = lanes(x)
+    ex, ey, ez, long, ratio, step = work[0], work[1], work[2], work[3], work[4], work[5]
+    zero, there, most = splat(x, 0.0), after(x, done), splat(x, 0.0)
+    xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
+    vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
+    for k in range(nodes - 1):
+        i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
+        xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
+        f, total = load(force, c), ma + mb
+        dx, dy, dz = xb - xa, yb - ya, zb - za
+        square = fma(dx, dx, fma(dy, dy, dz * dz))
+        l = root(square)
+        over = l - longest
+        moves = both(both(l > 0.0, total > 0.0), there)
+        most = larger(most, select(moves, over / longest, 0.0))
+        off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
+        link = off * pivot
+        bottom = fma(-link, off, (total + tiny * total) * square)
+        pulls = both(moves, both(either(over > -near * longest, f < 0.0), bottom > 0.0))
+        pivot = 1.0 / select(pulls, bottom, 1.0)
+        right = select(pulls, (-over * l - off * right) * pivot, 0.0)
+        store(ex, o, dx)
+        store(ey, o, dy)
+        store(ez, o, dz)
+        store(long, o, select(moves, l, 1.0))
+        store(ratio, o, link)
+        store(step, o, right)
+        vx, vy, vz = select(pulls, dx, 0.0), select(pulls, dy, 0.0), select(pulls, dz, 0.0)
+        xa, ya, za, ma = xb, yb, zb, mb
+    # right is now s of the last edge; going back, s_k = right_k - (off_{k+1} pivot_k) s_{k+1}
+    s, above, wx, wy, wz = zero, zero, zero, zero, zero
+    for k in range(nodes - 2, -1, -1):
+        i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
+        mb, l, f = load(m, i), load(long, o), load(force, c)
+        s = load(step, o) - above * s
+        pulled = fma(s, l, f)
+        s = select(pulled < 0.0, s, -f / l)
+        store(force, c, select(pulled < 0.0, pulled, 0.0))
+        gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
+        store(x, i, fma(mb, gx - wx, load(x, i)))
+        store(y, i, fma(mb, gy - wy, load(y, i)))
+        store(z, i, fma(mb, gz - wz, load(z, i)))
+        above = load(ratio, o)
+        wx, wy, wz = gx, gy, gz
+    mb = load(m, start)
+    store(x, start, load(x, start) - mb * wx)
+    store(y, start, load(y, start) - mb * wy)
+    store(z, start, load(z, start) - mb * wz)
+    return most

@@ -1,0 +1,6 @@
+"""
+Contact of particles with colliders: shapes and signed distances, broad phase, continuous
+detection, projection, restitution.
+
+It imports ``backend``, ``particles``, ``geometry``, and the commands that move colliders.
+"""

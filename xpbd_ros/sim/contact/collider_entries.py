@@ -1,0 +1,171 @@
+"""What a scene says of a collider: its shape, its place and its surface."""
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.contact.colliders import BOX, CAPSULE, CYLINDER, HEIGHTS, MESH, PLANE, SPHERE
+from xpbd_ros.sim.geometry.quaternion import from_z_axis, multiply
+from xpbd_ros.sim.parameters import check_static, quantity
+from xpbd_ros.sim.target_motion import check_motion
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The half space below a plane."""
+
+    normal: tuple[float, float, float] = quantity((0.0, 0.0, 1.0), doc='pointing out of it')
+
+    def __post_init__(self):
+        """Refuse a direction that is none."""
+        if not any(self.normal):
+            raise InputError('normal: must not be zero')
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball."""
+
+    radius: float = quantity(unit='m', above=0.0)
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A ball swept along z."""
+
+    radius: float = quantity(unit='m', above=0.0)
+    length: float = quantity(unit='m', minimum=0.0, doc='between the centres')
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along z."""
+
+    radius: float = quantity(unit='m', above=0.0)
+    length: float = quantity(unit='m', above=0.0)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box."""
+
+    size: tuple[float, float, float] = quantity(unit='m', above=0.0, doc='full extents')
+
+
+@dataclass(frozen=True)
+class Body:
+    """What a closed surface of triangles holds, of any shape."""
+
+    file: str = quantity(doc='beside the scene file, or an absolute path')
+    scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
+    spacing: float | None = quantity(None, unit='m', above=0.0, doc=(
+        'of the grid of distances; unless given the thickness, or a 96th of the longest side, or '
+        'as much less as its thinnest part takes'))
+
+
+@dataclass(frozen=True)
+class Ground:
+    """What lies below a field of heights; beyond the rim, as low as there."""
+
+    size: tuple[float, float] = quantity(unit='m', above=0.0, doc='extent along x, y')
+    values: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='m', doc='rows from -y to +y, each from -x to +x')
+    file: str | None = quantity(None, doc='or a .npy or .csv file with the same rows')
+    scale: float = quantity(1.0, doc='metres in the unit of the heights')
+
+    def __post_init__(self):
+        """Refuse both and neither, and what is no table."""
+        if (self.values is None) == (self.file is None):
+            raise InputError("needs either 'values' or 'file', and only one of them")
+        if self.values is not None:
+            table(self.values)
+
+
+def table(rows) -> np.ndarray:
+    """Return heights as an array, or refuse what is none."""
+    try:
+        found = np.array(rows, float)
+    except ValueError:
+        raise InputError('values: must be rows of equal length') from None
+    if found.ndim != 2 or min(found.shape) < 2:
+        raise InputError(f'must be at least 2 rows of 2 heights (got {found.shape})')
+    if not np.isfinite(found).all():
+        raise InputError('has heights that are not finite')
+    return found
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the scene's ``colliders``: exactly one shape, and where it is."""
+
+    plane: Plane | None = quantity(None)
+    sphere: Sphere | None = quantity(None)
+    capsule: Capsule | None = quantity(None)
+    cylinder: Cylinder | None = quantity(None)
+    box: Box | None = quantity(None)
+    mesh: Body | None = quantity(None)
+    heights: Ground | None = quantity(None)
+    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
+    orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
+                                                              doc='quaternion x y z w')
+    friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ')
+    static_friction: float | None = quantity(
+        None, minimum=0.0, live=True, doc='coefficient while it sticks; friction unless given')
+    restitution: float = quantity(0.0, minimum=0.0, maximum=1.0,
+                                  doc='speed after a bounce / speed before')
+    motion: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+
+    def __post_init__(self):
+        """Refuse no shape and two shapes."""
+        given = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise InputError(f'needs exactly one shape of {", ".join(SHAPES)} '
+                             f'(got {", ".join(given) or "none"})')
+        check_static(self.static_friction, self.friction)
+        check_motion(self.motion)
+
+    @property
+    def shape(self) -> str:
+        """The name of its shape."""
+        return next(name for name in SHAPES if getattr(self, name) is not None)
+
+    @property
+    def pose(self) -> Pose:
+        """Where it is at the start; a plane's normal is its z axis."""
+        n = sqrt(sum(c * c for c in self.orientation))
+        orientation = tuple(c / n for c in self.orientation)
+        if self.plane is not None:
+            orientation = multiply(orientation, from_z_axis(self.plane.normal))
+        return Pose(self.position, orientation)
+
+
+SHAPES = {'plane': PLANE, 'sphere': SPHERE, 'capsule': CAPSULE, 'cylinder': CYLINDER, 'box': BOX,
+          'mesh': MESH, 'heights': HEIGHTS}
+
+
+def shape_size(entry: Entry) -> tuple[float, float, float]:
+    """Return the numbers that the kernels want of a shape."""
+    if entry.sphere is not None:
+        return entry.sphere.radius, 0.0, 0.0
+    if entry.box is not None:
+        return tuple(0.5 * c for c in entry.box.size)
+    if entry.heights is not None:
+        return (*(0.5 * c for c in entry.heights.size), 0.0)
+    if entry.plane is not None or entry.mesh is not None:
+        return 0.0, 0.0, 0.0
+    tube = entry.capsule or entry.cylinder
+    return tube.radius, 0.5 * tube.length, 0.0
+
+
+def shape_of(name: str, size: tuple[float, ...]):
+    """Return a shape that came while it runs, of a size as ``PlaceCollider`` has it."""
+    if name == 'box':
+        return Box(size)
+    if name == 'mesh':
+        return Body(f'{len(size) // 9} triangles, {hash(size):x}')
+    return Sphere(*size) if name == 'sphere' else Cylinder(*size)

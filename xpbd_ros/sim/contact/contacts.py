@@ -1,0 +1,209 @@
+"""Contacts: the pairs of particle and collider that may touch in a substep, and how they do."""
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.colliders import Colliders, to_local, to_world, write_pose
+from xpbd_ros.sim.contact.continuous_detection import look_back
+from xpbd_ros.sim.contact.corners import ahead, is_behind, leave_corners, SHORT
+from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
+from xpbd_ros.sim.particles.history import lose_history
+
+DEPENETRATION = 1.0
+"""speed at which an overlap that was there before is undone [m/s]"""
+CORNER = 8
+"""most passes, so that what one collider holds back does not end behind another"""
+
+
+class Contacts(NamedTuple):
+    """The candidates of this substep; those with a push > 0 touch."""
+
+    colliders: Colliders
+    before: np.ndarray
+    """poses at the substep's start, shape (capacity, 7)"""
+    after: np.ndarray
+    """poses at its end, shape (capacity, 7)"""
+    surface: np.ndarray
+    """where the surfaces were at its start, by their own velocity where they have one, same shape
+    """
+    moved: np.ndarray
+    """how far each moves in the substep [m], shape (capacity,)"""
+    turned: np.ndarray
+    """how far its quaternion moves, about half the angle [rad], shape (capacity,)"""
+    slack: np.ndarray
+    """a particle that moves further than this in the substep may get through it [m], same shape"""
+    up: np.ndarray
+    """its z axis, the normal of a plane; shape (capacity, 3)"""
+    count: np.ndarray
+    """candidates; how many found no room in this frame; 1 where the last push held a particle back
+    from what it would have got through; 1 where a particle is a candidate of two; how many of
+    those were left inside one in this frame; shape (5,)"""
+    thickness: np.ndarray
+    """[m], shape (1,)"""
+    stir: np.ndarray
+    """how far any particle may yet be moved in this substep by what is no collider [m]; 0 unless
+    an effect says so; shape (1,)"""
+    latest: np.ndarray
+    """of each slot the last candidate it was, maybe in another substep; shape (slots,)"""
+    earlier: np.ndarray
+    """the candidate before of the same particle, -1: none; shape (room,)"""
+    particle: np.ndarray
+    """shape (room,)"""
+    collider: np.ndarray
+    """shape (room,)"""
+    gap: np.ndarray
+    """distance r to be kept [m], shape (room,)"""
+    overlap: np.ndarray
+    """part of the push that must not become velocity [m], shape (room,)"""
+    push: np.ndarray
+    """d, along the normal, so far in this substep [m], shape (room,)"""
+    normal: np.ndarray
+    """unit vector out of the collider, shape (room, 3)"""
+    slip: np.ndarray
+    """s, friction's displacement so far in this substep [m], shape (room, 3)"""
+    crossed: np.ndarray
+    """whether the particle's way through the substep meets the collider, shape (room,)"""
+    side: np.ndarray
+    """if so, the plane that it stays in front of: unit normal, offset [m]; shape (room, 4)"""
+
+
+def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) -> Contacts:
+    """Return room for that many candidates, none of them in use."""
+    capacity = len(colliders.shape)
+    return Contacts(colliders, *(np.zeros_like(colliders.start) for _ in range(3)),
+                    np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
+                    np.zeros((capacity, 3)),
+                    np.zeros(5, np.int64), np.array([thickness]), np.zeros(1),
+                    np.zeros(slots, np.int64), np.zeros(room, np.int64), np.zeros(room, np.int64),
+                    np.zeros(room, np.int64),
+                    np.zeros(room), np.zeros(room), np.zeros(room),
+                    np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
+                    np.zeros((room, 4)))
+
+
+@jit(inline=True)
+def surface_motion(contacts, k, state, substep):
+    """Return how far the collider's surface at contact k moves in this substep [m]."""
+    colliders, c, i = contacts.colliders, contacts.collider[k], contacts.particle[k]
+    if not (colliders.moving[c] or colliders.has_twist[c]):
+        return 0.0, 0.0, 0.0
+    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+    lx, ly, lz = to_local(contacts.after, c, x, y, z)
+    bx, by, bz = to_world(contacts.surface, c, lx, ly, lz)
+    return x - bx, y - by, z - bz
+
+
+@jit
+def surface_before(contacts, c, h):
+    """
+    Return the pose that the surface of collider c had at the substep's start.
+
+    Of a surface with a velocity of its own, v + ω × (x - p) about the position p, it is where that
+    comes from: in a straight line and by an angle, not along the tangent.
+    """
+    a, b, v = contacts.before, contacts.after, contacts.colliders.twist
+    if not contacts.colliders.has_twist[c]:
+        return (a[c, 0], a[c, 1], a[c, 2]), (a[c, 3], a[c, 4], a[c, 5], a[c, 6])
+    turn, way = flow((-h * v[c, 3], -h * v[c, 4], -h * v[c, 5]),
+                     (b[c, 0] - a[c, 0] - h * v[c, 0], b[c, 1] - a[c, 1] - h * v[c, 1],
+                      b[c, 2] - a[c, 2] - h * v[c, 2]))
+    return ((a[c, 0] + way[0], a[c, 1] + way[1], a[c, 2] + way[2]),
+            product(turn, (b[c, 3], b[c, 4], b[c, 5], b[c, 6])))
+
+
+@jit
+def move_colliders(contacts, substep):
+    """Put every collider where it is at the substep's start and end, and say how far that is."""
+    for c in range(contacts.colliders.count[0]):
+        write_pose(contacts.colliders, c, substep.begin, contacts.before)
+        write_pose(contacts.colliders, c, substep.end, contacts.after)
+        a, b = contacts.before, contacts.after
+        contacts.moved[c] = sqrt((b[c, 0] - a[c, 0])**2 + (b[c, 1] - a[c, 1])**2
+                                 + (b[c, 2] - a[c, 2])**2)
+        contacts.turned[c] = sqrt((b[c, 3] - a[c, 3])**2 + (b[c, 4] - a[c, 4])**2
+                                  + (b[c, 5] - a[c, 5])**2 + (b[c, 6] - a[c, 6])**2)
+        arm = 2.0 * max(contacts.colliders.reach[c], 0.0)
+        contacts.slack[c] = max(0.0, contacts.colliders.inner[c] - contacts.moved[c]
+                                - arm * contacts.turned[c])
+        position, q = surface_before(contacts, c, substep.h)
+        for k in range(3):
+            contacts.surface[c, k] = position[k]
+        for k in range(4):
+            contacts.surface[c, 3 + k] = q[k]
+        up = rotate(b[c, 3], b[c, 4], b[c, 5], b[c, 6], 0.0, 0.0, 1.0)
+        contacts.up[c, 0], contacts.up[c, 1], contacts.up[c, 2] = up
+
+
+@jit
+def push_all(contacts, state, eased=False):
+    """Push every candidate that is too deep out along the normal; between two, more than once."""
+    for _ in range(CORNER):
+        push_once(contacts, state, False, eased)
+        if not contacts.count[2]:
+            break
+    if contacts.count[3]:
+        push_once(contacts, state, True, eased)
+        leave_corners(contacts, state)
+
+
+@jit
+def push_once(contacts, state, back=False, eased=False):
+    """
+    Push every candidate that is too deep out along the normal.
+
+    On the way ``back`` each goes half of what is left, so that a particle between two colliders
+    with less room than it wants ends in the middle, and not with the one that came last. Where it
+    is ``eased``, no more is asked for than that nothing gets in.
+    """
+    held_back, count = False, contacts.count[0]
+    for n in range(count):
+        k = count - 1 - n if back else n
+        i, c = contacts.particle[k], contacts.collider[k]
+        x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+        x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
+        step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
+        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
+            look_back(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
+        phi, (nx, ny, nz) = ahead(contacts, k, x, y, z)
+        before = contacts.push[k]
+        gap = contacts.gap[k]
+        if eased:
+            gap = min(gap, SHORT * contacts.thickness[0])
+        push = max(gap - phi, -before)
+        if eased:
+            push = max(push, 0.0)
+        if back:
+            push = 0.5 * max(push, 0.0)
+        if push == 0.0:
+            continue
+        held_back |= contacts.crossed[k] and push > 0.0
+        contacts.push[k] = before + push
+        state.x[0, i] += nx * push
+        state.x[1, i] += ny * push
+        state.x[2, i] += nz * push
+        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
+        lose_history(state.history, i)
+    if held_back or not back:
+        contacts.count[2] = held_back
+
+
+@jit
+def count_behind(contacts, state):
+    """Count the candidates that are left inside a collider, or behind the plane they came from."""
+    count = 0
+    for k in range(contacts.count[0]):
+        count += is_behind(contacts, k, state)
+    return count
+
+
+@jit(inline=True)
+def shortened(sx, sy, sz, sticks, slides):
+    """Return friction's displacement: if longer than what sticks, as long as what slides [m]."""
+    l = sqrt(sx * sx + sy * sy + sz * sz)
+    if l > sticks:
+        f = slides / l
+        return f * sx, f * sy, f * sz
+    return sx, sy, sz

@@ -1,0 +1,53 @@
+"""Bounce: Newton's law of restitution for contacts, in a scene where a collider has one."""
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.contacts import surface_motion
+
+
+class Bounce(NamedTuple):
+    """What only bouncing needs."""
+
+    restitution: np.ndarray
+    """e by collider, shape (capacity,)"""
+    approach: np.ndarray
+    """velocity of each candidate before the substep [m/s], shape (room, 3)"""
+
+
+@jit(inline=True)
+def speed_away(contacts, k, state, substep):
+    """Return how fast the particle of contact k leaves the surface [m/s]."""
+    i, v, n, h = contacts.particle[k], state.v, contacts.normal, substep.h
+    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    return ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
+            + (v[2, i] - uz / h) * n[k, 2])
+
+
+@jit(inline=True)
+def drive_away(contacts, k, state, speed):
+    """Add a velocity along the normal [m/s]."""
+    for a in range(3):
+        state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
+
+
+@jit
+def rebound(bounce, contacts, state, substep):
+    """Newton's law of restitution: v_n = -e (v_n before), unless that is what gravity gives."""
+    if bounce is not None:
+        g, h = state.gravity, substep.h
+        least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h
+        for k in range(contacts.count[0]):
+            e = bounce.restitution[contacts.collider[k]]
+            if e == 0.0 or contacts.push[k] == 0.0:
+                continue
+            ux, uy, uz = surface_motion(contacts, k, state, substep)
+            w, n = bounce.approach[k], contacts.normal[k]
+            before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
+            if before < -least:
+                missing = -e * before - speed_away(contacts, k, state, substep)
+                if missing > 0.0:
+                    drive_away(contacts, k, state, missing)

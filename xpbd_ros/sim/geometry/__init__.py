@@ -1,0 +1,6 @@
+"""
+Geometry in plain NumPy and small kernels: triangle meshes and their repair, geodesic distances,
+quaternions, closest points.
+
+It imports ``backend`` and ``particles.memory_layout``.
+"""

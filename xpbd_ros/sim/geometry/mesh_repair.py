@@ -1,0 +1,263 @@
+"""
+Triangles and tetrahedra as people have them, to a ``Mesh``: mended where that is safe, or refused.
+
+Mended and said: vertices that coincide, duplicate and collapsed cells, vertices that no cell uses,
+cells that are turned over. Refused with the number of the cell (counted from 0, as in the file):
+numbers that are not finite, cells without an area or volume to speak of, edges with three
+triangles. No test depends on the unit of length.
+"""
+
+import numpy as np
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
+
+FLAT = 1e-4
+"""height over longest edge of a triangle (volume over cubed edge), below which it is refused"""
+NEEDLE = 0.02
+"""the same, below which it is said"""
+
+
+def surface_mesh(vertices: np.ndarray, triangles: np.ndarray,
+                 warp: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Mesh:
+    """
+    Return the mesh of a cloth.
+
+    Parameters
+    ----------
+    vertices : [m], shape (vertices, 3)
+    triangles : vertex indices, shape (triangles, 3)
+    warp : direction of the warp, of any length
+
+    """
+    positions, triangles, notes = _clean(vertices, triangles, 'triangle')
+    _refuse_shared_thrice(triangles[:, [[0, 1], [1, 2], [2, 0]]], 'edge', 'triangle')
+    triangles, found = orient(positions, triangles)
+    size = _size(positions)
+    area = 0.5 * length(_normals(positions / size, triangles)) * size * size
+    return Mesh(positions, triangles, _tributary(area / 3.0, triangles, len(positions)),
+                warp=_unit(warp), notes=(*notes, *found))
+
+
+def solid_mesh(vertices: np.ndarray, tetrahedra: np.ndarray,
+               warp: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Mesh:
+    """
+    Return the mesh of a body; its triangles are its skin.
+
+    Parameters
+    ----------
+    vertices : [m], shape (vertices, 3)
+    tetrahedra : vertex indices, shape (tetrahedra, 4)
+    warp : direction of the warp, of any length
+
+    """
+    positions, tetrahedra, notes = _clean(vertices, tetrahedra, 'tetrahedron')
+    size = _size(positions)
+    volume = _volumes(positions / size, tetrahedra) * size * size * size
+    turned = volume < 0.0
+    tetrahedra[turned] = tetrahedra[turned][:, [1, 0, 2, 3]]
+    if turned.any():
+        notes.append(f'{_count(turned.sum(), "tetrahedron")} inside out; turned')
+    faces = tetrahedra[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]]
+    _refuse_shared_thrice(faces, 'face', 'tetrahedron')
+    faces = faces.reshape(-1, 3)
+    _, inverse, times = np.unique(np.sort(faces, axis=1), axis=0, return_inverse=True,
+                                  return_counts=True)
+    skin = faces[times[inverse.ravel()] == 1]
+    return Mesh(positions, skin,
+                _tributary(np.abs(volume) / 4.0, tetrahedra, len(positions)),
+                tetrahedra=tetrahedra, warp=_unit(warp), notes=tuple(notes))
+
+
+def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return positions and cells without what is double, collapsed or unused; and what was."""
+    notes = []
+    vertices, cells = np.asarray(vertices, float), np.array(cells, np.int64)
+    if not len(cells):
+        raise InputError(f'has no {_plural(kind)}')
+    if cells.min() < 0 or cells.max() >= len(vertices):
+        bad = np.flatnonzero(((cells < 0) | (cells >= len(vertices))).any(1))[0]
+        raise InputError(f'{kind} {bad} names a vertex that does not exist '
+                         f'(got {cells[bad].tolist()}, there are {len(vertices)} vertices)')
+    used = np.unique(cells)
+    bad = used[~np.isfinite(vertices[used]).all(1)]
+    if len(bad):
+        raise InputError(f'vertex {bad[0]} must be finite (got {vertices[bad[0]].tolist()} m)')
+    place = np.zeros_like(vertices)
+    place[used] = vertices[used]
+    number, merged = _merge(place, used)
+    if merged:
+        notes.append(f'{_count(merged, "vertex")} at the place of another; merged')
+    cells = number[cells]
+    which = np.arange(len(cells))    # their numbers in the file
+    ordered = np.sort(cells, axis=1)
+    collapsed = (ordered[:, 1:] == ordered[:, :-1]).any(1)
+    if collapsed.any():
+        notes.append(f'{_count(collapsed.sum(), kind)} with an edge of length zero; left out')
+    _, first = np.unique(ordered, axis=0, return_index=True)
+    double = np.ones(len(cells), bool)
+    double[first] = False
+    double &= ~collapsed
+    if double.any():
+        notes.append(f'{_count(double.sum(), kind)} there twice; left out')
+    keep = ~(collapsed | double)
+    cells, which = cells[keep], which[keep]
+    if not len(cells):
+        raise InputError(f'has no {kind} with corners in different places')
+    used = np.unique(cells)
+    unused = len(vertices) - merged - len(used)
+    if unused:
+        notes.append(f'{_count(unused, "vertex")} that no {kind} uses; left out')
+    if merged or unused:
+        number = np.zeros(len(vertices), np.int64)
+        number[used] = np.arange(len(used))
+        cells = number[cells]
+        notes.append('particles are numbered without what is left out')
+    positions = vertices[used]
+    notes += _judge_shapes(positions, cells, which, kind)
+    return positions, cells, notes
+
+
+def _merge(place: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return for each vertex the first used one at its place, and how many that merges."""
+    _, first, inverse = np.unique(place[used], axis=0, return_index=True, return_inverse=True)
+    number = np.arange(len(place))
+    number[used] = used[first[inverse.ravel()]]
+    return number, len(used) - len(first)
+
+
+def _judge_shapes(positions, cells, which, kind: str) -> list[str]:
+    """Refuse cells that are flat, and tell of needles; scale-free."""
+    positions = positions / _size(positions)
+    corners = cells.shape[1]
+    longest = np.max([length(positions[cells[:, a]] - positions[cells[:, b]])
+                      for a in range(corners) for b in range(a)], axis=0)
+    shape = (length(_normals(positions, cells)) / longest**2 if corners == 3
+             else 6.0 * np.abs(_volumes(positions, cells)) / longest**3)
+    flat = np.flatnonzero(~(shape > FLAT))
+    if len(flat):
+        how = 'its corners lie in line' if corners == 3 else 'its corners are flat'
+        raise InputError(
+            f'{kind} {which[flat[0]]} is degenerate: {how} ({_count(len(flat), kind)} so); remove '
+            'or remesh such cells in the program that made the file')
+    needles = (shape < NEEDLE).sum()
+    if needles:
+        return [f'{_count(needles, kind)} like needles (worst {shape.min():.2g} high on 1 long); '
+                'accuracy suffers there, remesh']
+    return []
+
+
+def _refuse_shared_thrice(facets: np.ndarray, facet: str, kind: str) -> None:
+    """Refuse an edge with three triangles, or a face with three tetrahedra."""
+    ends = np.sort(facets.reshape(-1, facets.shape[2]), axis=1)
+    found, times = np.unique(ends, axis=0, return_counts=True)
+    bad = found[times > 2]
+    if len(bad):
+        raise InputError(
+            f'{_count(len(bad), facet)} with more than two {_plural(kind)}, the first between '
+            f'particles {", ".join(map(str, bad[0]))}; split the mesh there, or remove what is '
+            'double in the program that made the file')
+
+
+def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """
+    Turn triangles so that neighbours agree, and closed surfaces so that they face outward.
+
+    Returns
+    -------
+    triangles, and what there is to say
+
+    """
+    directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    key = np.sort(directed, axis=1)
+    order = np.lexsort((owner, key[:, 1], key[:, 0]))
+    at = np.flatnonzero((key[order][:-1] == key[order][1:]).all(1))
+    one, other = order[at], order[at + 1]
+    against = (directed[one] == directed[other]).all(1)    # both run the same way: one is wrong
+    neighbours = [[] for _ in triangles]
+    for s, t, disagree in zip(owner[one].tolist(), owner[other].tolist(), against.tolist()):
+        neighbours[s].append((t, disagree))
+        neighbours[t].append((s, disagree))
+    turned, piece, twisted = _spread(neighbours)
+    pieces = piece.max() + 1
+    wrong = np.bincount(piece, turned, pieces) * 2.0 > np.bincount(piece, minlength=pieces)
+    turned = (turned ^ wrong[piece]) & (not twisted)
+    notes = []
+    if turned.any():
+        notes.append(f'{_count(turned.sum(), "triangle")} turned over; mended')
+    triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
+    if twisted:
+        notes.append('the surface has one side only, like a Möbius strip')
+    count = np.bincount(piece, minlength=pieces)
+    closed = np.bincount(piece[owner[one]], minlength=pieces) * 2 == 3 * count
+    scaled = (positions - positions[0]) / _size(positions)
+    a, b, c = (scaled[triangles[:, k]] for k in range(3))
+    inward = closed & (np.bincount(piece, dot(a, cross(b, c)), pieces) < 0.0) & (not twisted)
+    if inward.any():
+        notes.append(f'{_count(inward.sum(), "closed surface")} inside out; turned')
+        triangles = np.where(inward[piece][:, None], triangles[:, ::-1], triangles)
+    if pieces > 1:
+        notes.append(f'{pieces} separate pieces; nothing joins them')
+    return triangles, notes
+
+
+def _spread(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Walk from triangle to triangle; return which to turn, their pieces, and if that failed."""
+    count = len(neighbours)
+    turned, piece, twisted, pieces = [False] * count, [-1] * count, False, 0
+    for root in range(count):
+        if piece[root] >= 0:
+            continue
+        piece[root] = pieces
+        to_do = [root]
+        while to_do:
+            s = to_do.pop()
+            for t, disagree in neighbours[s]:
+                if piece[t] < 0:
+                    piece[t], turned[t] = pieces, turned[s] ^ disagree
+                    to_do.append(t)
+                elif turned[t] != turned[s] ^ disagree:
+                    twisted = True
+        pieces += 1
+    return np.array(turned), np.array(piece), twisted
+
+
+def _size(positions) -> float:
+    """Return about the extent [m], a power of two: what is divided by it stays exact and small."""
+    extent = np.ptp(positions, axis=0).max()
+    if not np.isfinite(extent):
+        raise InputError('must have a finite extent (got one beyond all numbers)')
+    return float(np.ldexp(1.0, np.frexp(extent)[1] - 1))
+
+
+def _normals(positions, triangles) -> np.ndarray:
+    """Return normals as long as twice the area."""
+    a, b, c = (positions[triangles[:, k]] for k in range(3))
+    return cross(b - a, c - a)
+
+
+def _volumes(positions, tetrahedra) -> np.ndarray:
+    a, b, c, d = (positions[tetrahedra[:, k]] for k in range(4))
+    return dot(cross(b - a, c - a), d - a) / 6.0
+
+
+def _tributary(share, cells, count: int) -> np.ndarray:
+    """Return what each particle gets of its cells."""
+    return np.bincount(cells.ravel(), np.repeat(share, cells.shape[1]), count)
+
+
+def _unit(direction) -> tuple[float, float, float]:
+    size = max(map(abs, direction))
+    if not size > 0.0:
+        raise InputError('warp: must not be zero (a direction, such as [1, 0, 0])')
+    scaled = np.array(direction) / size
+    return tuple((scaled / length(scaled)).tolist())
+
+
+def _plural(kind: str) -> str:
+    return {'vertex': 'vertices', 'tetrahedron': 'tetrahedra'}.get(kind, f'{kind}s')
+
+
+def _count(number: int, kind: str) -> str:
+    return f'{number} {kind if number == 1 else _plural(kind)}'

@@ -1,0 +1,226 @@
+"""
+What an integrator remembers of earlier substeps, and its formula (``state`` says where it goes).
+
+    backward Euler   H = h        x̄ = x_n
+    BDF2             H = 2h/3     x̄ = x_n + (x_n - x_{n-1}) / 3
+    NDF2             H = 3h/5     x̄ = x_n + (x_n - x_{n-1}) / 2 - (x_{n-1} - x_{n-2}) / 10
+
+NDF2 is BDF2 with a sixth of the third difference added: x' h = ∇x + ∇²x / 2 + ∇³x / 6. That halves
+the error of BDF2, -h² x''' / 3, is as stable as can be (on the whole imaginary axis), and damps
+less: by (ω h)⁶ / 12 instead of (ω h)⁴ / 4 a step (L. F. Shampine, M. W. Reichelt, "The MATLAB ODE
+suite", 1997, κ₂ = -1/9; V. N. Vatsa et al., "Re-evaluation of an optimized second order backward
+difference scheme", 2010).
+
+A particle without a history takes a step of backward Euler, and then, for NDF2, one of BDF2.
+
+NDF2 hardly damps what goes to and fro every two substeps, and a line that is solved where such a
+swing was predicted to be can feed it: edges flip over for ever. So a particle takes BDF2 while
+
+    v_n · v_{n-2} < 0   and   |v_n - 2 v_{n-1} + v_{n-2}| > |v_n - v_{n-2}| > REACH gap / h,
+
+that is while its velocity turns back, less smoothly than any motion that h resolves, and by a good
+part of the distance of its neighbours in a substep.
+"""
+
+from typing import NamedTuple
+
+from numba import types
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import any_lane, both, fma, larger, load, select, splat, store
+from xpbd_ros.sim.particles.memory_layout import zeros
+
+FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
+"""values of ``fresh``"""
+REACH = 0.1
+"""part of the distance of neighbours that is far to go to and fro in a substep"""
+
+
+class History(NamedTuple):
+    """What is remembered of substeps before the last; in one from x_n, which x_prev is:"""
+
+    x: np.ndarray
+    """x_{n-1} [m], shape (3, slots)"""
+    v: np.ndarray
+    """v_n [m/s], shape (3, slots)"""
+    older_x: np.ndarray | None
+    """x_{n-2} [m], shape (3, slots); None with BDF2"""
+    older_v: np.ndarray | None
+    """v_{n-1} [m/s], shape (3, slots); None with BDF2"""
+    fresh: np.ndarray
+    """0: has a history; 0.5: has x_{n-1} alone; 1: has none; 2: was touched in this substep, and
+    will have none; shape (slots,)"""
+
+
+STEPS = {'backward_euler': 0, 'leapfrog': 0, 'bdf2': 1, 'ndf2': 2}
+"""how many substeps each integrator remembers"""
+
+
+def new_history(integrator: str, slots: int, dtype) -> History | None:
+    """Return room for what an integrator remembers: nothing yet."""
+    steps = STEPS[integrator]
+    if steps == 0:
+        return None
+    x, v, older_x, older_v = (zeros((3, slots), dtype) if k < 2 * steps else None
+                              for k in range(4))
+    return History(x, v, older_x, older_v, np.full_like(zeros(slots, dtype), NONE))
+
+
+@jit
+def lose_history(history, i):
+    """Mark a particle as touched in this substep: it ends it with backward Euler."""
+    if history is not None:
+        history.fresh[i] = TOUCHED
+
+
+def weights(older, w, fresh, h):
+    """
+    Return H, a, b of x̄ = x_n + a (x_n - x_{n-1}) - b (x_{n-1} - x_{n-2}) by ``fresh``.
+
+    ``w`` is any array of the state.
+    """
+
+
+@inline(weights)
+def _weights(older, w, fresh, h):
+    def bdf2(older, w, fresh, h):
+        has = fresh < HALF
+        return (select(has, splat(w, 2.0 / 3.0 * h), h), select(has, splat(w, 1.0 / 3.0), 0.0),
+                splat(w, 0.0))
+
+    def ndf2(older, w, fresh, h):
+        has, half = fresh < HALF, fresh < NONE
+        return (select(has, splat(w, 0.6 * h), select(half, splat(w, 2.0 / 3.0 * h), h)),
+                select(has, splat(w, 0.5), select(half, splat(w, 1.0 / 3.0), 0.0)),
+                select(has, splat(w, 0.1), 0.0))
+    return bdf2 if isinstance(older, types.NoneType) else ndf2
+
+
+def steadied(fresh, now, last, older, gap, q, h):
+    """
+    Return ``fresh`` of the particles from slot q on, at least HALF for those that go to and fro.
+
+    ``now``, ``last`` (None with BDF2) and ``older`` are velocities, shape (3, slots).
+    """
+
+
+@inline(steadied)
+def _steadied(fresh, now, last, older, gap, q, h):
+    if isinstance(last, types.NoneType):
+        return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
+
+    def of_ndf2(fresh, now, last, older, gap, q, h):
+        slots, known, along = len(fresh), load(fresh, q), splat(fresh, 0.0)
+        for k in range(3):
+            i = k * slots + q
+            along = fma(load(now, i), load(older, i), along)
+        if not any_lane(along < 0.0):
+            return known
+        further, rougher = splat(fresh, 0.0), splat(fresh, 0.0)
+        for k in range(3):
+            i = k * slots + q
+            v, before, first = load(now, i), load(last, i), load(older, i)
+            change, turn = v - first, v - 2.0 * before + first
+            further = fma(change, change, further)
+            rougher = fma(turn, turn, rougher)
+        far = load(gap, q) * (REACH / h)
+        found = select(both(along < 0.0, both(further > far * far, rougher > further)),
+                       larger(known, HALF), known)
+        store(fresh, q, found)
+        return found
+    return of_ndf2
+
+
+def mean(now, last, older, i, a, b):
+    """Return x̄ (or v̄) of the components from i on, where x_n is ``now``."""
+
+
+@inline(mean)
+def _mean(now, last, older, i, a, b):
+    if isinstance(older, types.NoneType):
+        return lambda now, last, older, i, a, b: now + a * (now - load(last, i))
+
+    def mean_of_three(now, last, older, i, a, b):
+        before = load(last, i)
+        return now + a * (now - before) - b * (before - load(older, i))
+    return mean_of_three
+
+
+def turned_history(history, x, x_prev, v):
+    """Return x, x_prev, v and the history of the next substep (``state.turned``)."""
+
+
+@inline(turned_history)
+def _turned_history(history, x, x_prev, v):
+    if isinstance(history, types.NoneType):
+        return lambda history, x, x_prev, v: (x_prev, x, v, None)
+    if isinstance(history[history.fields.index('older_x')], types.NoneType):
+        return lambda history, x, x_prev, v: (
+            history.x, x, history.v, History(x_prev, v, None, None, history.fresh))
+    return lambda history, x, x_prev, v: (
+        history.older_x, x, history.older_v,
+        History(x_prev, v, history.x, history.v, history.fresh))
+
+
+@jit(inline=True)
+def put_back_history(home, home_v, history, older_v, v, i):
+    """Write the components from i on to where they were (``state.put_back``)."""
+    now, before = load(v, i), load(history.v, i)
+    if older_v is not None:
+        older = load(older_v, i)
+        store(home.x, i, load(history.x, i))
+        store(home.older_v, i, older)
+    store(home_v, i, now)
+    store(home.v, i, before)
+
+
+def aged(older, w, fresh):
+    """Return what ``fresh`` is in the next substep."""
+
+
+@inline(aged)
+def _aged(older, w, fresh):
+    if isinstance(older, types.NoneType):
+        return lambda older, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
+    return lambda older, w, fresh: select(
+        fresh > NONE, splat(w, NONE), select(fresh > HALF, splat(w, HALF), FULL))
+
+
+@jit
+def step_of(history, w, q, h):
+    """Return H of the particles from slot q on: a vector [s]."""
+    if history is None:
+        return splat(w, h)
+    return weights(history.older_x, w, load(history.fresh, q), h)[0]
+
+
+@jit
+def weights_at(history, i):
+    """Return H / h, a, b of one particle."""
+    if history is None:
+        return 1.0, 0.0, 0.0
+    return _weights_at(history.older_x, history.fresh[i])
+
+
+@jit
+def step_at(history, i, h):
+    """Return H of one particle [s]."""
+    return weights_at(history, i)[0] * h
+
+
+@jit
+def usual_step(history, h):
+    """Return H of a particle with a history [s]."""
+    if history is None:
+        return h
+    return _weights_at(history.older_x, FULL)[0] * h
+
+
+@jit
+def _weights_at(older, fresh):    # Numba prunes a branch on None where that is an argument
+    if fresh > HALF:
+        return 1.0, 0.0, 0.0
+    if older is not None and fresh < HALF:
+        return 0.6, 0.5, 0.1
+    return 2.0 / 3.0, 1.0 / 3.0, 0.0

@@ -1,0 +1,261 @@
+"""
+Time integration: backward Euler, BDF2 and NDF2 in one form.
+
+All integrators read (NUMERICS 2.14; Macklin et al. 2016, algorithm 1 for backward Euler)
+
+    x = x̄ + H v,   v = v̄ + H (g + forces / m),   then projections with mobilities w H²
+
+and end with v = (x - x̄) / H. Backward Euler has H = h, x̄ = x_n, v̄ = v_n; ``particles.history``
+has the weights of the others. A particle without a history (at the start, after a contact, a
+grasp, a release or a reset) takes a backward Euler step.
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lanes, load, select, store
+from xpbd_ros.sim.backend.threads import share, wait
+from xpbd_ros.sim.particles.history import (
+    aged,
+    mean,
+    put_back_history,
+    steadied,
+    TOUCHED,
+    turned_history,
+    weights,
+)
+from xpbd_ros.sim.particles.state import State
+
+
+@jit(inline=True)
+def own(state):
+    """Return the first of this thread's slots, and the one after its last."""
+    count = lanes(state.inv_mass)
+    first, last = share(state.team, len(state.inv_mass) // count)
+    return first * count, last * count
+
+
+@jit(inline=True)
+def turned(state):
+    """
+    Return the state of the next substep, before it begins: what was now is before.
+
+    The arrays trade places; what was oldest makes room for what comes.
+    """
+    x, x_prev, v, history = turned_history(state.history, state.x, state.x_prev, state.v)
+    return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
+                 state.reaction, history, state.apart, state.team, state.gap)
+
+
+@jit
+def begin(state, substep):
+    """v = v̄ + H g;  x = x̄ + H v;  mobility = w H²; the state is ``turned``."""
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _begin(state, state.history, q, substep.h)
+    wait(state.team)
+
+
+@jit
+def predict(state, substep):
+    """
+    x = x̄ + H v, where forces changed v since the substep began; what they touched has no history.
+
+    A force moves x by less than the last bit of it in a short substep. Added to x that would be
+    lost, and to v with it, which is made to fit x in the end.
+    """
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _predict(state, state.history, q, substep.h)
+    wait(state.team)
+
+
+@jit
+def update_velocity(state, substep):
+    """v = (x - x̄) / H; what was touched has no history."""
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _update_velocity(state, state.history, q, substep.h)
+    wait(state.team)
+
+
+@jit
+def update_velocity_and_begin(state, substep):
+    """End a substep and begin the next, in one pass over memory."""
+    after = turned(state)
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        _update_velocity(state, state.history, q, substep.h)
+        _begin(after, after.history, q, substep.h)
+    wait(state.team)
+
+
+@jit(inline=True)
+def _begin(state, history, q, h):
+    if history is None:
+        _begin_euler(state, q, h)
+    else:
+        _begin_multistep(state, history, history.older_x, history.older_v, q, h)
+
+
+@jit(inline=True)
+def _begin_euler(state, q, h):
+    v, slots = state.v, len(state.inv_mass)
+    w = load(state.inv_mass, q)
+    free = w > 0.0
+    store(state.mobility, q, w * (h * h))
+    for k in range(3):
+        i = k * slots + q
+        xi, vi = load(state.x_prev, i), load(v, i)
+        vi = select(free, vi + h * state.gravity[k], vi)
+        store(v, i, vi)
+        store(state.x, i, select(free, xi + h * vi, xi))
+
+
+@jit(inline=True)
+def _begin_multistep(state, history, older_x, older_v, q, h):
+    w, slots = load(state.inv_mass, q), len(state.inv_mass)
+    free = w > 0.0
+    fresh = steadied(history.fresh, history.v, older_v, state.v, state.gap, q, h)
+    step, a, b = weights(older_x, state.inv_mass, fresh, h)
+    store(state.mobility, q, w * (step * step))
+    for k in range(3):
+        i = k * slots + q
+        xi, vi = load(state.x_prev, i), load(history.v, i)
+        x_mean = mean(xi, history.x, older_x, i, a, b)
+        moved = _mean_velocity(vi, older_v, state.v, i, a, b) + step * state.gravity[k]
+        store(state.v, i, select(free, moved, vi))
+        store(state.x, i, select(free, x_mean + step * moved, xi))
+
+
+@jit(inline=True)
+def _predict(state, history, q, h):
+    if history is None:
+        _predict_euler(state, q, h)
+    else:
+        _predict_multistep(state, history, history.older_x, q, h)
+
+
+@jit(inline=True)
+def _predict_euler(state, q, h):
+    free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
+    for k in range(3):
+        i = k * slots + q
+        moved = load(state.x_prev, i) + h * load(state.v, i)
+        store(state.x, i, select(free, moved, load(state.x, i)))
+
+
+@jit(inline=True)
+def _predict_multistep(state, history, older_x, q, h):
+    free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
+    step, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    for k in range(3):
+        i = k * slots + q
+        start = mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        store(state.x, i, select(free, start + step * load(state.v, i), load(state.x, i)))
+
+
+@jit(inline=True)
+def _mean_velocity(now, older_v, oldest, i, a, b):
+    if older_v is None:
+        return mean(now, oldest, None, i, a, b)
+    else:
+        return mean(now, older_v, oldest, i, a, b)
+
+
+@jit(inline=True)
+def velocity(v, now, start, step, per_step):
+    """
+    Return v after a step of H that was predicted to end at start + H v and ends at ``now``.
+
+    It is what differences of positions say but for rounding: the last bit of x, divided by H, is a
+    part of what gravity adds to v in a short step that adds up, in float32 or far from the origin.
+    So it goes on from the predicted v, which has all its bits.
+    """
+    return v + (now - (start + step * v)) * per_step
+
+
+@jit(inline=True)
+def _update_velocity(state, history, q, h):
+    if history is None:
+        _update_euler(state, q, h)
+    else:
+        _update_multistep(state, history, history.older_x, q, h)
+
+
+@jit(inline=True)
+def _update_euler(state, q, h):
+    v, slots, per_h = state.v, len(state.inv_mass), 1.0 / h
+    free = load(state.inv_mass, q) > 0.0
+    for k in range(3):
+        i = k * slots + q
+        xi, xp = load(state.x, i), load(state.x_prev, i)
+        store(v, i, select(free, velocity(load(v, i), xi, xp, h, per_h), (xi - xp) * per_h))
+
+
+@jit(inline=True)
+def _update_multistep(state, history, older_x, q, h):
+    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
+    fresh = load(history.fresh, q)
+    store(history.fresh, q, aged(older_x, w, fresh))
+    fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
+    as_predicted = fresh < TOUCHED
+    step, a, b = weights(older_x, w, fresh, h)
+    per_step = 1.0 / step
+    for k in range(3):
+        i = k * slots + q
+        xi, start = load(state.x, i), mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
+                           (xi - start) * per_step))
+
+
+@jit
+def write_starts(state, target, h):
+    """Write x̄ of all particles, shape (3, slots)."""
+    for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
+        _write_start(state, state.history, target, q, h)
+
+
+@jit(inline=True)
+def _write_start(state, history, target, q, h):
+    if history is None:
+        for k in range(3):
+            i = k * len(state.inv_mass) + q
+            store(target, i, load(state.x_prev, i))
+    else:
+        _write_mean(state, history, history.older_x, target, q, h)
+
+
+@jit(inline=True)
+def _write_mean(state, history, older_x, target, q, h):
+    _, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    for k in range(3):
+        i = k * len(state.inv_mass) + q
+        store(target, i, mean(load(state.x_prev, i), history.x, older_x, i, a, b))
+
+
+@jit
+def put_back(home, state):
+    """Write what ``turned`` moved to where it was."""
+    slots = len(state.inv_mass)
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        for k in range(3):
+            _put_back(home, home.history, state, state.history, k * slots + q)
+    wait(state.team)
+
+
+@jit(inline=True)
+def _put_back(home, home_history, state, history, i):
+    x, x_prev = load(state.x, i), load(state.x_prev, i)
+    if history is not None:
+        put_back_history(home_history, home.v, history, history.older_v, state.v, i)
+    store(home.x, i, x)
+    store(home.x_prev, i, x_prev)
+
+
+@jit
+def set_mobility(state, h):
+    """Mobility = w h²."""
+    first, last = own(state)
+    for q in range(first, last, lanes(state.inv_mass)):
+        store(state.mobility, q, load(state.inv_mass, q) * (h * h))
+    wait(state.team)

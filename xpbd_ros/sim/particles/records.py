@@ -1,0 +1,90 @@
+"""
+Particles as records x y z m: what a constraint on any mesh loads and stores by index.
+
+A particle scattered over four arrays costs four gathers; a record is one short load, and as many
+of them as a vector has lanes are transposed in registers into vectors of x, y, z and m, four by
+four of them: any other order takes a processor twice the shuffles.
+"""
+
+from numba import types
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import fma, lanes, load, store
+from xpbd_ros.sim.backend.simd_records import (
+    _FIELDS,
+    load_records,
+    load_row,
+    store_records,
+    store_row,
+)
+from xpbd_ros.sim.particles.memory_layout import zeros
+
+
+def new_records(slots: int, dtype) -> np.ndarray:
+    """Return records for all slots, shape (slots, 4)."""
+    return zeros((slots, _FIELDS), dtype)
+
+
+def put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
+    """Move by step d from x, y, z; where moves are added up, add them to those."""
+
+
+@inline(put_records)
+def _put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
+    if isinstance(apart, types.NoneType):
+        def put(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
+            store_records(records, index, start, fma(step, dx, x), fma(step, dy, y),
+                          fma(step, dz, z), m)
+        return put
+
+    def add(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
+        sx, sy, sz, rest = load_records(apart.records, index, start)
+        store_records(apart.records, index, start, fma(step, dx, sx), fma(step, dy, sy),
+                      fma(step, dz, sz), rest)
+    return add
+
+
+@jit
+def to_records(state, records, first, last):
+    """Copy positions and mobilities of the slots from first to last, or a few more."""
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    for i in range(first, last, lanes(m)):
+        store_row(records, i, load(x, i), load(y, i), load(z, i), load(m, i))
+    _zero(state.apart, first, last + lanes(m))    # as many as ``_back`` adds
+
+
+@jit
+def _zero(apart, first, last):    # Numba prunes a branch on None where that is an argument
+    if apart is not None:
+        apart.records[first:last] = 0.0
+
+
+@jit
+def to_positions(state, records, first, last):
+    """Copy positions back, whatever the method."""
+    _back(state, None, records, first, last)
+
+
+@jit
+def from_records(state, records, first, last):
+    """Copy positions back, or add the moves to those of the other constraints."""
+    _back(state, state.apart, records, first, last)
+
+
+@jit
+def _back(state, apart, records, first, last):
+    if apart is None:
+        x, y, z = state.x[0], state.x[1], state.x[2]
+        for i in range(first, last, lanes(records)):
+            xi, yi, zi, _ = load_row(records, i)
+            store(x, i, xi)
+            store(y, i, yi)
+            store(z, i, zi)
+    else:
+        x, y, z = apart.move[0], apart.move[1], apart.move[2]
+        for i in range(first, last, lanes(records)):
+            xi, yi, zi, _ = load_row(apart.records, i)
+            store(x, i, load(x, i) + xi)
+            store(y, i, load(y, i) + yi)
+            store(z, i, load(z, i) + zi)

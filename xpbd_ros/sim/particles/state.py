@@ -1,0 +1,158 @@
+"""Particle state: arrays of all particles by slot, and what their solver needs besides."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import Team
+from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
+from xpbd_ros.sim.particles.history import History, new_history, NONE
+from xpbd_ros.sim.particles.memory_layout import zeros
+
+
+class State(NamedTuple):
+    """All particles of a scene, by slot (``particles.memory_layout``)."""
+
+    x: np.ndarray
+    """positions [m], shape (3, slots)"""
+    x_prev: np.ndarray
+    """positions at the last substep's start [m], shape (3, slots)"""
+    v: np.ndarray
+    """velocities [m/s], shape (3, slots)"""
+    mass: np.ndarray
+    """[kg], shape (slots,); constant; 0 in the padding"""
+    inv_mass: np.ndarray
+    """w [1/kg], shape (slots,); 0 while pinned, and in the padding"""
+    mobility: np.ndarray
+    """w H² of this substep [m/N], shape (slots,)"""
+    gravity: np.ndarray
+    """[m/s²], shape (3,)"""
+    reaction: np.ndarray | None
+    """constraint force on each pinned particle, mean over the frame [N], shape (3, slots);
+    None in a scene without pins"""
+    history: History | None
+    """None with backward Euler"""
+    apart: Jacobi | Explicit | None
+    """where constraints add up their moves; None where each moves its particles at once"""
+    team: Team | None = None
+    """None where one thread does it all"""
+    gap: np.ndarray | None = None
+    """distance of neighbours [m], shape (slots,); None where nobody asks"""
+
+
+class Substep(NamedTuple):
+    """One substep: its length and its place in the frame."""
+
+    h: float
+    """[s]"""
+    begin: float
+    """fraction of the frame at its start, 0 … 1"""
+    end: float
+    """fraction of the frame at its end"""
+
+
+def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,
+              pins: bool = False, dtype=np.float64) -> State:
+    """
+    Return particles at rest.
+
+    Parameters
+    ----------
+    x : positions [m], shape (particles, 3)
+    mass : [kg], shape (particles,), > 0
+    gravity : [m/s²], 3 numbers
+    slot : where each particle goes, shape (particles,)
+    slots : how many there are
+    pins : whether forces on pinned particles will be asked for
+    dtype : of all numbers
+
+    """
+    def vectors():
+        return zeros((3, slots), dtype)
+
+    def scalars():
+        return zeros(slots, dtype)
+
+    state = State(vectors(), vectors(), vectors(), scalars(), scalars(), scalars(),
+                  np.array(gravity, dtype), vectors() if pins else None,
+                  None, None)
+    state.x[:, slot] = np.asarray(x).T
+    state.x_prev[:] = state.x
+    state.mass[slot] = mass
+    state.inv_mass[slot] = 1.0 / state.mass[slot]
+    return state
+
+
+def solved_by(state: State, *, integrator: str, apart: type | None, constraints,
+              gap=np.inf) -> State:
+    """
+    Return the same particles, with what their solver needs besides.
+
+    Parameters
+    ----------
+    state : of ``new_state``
+    integrator : says what is remembered of earlier substeps
+    apart : Jacobi or Explicit, where moves are added up
+    constraints : particles of all constraints, a list of (constraints, particles of one)
+    gap : distance of neighbours [m], at each slot or everywhere
+
+    """
+    slots, dtype = state.x.shape[1], state.x.dtype
+
+    state = state._replace(history=new_history(integrator, slots, dtype))
+    if integrator == 'ndf2':
+        state = state._replace(gap=zeros(slots, dtype))
+        state.gap[:] = gap
+    if apart is not None:
+        state = state._replace(apart=apart(
+            zeros((3, slots), dtype), zeros((slots, 4), dtype),
+            *([np.full(1, _most_constraints(constraints, state.mass > 0.0), dtype)]
+              * (apart is Jacobi))))
+    return state
+
+
+def _most_constraints(constraints, there: np.ndarray) -> float:
+    """
+    Return the most constraints at a particle.
+
+    With J M Jᵀ + α = A, x A x ≤ most · Σ x² diag(A), so Jacobi with ω = 1 / most never overshoots.
+    """
+    count = np.zeros(len(there))
+    for particles in constraints:
+        np.add.at(count, particles, 1.0)
+    return count[there].max(initial=1.0)
+
+
+def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
+    """Return rows x, y, z of some slots, in float64; shape (slots, 3)."""
+    return array[:, slots].T.astype(float)
+
+
+@jit
+def gather(x, v, inv_mass, slots, natural_x, natural_v, natural_inv_mass):
+    """Write some slots, one after another, in float64: x and v of shape (slots, 3)."""
+    for i in range(len(slots)):
+        slot = slots[i]
+        for k in range(3):
+            natural_x[i, k] = x[k, slot]
+            natural_v[i, k] = v[k, slot]
+        natural_inv_mass[i] = inv_mass[slot]
+
+
+def remembered(state: State) -> list[np.ndarray]:
+    """Return what the next substep starts from besides x and v; each of shape (3, slots)."""
+    if state.history is None:
+        return []
+    last = [state.x_prev, state.history.v]
+    if state.history.older_v is None:
+        return last
+    return [*last, state.history.x, state.history.older_v]
+
+
+def forget(state: State, particles=slice(None)) -> None:
+    """Let particles start anew: their next substep is one of backward Euler."""
+    if state.history is not None:
+        state.history.fresh[particles] = NONE
+
+

@@ -1,0 +1,168 @@
+"""
+Holding back: what is left where pushes between cloths and those of colliders do not agree.
+
+A plane parts the sides of each pair where the substep starts, and what still crosses goes only its
+share of the way up to its planes (A. Chen et al., "Offset geometric contact", 2025, bound the way
+itself); then what that gets in the way of. The planes move as what the pairs rest on, colliders
+and pins, so that no collider is passed either. It takes momentum.
+
+What pins and colliders still force through one another is counted.
+"""
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.contacts import count_behind, surface_motion
+from xpbd_ros.sim.contact.corners import is_behind
+from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.self_collision.neighbour_list import gone
+from xpbd_ros.sim.self_collision.separating_planes import parts
+
+ALONE, PINNED, BESIDE, PUSHED = range(4)
+"""what a held particle moves with, by rank: itself, a pin, a collider near it, one that pushes"""
+
+
+@jit
+def mark(planes, near, state):
+    """Mark the particles of all pairs that do not part; return how many that are more."""
+    more = 0
+    if planes is not None:
+        for m in range(planes.count[0]):
+            if not parts(planes, m, near, state.x):
+                for p in range(4):
+                    j = near.slot[planes.number[m, p]]
+                    if not planes.held[j]:
+                        planes.held[j] = True
+                        more += 1
+    return more
+
+
+@jit
+def share_out(planes, near, state):
+    """Find how much of its way each particle may go, as seen from what moves by ``step``."""
+    start, step, slot, n, x, w = (near.x, near.step, near.slot, planes.normal, state.x,
+                                  state.inv_mass)
+    planes.share[:] = 1.0
+    for m in range(planes.count[0]):
+        side, number = planes.side[m], planes.number[m]
+        first, above, below = number[0], np.inf, -np.inf
+        for p in range(4):
+            at = 0.0
+            for a in range(3):
+                at += n[m, a] * (start[number[p], a] - start[first, a])
+            if p < side:
+                above = min(above, at)
+            else:
+                below = max(below, at)
+        clear = 0.51 * planes.need[m]
+        plane = 0.5 * (above + below)
+        for turn in range(2):    # what is pinned goes its way, and the plane makes room for it
+            for p in range(4):
+                i = number[p]
+                j, at, go = slot[i], 0.0, 0.0
+                for a in range(3):
+                    at += n[m, a] * (start[i, a] - start[first, a])
+                    go += n[m, a] * (x[a, j] - start[i, a] - step[a])
+                if turn == 0:
+                    if w[j] == 0.0:
+                        plane = (min(plane, at + go - clear) if p < side
+                                 else max(plane, at + go + clear))
+                    continue
+                sign = 1.0 if p < side else -1.0
+                room, go = sign * (at - plane), sign * go
+                if room + go < clear and go < 0.0:
+                    planes.share[i] = min(planes.share[i], max(0.0, (room - clear) / -go))
+            plane = min(max(plane, below + clear), above - clear)
+
+
+@jit
+def hold_back(planes, near, state):
+    """Let what is marked go only its share of the way; then what that gets in the way of."""
+    share_out(planes, near, state)
+    for i in range(len(near.slot)):
+        if planes.stays[near.slot[i]]:
+            planes.share[i] = 0.0
+    for _ in range(len(near.slot)):
+        for i in range(len(near.slot)):
+            j = near.slot[i]
+            if planes.held[j] and planes.share[i] < np.inf:
+                go_share(near, state, i, planes.share[i])
+                planes.share[i] = np.inf
+        if mark(planes, near, state) == 0:
+            break
+
+
+@jit
+def go_share(near, state, i, share):
+    """Let a particle go only a share of its way, and no further than it was sought for."""
+    j = near.slot[i]
+    moved = gone(state.x, near.x, near.step, j, i)
+    if moved > near.travel[i]:
+        share = min(share, near.travel[i] / moved)
+    if share >= 1.0 or state.inv_mass[j] == 0.0:
+        return
+    near.count[2] += 1
+    lose_history(state.history, j)
+    for a in range(3):
+        start = near.x[i, a] + near.step[a]
+        state.x[a, j] = start + share * (state.x[a, j] - start)
+
+
+@jit
+def rest_step(near, held, contacts, state, substep):
+    """Find how far what is held moves with what pushes it, or else is near, pins, or by itself."""
+    step, rank, count, x = near.step, ALONE, 0, state.x
+    step[:] = 0.0
+    for i in range(len(near.slot)):
+        j = near.slot[i]
+        if held[j]:
+            rank, count = add_to_step(step, rank, count, PINNED if state.inv_mass[j] == 0.0
+                                      else ALONE, (x[0, j] - near.x[i, 0], x[1, j] - near.x[i, 1],
+                                                   x[2, j] - near.x[i, 2]))
+    if contacts is not None:
+        for k in range(contacts.count[0]):
+            if held[contacts.particle[k]]:
+                rank, count = add_to_step(step, rank, count, PUSHED if contacts.push[k] > 0.0
+                                          else BESIDE, surface_motion(contacts, k, state, substep))
+    if count > 0:
+        step /= count
+
+
+@jit(inline=True)
+def add_to_step(step, rank, count, one, way):
+    """Add what ranks as high as what came before; begin again with what ranks higher."""
+    if one > rank:
+        rank, count = one, 0
+        step[:] = 0.0
+    if one == rank:
+        count += 1
+        for a in range(3):
+            step[a] += way[a]
+    return rank, count
+
+
+@jit
+def mark_behind(contacts, marks, state):
+    """Mark the particles that are behind a collider."""
+    if contacts is not None:
+        for k in range(contacts.count[0]):
+            if is_behind(contacts, k, state):
+                marks[contacts.particle[k]] = True
+
+
+@jit
+def left_over(planes, near, contacts, state):
+    """Count pairs and particles that what is pinned and colliders leave no room for."""
+    count = 0
+    for m in range(planes.count[0]):
+        count += not parts(planes, m, near, state.x)
+    return count + behind(contacts, state)
+
+
+@jit
+def behind(contacts, state):
+    """Count the particles that are behind a collider."""
+    if contacts is None:
+        return 0
+    else:    # Numba prunes the branch that is not taken
+        return count_behind(contacts, state)

@@ -1,0 +1,169 @@
+"""
+Listing: of the pairs that were sought, those that can touch, or get through, in a substep.
+
+A pair is pushed apart along the way between its closest points. Where the substep starts that way
+may lean against the motion: cloth that slides over cloth nears the triangle ahead, and along the
+normal at the start it would run into it, though at the end it is over it. So where a pair would be
+pushed, the normal and the closest points at the end of the sweep are taken, unless the pair gets
+through one another before.
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    at,
+    corners,
+    EDGES,
+    kept,
+    length,
+    POINTS,
+    TRIANGLES,
+    way,
+    way_now,
+)
+from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
+from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
+
+
+@jit(inline=True)
+def reach_of(near, kind, i, j, k, l):
+    """Return how far a pair's sides may get towards each other, and how far they have since."""
+    go, past = near.travel, near.strayed
+    if kind == EDGES:
+        return max(go[i], go[j]) + max(go[k], go[l]), max(past[i], past[j]) + max(past[k], past[l])
+    return go[i] + max(go[j], go[k], go[l]), past[i] + max(past[j], past[k], past[l])
+
+
+@jit(inline=True)
+def all_held(w, slot, b, i, j, k, l):
+    """Tell whether nothing that a pair's distance goes by can move."""
+    return (w[slot[i]] * b[0] == 0.0 and w[slot[j]] * b[1] == 0.0 and w[slot[k]] * b[2] == 0.0
+            and w[slot[l]] * b[3] == 0.0)
+
+
+@jit(inline=True)
+def is_inside(kind, b):
+    """Tell whether edges are nearest between their ends; else a triangle says the same."""
+    return kind != EDGES or b[0] > 0.0 and b[1] > 0.0 and b[2] < 0.0 and b[3] < 0.0
+
+
+@jit
+def list_close(near, surface, planes, touches, rubbing, state, thickness, apart, both):
+    """
+    List what can get through in this substep; and, if ``both``, what can touch.
+
+    Parameters
+    ----------
+    near : what was sought
+    surface : what it spans, or None
+    planes : gets what can get through; None where only particles are looked at
+    touches : gets what can get within the thickness
+    rubbing : of these, or None
+    state : the particles
+    thickness : distance to be kept [m]
+    apart : how far an old overlap may come apart in the substep [m]
+    both : whether to list touches
+
+    """
+    kind, aside = POINTS, thickness if both else 0.0
+    if planes is not None:
+        planes.count[0] = 0
+    if both:
+        touches.count[0] = 0
+    for c in range(near.kind_end[2]):
+        while c >= near.kind_end[kind]:
+            kind += 1
+        i, j, k, l = corners(surface, kind, near.first[c], near.second[c])
+        reach, moved = reach_of(near, kind, i, j, k, l)
+        if near.distance[c] - moved > reach + aside:
+            continue
+        v, b = way(kind, near.x, i, j, k, l)
+        distance = length(v)
+        if distance > reach + aside or all_held(state.inv_mass, near.slot, b, i, j, k, l):
+            continue
+        if near.keep[c] < 0.0:
+            near.keep[c] = kept(near.cloth, near.rest, kind, thickness, i, j, k, l)
+        if planes is not None:    # noqa: SIM102  Numba prunes only branches on None alone
+            if 0.0 < distance <= reach:
+                add_plane(planes, 2 if kind == EDGES else 1, i, j, k, l,
+                          (v[0] / distance, v[1] / distance, v[2] / distance), distance,
+                          near.keep[c])
+        if both and is_inside(kind, b):
+            add_touch(near, planes, touches, rubbing, state.x, kind, i, j, k, l, v, b, distance,
+                      min(near.keep[c], distance + apart))
+
+
+@jit
+def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distance, gap):
+    """List a pair that can touch in this substep."""
+    n, slot, m = v, near.slot, touches.count[0]
+    if distance == 0.0:
+        n = across(kind, at(near.x, i), at(near.x, j), at(near.x, k), at(near.x, l))
+    size = length(n)
+    if size == 0.0:
+        return
+    n = n[0] / size, n[1] / size, n[2] / size
+    if distance > 0.0:
+        good, n, b = turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x)
+        if not good:
+            return
+    if m == len(touches.gap):
+        touches.count[1] += 1
+        return
+    for a in range(3):
+        touches.normal[m, a] = n[a]
+    touches.gap[m] = gap
+    touches.overlap[m] = max(0.0, gap - distance)
+    touches.push[m] = 0.0
+    touches.particles[m, 0], touches.weight[m, 0] = slot[i], b[0]
+    touches.particles[m, 1], touches.weight[m, 1] = slot[j], b[1]
+    if planes is not None:
+        touches.particles[m, 2], touches.weight[m, 2] = slot[k], b[2]
+        touches.particles[m, 3], touches.weight[m, 3] = slot[l], b[3]
+    if rubbing is not None:
+        for a in range(3):
+            rubbing.slip[m, a] = 0.0
+    touches.count[0] = m + 1
+
+
+@jit
+def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
+    """
+    Return whether a pair may touch, and the normal and weights to push it apart by.
+
+    Those at the substep's start hold it back where it slides past: the closest points move on, and
+    the normal that leans against the way turns. So where they would push, those at its end are
+    taken, unless the pair gets through one another before.
+    """
+    if planes is None:
+        return True, n, b
+    else:    # Numba prunes the branch that is not taken
+        slot, along = near.slot, 0.0
+        for a in range(3):    # differences, so that a place far from the origin costs no digits
+            along += n[a] * (b[1] * (x[a, slot[j]] - x[a, slot[i]])
+                             + b[2] * (x[a, slot[k]] - x[a, slot[i]])
+                             + b[3] * (x[a, slot[l]] - x[a, slot[i]]))
+        if along >= gap:
+            return True, n, b
+        v, now = way_now(kind, x, slot[i], slot[j], slot[k], slot[l])
+        size = length(v)
+        if size == 0.0:
+            return True, n, b
+        count = write_vectors(planes.points, 2 if kind == EDGES else 1, (i, j, k, l), near.x,
+                              slot, x)
+        if not part(planes.points, planes.shares, count, n, CLEAR * distance)[0]:
+            return True, n, b
+        return is_inside(kind, now), (v[0] / size, v[1] / size, v[2] / size), now
+
+
+@jit
+def across(kind, p, q, r, s):
+    """Return a direction in which a pair that meets can come apart."""
+    if kind == POINTS:
+        return 0.0, 0.0, 1.0
+    if kind == TRIANGLES:
+        u = r[0] - q[0], r[1] - q[1], r[2] - q[2]
+        v = s[0] - q[0], s[1] - q[1], s[2] - q[2]
+    else:
+        u = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        v = s[0] - r[0], s[1] - r[1], s[2] - r[2]
+    return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])

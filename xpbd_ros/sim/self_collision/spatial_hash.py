@@ -1,0 +1,105 @@
+"""
+Points sorted into the cells of a cubic grid: those in a box are found without the others.
+
+The grid has no end: a cell's three whole numbers are hashed into a table, and a counting sort
+lists the points by place in the table (M. Teschner et al., "Optimized spatial hashing for
+collision detection of deformable objects", 2003). Points are found cell after cell; of the few
+that matter ``in_order`` makes an order that cells have no part in.
+"""
+
+from math import floor
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+
+FAR = 2**52
+"""of cells: what is further away, or nowhere, is all in one"""
+
+
+class Cells(NamedTuple):
+    """The table."""
+
+    start: np.ndarray
+    """where each place begins in ``point``, shape (2^k + 1,)"""
+    point: np.ndarray
+    """points by place, each place's in rising order, shape (points,)"""
+    cell: np.ndarray
+    """the cell of each point, shape (points, 3)"""
+    found: np.ndarray
+    """room for what a box holds, shape (points,)"""
+
+
+def new_cells(points: int) -> Cells:
+    """Return a table for that many points, at least half of it empty."""
+    places = 1 << max(4, (2 * points - 1).bit_length())
+    return Cells(np.zeros(places + 1, np.int64), np.zeros(points, np.int64),
+                 np.zeros((points, 3), np.int64), np.zeros(points, np.int64))
+
+
+@jit
+def place(a, b, c, places):
+    """Return where a cell is in the table."""
+    return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & (places - 1)
+
+
+@jit(inline=True)
+def number(x):
+    """Return the whole number below x; FAR where an integer could not hold it, or x is none."""
+    return floor(x) if abs(x) < FAR else FAR
+
+
+@jit
+def fill(cells, points, size):
+    """Sort points into cells of this size."""
+    start, cell, places = cells.start, cells.cell, len(cells.start) - 1
+    start[:] = 0
+    for i in range(len(points)):
+        for k in range(3):
+            cell[i, k] = number(points[i, k] / size)
+        start[place(cell[i, 0], cell[i, 1], cell[i, 2], places)] += 1
+    total = 0
+    for p in range(places + 1):
+        total += start[p]
+        start[p] = total
+    for i in range(len(points) - 1, -1, -1):
+        p = place(cell[i, 0], cell[i, 1], cell[i, 2], places)
+        start[p] -= 1
+        cells.point[start[p]] = i
+
+
+@jit
+def look_up(cells, points, size, low, high, least):
+    """List the points from ``least`` on in a box, in no order; return how many there are."""
+    places, cell, found, count = len(cells.start) - 1, cells.cell, cells.found, 0
+    for a in range(number(low[0] / size), number(high[0] / size) + 1):
+        for b in range(number(low[1] / size), number(high[1] / size) + 1):
+            for c in range(number(low[2] / size), number(high[2] / size) + 1):
+                p = place(a, b, c, places)
+                for n in range(cells.start[p], cells.start[p + 1]):
+                    i = cells.point[n]
+                    if (i < least or cell[i, 0] != a or cell[i, 1] != b or cell[i, 2] != c
+                            or points[i, 0] < low[0] or points[i, 0] > high[0]
+                            or points[i, 1] < low[1] or points[i, 1] > high[1]
+                            or points[i, 2] < low[2] or points[i, 2] > high[2]):
+                        continue
+                    found[count] = i
+                    count += 1
+    return count
+
+
+@jit
+def in_order(numbers, count):
+    """Sort the first few numbers, or many (D. Shell, 1959), as where all are in one place."""
+    gap = 1
+    while 3 * gap + 1 < count:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for k in range(gap, count):
+            n, at = numbers[k], k
+            while at >= gap and numbers[at - gap] > n:
+                numbers[at] = numbers[at - gap]
+                at -= gap
+            numbers[at] = n
+        gap //= 3

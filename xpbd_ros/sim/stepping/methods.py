@@ -1,0 +1,130 @@
+"""
+How a substep's constraints are swept: each method is a few walks over the scene's effects.
+
+``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
+reverse order, which BDF2 needs to stay stable. ``line`` (NUMERICS 5.8) solves the effects that
+have lines by whole lines, twice, sweeps the others forth before and back after, and closes with
+one Gauss-Seidel pass over the edges of the lines, with the same multipliers: it mends the single
+edges whose directions turned while the lines were solved. ``jacobi`` moves all particles at once,
+by a part of what each constraint asks for. ``explicit`` is the leapfrog (Störmer 1907, Verlet
+1967): in the loop v lags by half a substep, and the forces are those where the substep starts.
+Where a frame begins and ends, v is moved by half of what acts there (``kick`` has what no
+projection is of); of the medium (``damping``, ``drag``) and of ``strain_limit`` and ``tether``
+that half is left out.
+"""
+
+from typing import NamedTuple
+
+from xpbd_ros.sim.backend.emit import written_out
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.particles.explicit_updates import add_moves, at_start, half_kick, kick_on
+from xpbd_ros.sim.particles.integration import set_mobility
+from xpbd_ros.sim.stepping.stages import kernel_of, kick, project, project_back, solve_lines, walk
+
+
+class GaussSeidel(NamedTuple):
+    """One pass over all effects."""
+
+    iterations: int
+
+
+class Symmetric(NamedTuple):
+    """One pass forth and one back."""
+
+    iterations: int
+
+
+class Line(NamedTuple):
+    """Lines, between two passes over what has none; then a pass over the lines' edges."""
+
+    iterations: int
+
+
+class Jacobi(NamedTuple):
+    """One pass from the same positions for all."""
+
+    iterations: int
+
+
+class Leapfrog(NamedTuple):
+    """One pass that sums up forces."""
+
+    iterations: int
+
+
+METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'line': Line,
+           'jacobi': Jacobi, 'explicit': Leapfrog}
+
+
+def forth(effects, state, substep):
+    """Sweep on: whole lines where an effect has them."""
+
+
+def back(effects, state, substep):
+    """Sweep back over what has no lines."""
+
+
+def close(effects, state, substep):
+    """Pass once more over the edges of the lines."""
+
+
+def _has_lines(effect) -> bool:
+    return kernel_of(solve_lines, effect) is not None
+
+
+walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect))
+walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
+     backwards=True)
+walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
+
+
+WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back), Line: (forth, back, close)}
+"""of the methods that move particles one after another"""
+
+
+def sweep(method, effects, state, substep):
+    """One iteration of a method."""
+
+
+@written_out(sweep)
+def _sweep(writer, method, *values):
+    effects, state, substep = values
+    kind = method[0].instance_class
+    if kind in (Jacobi, Leapfrog):
+        start = state if kind is Jacobi else writer.call(at_start, state)
+        writer.call(project, effects, start, substep)
+        if kind is Jacobi:
+            writer.call(add_moves, state)
+        else:
+            writer.call(kick_on, state, substep)
+        return
+    for walk_ in WALKS[kind]:
+        writer.call(walk_, *values)
+
+
+def enter(method, effects, state, substep):
+    """Before the first substep of a frame."""
+
+
+def leave(method, effects, state, substep):
+    """After the last one."""
+
+
+def _kick_if_leapfrog(stub, share):
+    @written_out(stub)
+    def write(writer, method, *values):
+        if method[0].instance_class is Leapfrog:
+            writer.call(_kick, *values, writer.number(share))
+
+
+_kick_if_leapfrog(enter, -0.5)
+_kick_if_leapfrog(leave, 0.5)
+
+
+@jit
+def _kick(effects, state, substep, share):
+    """Move the velocities on by a share of a substep."""
+    set_mobility(state, substep.h)
+    project(effects, state, substep)
+    kick(effects, state, substep)
+    half_kick(state, substep.h, share)

@@ -1,0 +1,66 @@
+"""A frame that cannot be is taken back: what follows from it would be lost."""
+
+from math import inf, sqrt
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import absolute, any_lane, both, lanes, load, select, splat
+from xpbd_ros.sim.particles.state import forget, remembered
+
+REACH = 1000.0
+"""no particle goes further in a frame, in sizes of the cloths and ways of what may drive it"""
+DRIVE = 1.0
+"""a speed of pins and colliders, and of what comes out of them [m/s]"""
+
+
+@jit
+def can_be(state, before, reach):
+    """Tell whether no particle went further than a reach along an axis, and v is finite."""
+    x, v, slots = state.x, state.v, len(state.inv_mass)
+    bad = splat(x, 0.0)
+    for q in range(0, 3 * slots, lanes(x)):
+        good = both(absolute(load(x, q) - load(before, q)) <= reach, absolute(load(v, q)) < inf)
+        bad = select(good, bad, splat(x, 1.0))    # not a number is neither
+    return not any_lane(bad > 0.0)
+
+
+class LastGood:
+    """
+    Takes back a frame that cannot be: what follows from it would be lost.
+
+    It has numbers that are not finite, or a particle that went REACH times the size of all cloths
+    and the way that gravity and DRIVE make in a frame. The particles are put where the frame
+    began, at rest; only what is asked for can lead there.
+    """
+
+    def __init__(self, simulation):
+        self.taken_back = 0
+        """frames so far"""
+        self._simulation = simulation
+        state = simulation.state
+        self._x = state.x.copy()
+        self._size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0))) or 1.0
+                         for cloth in simulation.cloths)
+
+    def keep(self) -> None:
+        """Remember where the particles are."""
+        self._x[:] = self._simulation.state.x
+
+    def look(self) -> None:
+        """Judge the frame, and take it back if it cannot be."""
+        simulation, state = self._simulation, self._simulation.state
+        dt = simulation.frame_dt
+        gx, gy, gz = state.gravity.tolist()
+        drive = dt * (DRIVE + dt * sqrt(gx * gx + gy * gy + gz * gz))
+        if can_be(state, self._x, REACH * (self._size + drive)):
+            return
+        state.x[:], state.v[:] = self._x, 0.0
+        for array in remembered(state):
+            array[:] = 0.0    # no share of nan is 0
+        forget(state)
+        if state.reaction is not None:
+            state.reaction[:] = 0.0
+        for built in simulation.effects.values():
+            built.again()
+        self.taken_back += 1

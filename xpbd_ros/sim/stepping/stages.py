@@ -1,0 +1,170 @@
+"""
+The stages of a substep: stubs that each effect fills in for its own type.
+
+An effect's data is a NamedTuple; its file registers a kernel with ``@stage(project, Stretch)``.
+A stage called with a scene's tuple of effects walks the tuple while Numba compiles, and picks each
+kernel by type. An effect that takes no part in a stage, or is not in the scene at all, leaves no
+trace in the machine code.
+"""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from itertools import groupby
+
+from numba import types
+from numba.extending import lower_builtin, type_callable
+
+from xpbd_ros.sim.backend.emit import Writer, written_out
+from xpbd_ros.sim.backend.threads import alone, wait
+
+
+def force(effects, state, substep):
+    """Change predicted velocities v, and mobilities; x = x̄ + H v is predicted anew after it."""
+
+
+def pushes(effects):
+    """Tell whether an effect takes part in ``force``."""
+
+
+def prepare(effects, state, substep):
+    """Once per substep, after the prediction: targets, candidates, forces back to zero."""
+
+
+def project(effects, state, substep):
+    """One Gauss-Seidel pass over an effect's constraints."""
+
+
+def project_back(effects, state, substep):
+    """Do the same pass in exactly the reverse order."""
+
+
+def solve_lines(effects, state, substep):
+    """Solve whole lines of constraints at once, for an effect that has lines."""
+
+
+def touch(effects, state, substep):
+    """Contact and friction, after everything else of an iteration."""
+
+
+def bound(effects, state, substep):
+    """Last in an iteration: how far particles may get."""
+
+
+def unmet(effects, state, turn):
+    """Tell whether a touch must be repeated, since what came after an effect has undone it."""
+
+
+def may_repeat(effects):
+    """Tell whether an effect takes part in ``unmet``."""
+
+
+def finish(effects, state, substep):
+    """Once per substep, after the velocities are known."""
+
+
+def finishes(effects):
+    """Tell whether an effect takes part in ``finish``, so that velocities must be known there."""
+
+
+def kick(effects, state, substep):
+    """
+    Add up the moves h² F / m of what acts at x without a projection.
+
+    The leapfrog asks at both ends of a frame, to tell the velocities there from those half a
+    substep away; what is held by an impulse in every substep has no such difference.
+    """
+
+
+def react(effects, state, substep):
+    """
+    Add up the forces on pinned particles; compiled only where ``state.reaction`` exists.
+
+    In reverse order: pins, which come first among the effects, find what the others did.
+    """
+
+
+_KERNELS: dict[tuple[Callable, type], Callable] = {}
+_SHARED: set[Callable] = set()
+
+
+def stage(stub: Callable, kind: type, *, shared: bool = False) -> Callable:
+    """
+    Register a compiled kernel as the given stage of one effect's type.
+
+    One that is ``shared`` does this thread's part of the work and waits for the others
+    (``team``); what is not shared is done by one thread.
+    """
+    def register(kernel):
+        _KERNELS[stub, kind] = kernel
+        if shared:
+            _SHARED.add(kernel)
+        return kernel
+    return register
+
+
+def kernel_of(stub: Callable, effect) -> Callable | None:
+    """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
+    return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+
+
+def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
+    """
+    Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
+
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None.
+    """
+    @written_out(stub)
+    def write(writer, effects, state, substep):
+        kernels = [(k, choose(kind, state[0])) for k, kind in enumerate(effects[0])]
+        kernels = [(k, kernel) for k, kernel in kernels if kernel is not None]
+        team = writer.item(state, 'team')
+        for shared, group in groupby(kernels[::-1] if backwards else kernels,
+                                     lambda each: each[1] in _SHARED):
+            apart = not (shared or isinstance(team[0], types.NoneType))
+            with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
+                for k, kernel in group:
+                    writer.call(kernel, writer.item(effects, k), state, substep)
+            if apart:
+                writer.call(wait, team)
+
+
+def _is_none(state, name: str) -> bool:
+    """Tell whether a state, as Numba types it, lacks a field."""
+    return isinstance(state[state.fields.index(name)], types.NoneType)
+
+
+def _tells_of(stub: Callable, question: Callable) -> None:
+    """Let Numba compile ``question`` as a constant: whether an effect takes part in ``stub``."""
+    type_callable(question)(lambda typing: lambda effects: types.boolean)
+
+    @lower_builtin(question, types.Any)
+    def tell(context, builder, signature, arguments):
+        return context.get_constant(types.boolean, any(
+            kernel_of(stub, effect) is not None for effect in signature.args[0]))
+
+
+def _asks_all(stub: Callable) -> None:
+    """Let Numba compile ``stub`` as whether the kernel of any effect says so."""
+    type_callable(stub)(lambda typing: lambda effects, state, turn: types.boolean)
+
+    @lower_builtin(stub, *[types.Any] * 3)
+    def ask(context, builder, signature, arguments):
+        effects, state, turn = zip(signature.args, arguments)
+        writer, found = Writer(context, builder), context.get_constant(types.boolean, False)
+        for k, kind in enumerate(effects[0]):
+            kernel = kernel_of(stub, kind)
+            if kernel is not None:
+                found = builder.or_(found, writer.call(kernel, writer.item(effects, k), state,
+                                                       turn)[1])
+        return found
+
+
+_asks_all(unmet)
+_tells_of(force, pushes)
+_tells_of(unmet, may_repeat)
+_tells_of(finish, finishes)
+for _stub in (force, prepare, project, touch, bound, finish, kick):
+    walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
+walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
+walk(react, lambda effect, state: None if _is_none(state, 'reaction') else kernel_of(
+    react, effect), backwards=True)

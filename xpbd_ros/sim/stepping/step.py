@@ -1,0 +1,88 @@
+"""
+One frame, one native call: the substep loop of XPBD. It names no effect.
+
+M. Macklin, M. Müller, N. Chentanez, "XPBD", 2016, algorithm 1, with the substeps of
+Macklin et al., "Small steps in physics simulation", 2019.
+"""
+
+from xpbd_ros.sim.backend.denormals import flush_denormals, restore_mode
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import wait
+from xpbd_ros.sim.particles.integration import (
+    begin,
+    predict,
+    put_back,
+    turned,
+    update_velocity,
+    update_velocity_and_begin,
+)
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping.methods import enter, leave, sweep
+from xpbd_ros.sim.stepping.stages import (
+    bound,
+    finish,
+    finishes,
+    force,
+    may_repeat,
+    prepare,
+    pushes,
+    react,
+    touch,
+    unmet,
+)
+
+
+def advance(effects, state, method, frame_dt, substeps):
+    """
+    Advance all particles by one frame.
+
+    ``effects`` is a tuple of NamedTuples, one per effect that the scene calls for; ``method`` says
+    how they are swept (``sweeps``).
+    """
+    if substeps == 0:    # to compile
+        return
+    mode = flush_denormals()
+    h = frame_dt / substeps
+    enter(method, effects, state, Substep(h, 0.0, 0.0))
+    now, begun = state, False
+    for k in range(substeps):
+        substep = Substep(h, k / substeps, (k + 1) / substeps)
+        if not begun:
+            now = turned(now)
+            begin(now, substep)
+        force(effects, now, substep)
+        if pushes(effects):
+            predict(now, substep)
+        prepare(effects, now, substep)
+        for _ in range(method.iterations):
+            sweep(method, effects, now, substep)
+            touch(effects, now, substep)
+            if may_repeat(effects):
+                turn = 1
+                while unmet(effects, now, turn):
+                    wait(now.team)    # until all have asked
+                    touch(effects, now, substep)
+                    turn += 1
+                wait(now.team)
+            bound(effects, now, substep)
+        react(effects, now, substep)
+        begun = k + 1 < substeps and not finishes(effects)
+        if begun:
+            update_velocity_and_begin(now, substep)
+            now = turned(now)
+        else:
+            update_velocity(now, substep)
+            finish(effects, now, substep)
+    put_back(state, now)
+    leave(method, effects, state, Substep(h, 1.0, 1.0))
+    restore_mode(mode)
+
+
+_COMPILED = {}
+
+
+def compiled(names: tuple[str, ...]):
+    """Return the step for a set of effects; each set has a cache of its own (see ``jit``)."""
+    if names not in _COMPILED:
+        _COMPILED[names] = jit(advance, cache_name='-'.join(('step', *names)))
+    return _COMPILED[names]
