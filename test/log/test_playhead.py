@@ -2,7 +2,7 @@
 
 import math
 
-from xpbd_ros.log.playhead import Playhead
+from xpbd_ros.log.replay_clock import Playhead
 
 
 class Steady:

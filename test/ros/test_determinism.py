@@ -12,8 +12,8 @@ from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targe
 from strict import read_strictly
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.live.node import SCENE
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.node_stress.node import SCENE
 
 AUTO = SCENE.replace(', substeps: SUBSTEPS', '').replace('0.004}', '0.004, mesh_nodes: 50000}')
 """its substeps follow from its stiffness"""

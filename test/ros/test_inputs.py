@@ -13,8 +13,8 @@ from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros import inbox
-from xpbd_ros.ros.inbox import Inbox
+from xpbd_ros.ros import command_queue
+from xpbd_ros.ros.command_queue import Inbox
 from xpbd_ros.ros.inputs import (
     as_messages,
     count_in,
@@ -308,11 +308,11 @@ def test_a_newer_target_does_not_make_an_older_message_something_else(box):
 
 
 def test_of_a_stream_with_stamps_the_latest_are_kept(box):
-    for k in range(3 * inbox.KEPT):
+    for k in range(3 * command_queue.KEPT):
         take(box, targets(stamp=1 + k, left=(k, 0, 0)))
         take(box, targets(stamp=1 + k, right=(k, 0, 0)))
     places = [group[0].pose.position[0] for group in box.drain() if group[0].pin == 'left']
-    assert places == list(range(2 * inbox.KEPT, 3 * inbox.KEPT))
+    assert places == list(range(2 * command_queue.KEPT, 3 * command_queue.KEPT))
 
 
 def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
@@ -361,7 +361,7 @@ def test_refuses_what_is_too_long_or_too_much(box, said):
 
 
 def test_refuses_what_no_frame_takes_away(box, said, monkeypatch):
-    monkeypatch.setattr(inbox, 'ROOM', 6)
+    monkeypatch.setattr(command_queue, 'ROOM', 6)
     for k in range(4):
         take(box, targets(**{f'a{k}': (0, 0, 0), f'b{k}': (0, 0, 0)}))
     assert said == ['/t: refused: more than 6 commands wait for the next frame']
@@ -371,7 +371,7 @@ def test_refuses_what_no_frame_takes_away(box, said, monkeypatch):
 
 
 def test_what_is_refused_within_a_second_is_said_at_its_end(box, said, monkeypatch):
-    monkeypatch.setattr(inbox, 'WARN_PERIOD', 0.2)
+    monkeypatch.setattr(command_queue, 'WARN_PERIOD', 0.2)
     for _ in range(38):
         box.refuse('/a', 'no')
     box.refuse('/b', 'neither')

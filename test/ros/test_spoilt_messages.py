@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from ros.rig import collider, pin, pose_stamped, targets
 from visualization_msgs.msg import MarkerArray
 
-from xpbd_ros.ros.inbox import Inbox
+from xpbd_ros.ros.command_queue import Inbox
 from xpbd_ros.ros.inputs import read_pose, READERS
 
 NAN = float('nan')

@@ -8,7 +8,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import largest_rate, LEAST, NS, SINGLE
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.study.check.stiffness import stiffness
+from xpbd_ros.study.prediction.stiffness import stiffness
 
 
 def resolved(stretch=None, n=20, solver=None, **keys):

@@ -109,7 +109,7 @@ def frames_of(times: str | None, scene, frames: int) -> list[int]:
 def methods_of(names: str | None) -> tuple[str, ...]:
     """Return the methods that are named."""
     from xpbd_ros.scene.read import unknown
-    from xpbd_ros.study.accuracy.setting import METHODS
+    from xpbd_ros.study.accuracy.solver_setting import METHODS
     if names is None:
         return METHODS
     found = tuple(dict.fromkeys(name.strip() for name in names.split(',')))

@@ -28,7 +28,7 @@ def run(arguments) -> int:
     """Predict and print."""
     from xpbd_ros.cli.run import parse_keys
     from xpbd_ros.scene.load import load_scene, settings_overrides
-    from xpbd_ros.study.check import check
+    from xpbd_ros.study.prediction import check
     overrides = settings_overrides(arguments.settings) if arguments.settings else {}
     overrides.update(parse_keys(arguments.keys))
     check_output(arguments.json)

@@ -92,7 +92,7 @@ def check(log: LogReader, arguments: argparse.Namespace) -> None:
 
 def chosen(log: LogReader, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
     """Return the topics to publish, and the inputs that are left out."""
-    from xpbd_ros.ros.playback import is_input
+    from xpbd_ros.ros.logged_commands import is_input
     if arguments.topics or arguments.inputs:
         return arguments.topics or list(log.topics), []
     left_out = [name for name, topic in log.topics.items() if is_input(name, topic.type)]

@@ -18,7 +18,7 @@ def need_ros(verb: str) -> None:
 def recording_of(verb: str, log: str):
     """Return a recorded run; say what is damaged of its log, since inputs may be lost."""
     need_ros(f'{verb} --commands')
-    from xpbd_ros.ros.playback import Recording
+    from xpbd_ros.ros.logged_commands import Recording
     return Recording(log, lambda text: print(
         f'xpbd_ros {verb}: damaged log: {text}; inputs may be lost', file=sys.stderr))
 

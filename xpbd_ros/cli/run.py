@@ -89,7 +89,7 @@ def run(arguments) -> int:
     step_ms, refused, notes = [], 0, [*simulation.notes]
     shots = None
     if arguments.picture:
-        from xpbd_ros.study.shots import Shots
+        from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
     watch = Watch(simulation, target=scene.top.solver.error_target,
                   most=scene.top.solver.max_substeps)

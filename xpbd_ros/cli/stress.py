@@ -70,8 +70,9 @@ def live_cases(chosen: str | None) -> list:
         return [skipped(one, NODE_CASES[one], str(error)) for one in ids]
     from xpbd_ros.demo.domain import private_environment
     from xpbd_ros.study.stress.case import Outcome
-    done = subprocess.run([sys.executable, '-m', 'xpbd_ros.live', *ids], stdout=subprocess.PIPE,
-                          env=private_environment(), text=True, check=False)
+    done = subprocess.run([sys.executable, '-m', 'xpbd_ros.node_stress', *ids],
+                          stdout=subprocess.PIPE, env=private_environment(), text=True,
+                          check=False)
     try:
         found = json.loads(done.stdout)
     except ValueError:

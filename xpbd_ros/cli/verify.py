@@ -26,8 +26,8 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Run the cases and print what came of them."""
-    from xpbd_ros.study.cases.controls import controls
-    from xpbd_ros.study.verify import draw, verify
+    from xpbd_ros.study.verify.controls import controls
+    from xpbd_ros.study.verify.run import draw, verify
     check_output(arguments.json)
     with new_folder(arguments.output) as folder:
         answers = verify(arguments.case, slow=not arguments.quick, progress=progress)

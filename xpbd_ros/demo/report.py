@@ -131,7 +131,7 @@ def table(numbers: dict) -> str:
 def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
     """Draw the towel, the colliders and the grippers' paths at six instants."""
     from xpbd_ros.study.picture import Body, draw as draw_picture, Instant, Path as Track, Surface
-    from xpbd_ros.study.shots import size_of
+    from xpbd_ros.study.snapshots import size_of
     cloth = simulation.cloths[0]
     path_t = np.array([row[0] for row in diary['path']])
     tracks = np.array([row[1:] for row in diary['path']])

@@ -29,7 +29,7 @@ from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.ros import diagnostics
-from xpbd_ros.ros.inbox import Inbox
+from xpbd_ros.ros.command_queue import Inbox
 from xpbd_ros.ros.inlet import Inlet
 from xpbd_ros.ros.inputs import read_pose, READERS
 from xpbd_ros.ros.outputs import Outputs

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from xpbd_ros.ros.playback import Recording
+from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.scene.compare import as_text, differences, first_of, told, with_solver
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Frame, Simulation

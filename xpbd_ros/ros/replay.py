@@ -27,10 +27,10 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
-from xpbd_ros.log.playhead import Playhead
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
-from xpbd_ros.ros.playback import is_input
+from xpbd_ros.log.replay_clock import Playhead
+from xpbd_ros.ros.logged_commands import is_input
 from xpbd_ros.ros.signals import ignore_signals
 
 NODE = 'xpbd_ros_replay'

@@ -5,7 +5,7 @@ import pytest
 
 from xpbd_ros.study.accuracy.choose import mark_front, on_front, recommend, Row
 from xpbd_ros.study.accuracy.errors import Errors
-from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
 
 

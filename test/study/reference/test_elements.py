@@ -7,7 +7,6 @@ import pytest
 from scene.shipped import WITH_MESHIO
 from scipy.sparse.linalg import eigsh
 
-from xpbd_ros.study.cases.energies import FRAMES, scene
 from xpbd_ros.study.reference import (
     elastic,
     equilibrium,
@@ -21,6 +20,7 @@ from xpbd_ros.study.reference import (
     Stiffness,
 )
 from xpbd_ros.study.reference.forces import PULLS
+from xpbd_ros.study.verify.energies import FRAMES, scene
 
 pytestmark = WITH_MESHIO
 

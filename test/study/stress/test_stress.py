@@ -8,9 +8,9 @@ import pytest
 from xpbd_ros.study.stress import all_hard, FAMILIES
 from xpbd_ros.study.stress.case import Setting
 from xpbd_ros.study.stress.run import columns, draw, is_quick, NODE_CASES, stress
-from xpbd_ros.study.stress.track import Track
+from xpbd_ros.study.stress.scenes import sheet
+from xpbd_ros.study.stress.trajectory import Track
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import sheet
 
 EVERY = all_hard()
 QUICK = ('H3', 'H6', 'H13', 'H16', 'H18', 'H31')

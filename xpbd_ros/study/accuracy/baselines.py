@@ -22,7 +22,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.reference import Edges, problem_of, Slants, Sums
 
 SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}

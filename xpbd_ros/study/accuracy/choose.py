@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import math
 
 from xpbd_ros.study.accuracy.errors import Errors
-from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
 
 POSITION, SHAPE = 'position', 'shape'

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from xpbd_ros.study.accuracy.play import Edges, Track
+from xpbd_ros.study.accuracy.trajectory import Edges, Track
 from xpbd_ros.study.accuracy.truth import differences, settled, Truth
 from xpbd_ros.study.reference import rms
 

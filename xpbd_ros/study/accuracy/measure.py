@@ -13,11 +13,10 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.backend.jit import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
-from xpbd_ros.study.accuracy.book import Book
 from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors, errors
-from xpbd_ros.study.accuracy.play import Edges, play
-from xpbd_ros.study.accuracy.setting import (
+from xpbd_ros.study.accuracy.results_store import Book
+from xpbd_ros.study.accuracy.solver_setting import (
     BASELINES,
     ladder,
     METHODS,
@@ -27,6 +26,7 @@ from xpbd_ros.study.accuracy.setting import (
     with_solver,
 )
 from xpbd_ros.study.accuracy.timing import time_frames, Timing
+from xpbd_ros.study.accuracy.trajectory import Edges, play
 from xpbd_ros.study.accuracy.truth import (
     AGREED,
     CALM,
@@ -41,7 +41,7 @@ from xpbd_ros.study.accuracy.truth import (
     times_of,
     Truth,
 )
-from xpbd_ros.study.accuracy.work import Job, share_out, TRUTH
+from xpbd_ros.study.accuracy.worker_pool import Job, share_out, TRUTH
 from xpbd_ros.study.machine import machine
 
 LOADED = 0.1

@@ -15,7 +15,7 @@ from xpbd_ros import __version__
 from xpbd_ros.study.accuracy.choose import POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors
 from xpbd_ros.study.accuracy.measure import Study
-from xpbd_ros.study.accuracy.setting import Setting
+from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
 from xpbd_ros.study.machine import describe
 

@@ -24,8 +24,13 @@ from xpbd_ros.scene.auto import cost
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.study.accuracy.play import energy, Track
-from xpbd_ros.study.accuracy.setting import default_solver, Setting, with_solver, with_substeps
+from xpbd_ros.study.accuracy.solver_setting import (
+    default_solver,
+    Setting,
+    with_solver,
+    with_substeps,
+)
+from xpbd_ros.study.accuracy.trajectory import energy, Track
 from xpbd_ros.study.reference import problem_of, Reference, rms
 
 PUSH = 1e-9

@@ -3,7 +3,7 @@ Hard cases: what breaks solvers, as data; each is run as it is and by a textbook
 
 A family is a file of this package; a case is a function in it, marked with ``@hard(id, title)``,
 that yields attempts: runs (``trial``) and refusals (``door``). It is listed, tested, tabulated and
-drawn because it is there. Cases that need a node are in ``xpbd_ros.live``.
+drawn because it is there. Cases that need a node are in ``xpbd_ros.node_stress``.
 """
 
 import importlib

@@ -5,9 +5,9 @@ from functools import partial
 
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey, SetWind
 from xpbd_ros.study.stress.case import hard
-from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.refusals import Refusal
+from xpbd_ros.study.stress.scenes import FEW, FIRM, LINE, sheet, SIZE, USUAL
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import FEW, FIRM, LINE, sheet, SIZE, USUAL
 
 MAX_SPEED = 5.0
 """at which a pin follows, unless the scene says otherwise [m/s]"""

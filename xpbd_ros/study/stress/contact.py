@@ -7,9 +7,9 @@ import numpy as np
 
 from xpbd_ros.sim.commands import PlaceCollider, Pose, RemoveCollider
 from xpbd_ros.study.stress.case import hard, Setting
-from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.refusals import Refusal
+from xpbd_ros.study.stress.scenes import FEW, FLAT, N, sheet, SIZE, SPACING, USUAL
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import FEW, FLAT, N, sheet, SIZE, SPACING, USUAL
 
 GAP = 0.004
 DEPENETRATION = 1.0

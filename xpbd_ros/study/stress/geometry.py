@@ -8,9 +8,9 @@ import tempfile
 import numpy as np
 
 from xpbd_ros.study.stress.case import hard, Setting
-from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.refusals import Refusal
+from xpbd_ros.study.stress.scenes import alone, FEW, FIRM, FLAT, LINE, N, sheet, SIZE, USUAL
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import alone, FEW, FIRM, FLAT, LINE, N, sheet, SIZE, USUAL
 
 FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_stress_')
 SQUARE = '0 0 0', '1 0 0', '1 1 0', '0 1 0'

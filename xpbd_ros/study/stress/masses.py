@@ -6,9 +6,8 @@ from functools import partial
 import numpy as np
 
 from xpbd_ros.study.stress.case import hard, Setting
-from xpbd_ros.study.stress.door import Refusal
-from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import (
+from xpbd_ros.study.stress.refusals import Refusal
+from xpbd_ros.study.stress.scenes import (
     DOWN,
     FIRM,
     FLAT,
@@ -20,6 +19,7 @@ from xpbd_ros.study.stress.worlds import (
     SPACING,
     USUAL,
 )
+from xpbd_ros.study.stress.trial import Trial
 
 GENTLE = 0.05
 """how far the total energy may rise, of what the cloth can have"""

@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 
 from xpbd_ros.study.stress.case import hard, Setting
-from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.refusals import Refusal
+from xpbd_ros.study.stress.scenes import alone, FEW, FLAT, LINE, N, sheet, SIZE, USUAL
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import alone, FEW, FLAT, LINE, N, sheet, SIZE, USUAL
 
 GENTLE = 0.05
 

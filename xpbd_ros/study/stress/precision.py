@@ -3,8 +3,8 @@
 import numpy as np
 
 from xpbd_ros.study.stress.case import hard
+from xpbd_ros.study.stress.scenes import HANGING, sheet, USUAL
 from xpbd_ros.study.stress.trial import Trial
-from xpbd_ros.study.stress.worlds import HANGING, sheet, USUAL
 
 FAR = (1e4, -1e4, 1e4)
 """such as the origin of a UTM map [m]"""

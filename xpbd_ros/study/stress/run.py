@@ -9,13 +9,13 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.study.chart import INK, page, save
 from xpbd_ros.study.stress import all_hard
 from xpbd_ros.study.stress.case import Outcome, Setting
-from xpbd_ros.study.stress.door import Refusal
 from xpbd_ros.study.stress.guards import GUARDS
+from xpbd_ros.study.stress.refusals import Refusal
 from xpbd_ros.study.stress.trial import Trial
 
 NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
               'H23': 'what is no number, while it runs'}
-"""those that need a node: ``xpbd_ros.live``"""
+"""those that need a node: ``xpbd_ros.node_stress``"""
 GOOD, BAD, REFUSED, NONE = '#3b8c5a', '#b5443c', '#7fb3d5', '#ededed'
 
 

@@ -28,7 +28,7 @@ from xpbd_ros.sim.particles.state import forget
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.textbook import advance, BOX, CAPSULE, Model, PLANE, SPHERE
-from xpbd_ros.study.stress.track import Track
+from xpbd_ros.study.stress.trajectory import Track
 
 Paths = Callable[[float], dict]
 """of time [s]: for each name how far it is from its start [m], or None where it lets go"""

@@ -1,4 +1,4 @@
-"""Run some of the cases and print what came of them as JSON: ``python -m xpbd_ros.live H23``."""
+"""Run some cases and print their outcomes as JSON: ``python -m xpbd_ros.node_stress H23``."""
 
 from dataclasses import asdict
 import json
@@ -9,8 +9,8 @@ import time
 
 import rclpy
 
-from xpbd_ros.live.cases import CASES
-from xpbd_ros.live.node import LostError
+from xpbd_ros.node_stress.cases import CASES
+from xpbd_ros.node_stress.node import LostError
 from xpbd_ros.study.stress.case import Outcome
 
 

@@ -9,8 +9,8 @@ from scipy.integrate import solve_bvp, trapezoid
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
 
-from xpbd_ros.study.cases.build import build, crossing, G, hold, place, run
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.build import build, crossing, G, hold, place, run
+from xpbd_ros.study.verify.case import case, order, value
 
 DENSITY = 0.2
 

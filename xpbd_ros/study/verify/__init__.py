@@ -7,7 +7,7 @@ that yields rows. It is listed, tested, tabulated and drawn because it is there.
 
 import importlib
 
-from xpbd_ros.study.cases.case import Case, CASES, Row
+from xpbd_ros.study.verify.case import Case, CASES, Row
 
 FAMILIES = ('motion', 'elastic', 'bending', 'friction', 'waves', 'bodies', 'energies', 'laws')
 
@@ -15,7 +15,7 @@ FAMILIES = ('motion', 'elastic', 'bending', 'friction', 'waves', 'bodies', 'ener
 def all_cases() -> dict[str, list[Case]]:
     """Import every family and return its cases."""
     for family in FAMILIES:
-        importlib.import_module(f'xpbd_ros.study.cases.{family}')
+        importlib.import_module(f'xpbd_ros.study.verify.{family}')
     return {family: [one for one in CASES if one.family == family] for family in FAMILIES}
 
 

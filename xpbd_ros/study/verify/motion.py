@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import ellipk
 
-from xpbd_ros.study.cases.build import (
+from xpbd_ros.study.verify.build import (
     BDF2,
     BE,
     build,
@@ -14,7 +14,7 @@ from xpbd_ros.study.cases.build import (
     place,
     run,
 )
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.case import case, order, value
 
 ORDERS = ((BE, 1.0), (BDF2, 2.0), (NDF2, 2.0))
 

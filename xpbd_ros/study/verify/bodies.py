@@ -7,8 +7,8 @@ import tempfile
 import numpy as np
 from scipy.optimize import brentq
 
-from xpbd_ros.study.cases.build import build, G, hold, run
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.build import build, G, hold, run
+from xpbd_ros.study.verify.case import case, order, value
 
 _FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_')
 RADIUS, YOUNG, POISSON = 0.1, 200.0, 0.3

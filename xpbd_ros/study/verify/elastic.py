@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 from scipy.optimize import brentq
 
-from xpbd_ros.study.cases.build import build, DOWN, G, hold, place, run
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.build import build, DOWN, G, hold, place, run
+from xpbd_ros.study.verify.case import case, order, value
 
 
 def hanging(n, modulus, **options):

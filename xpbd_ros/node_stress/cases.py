@@ -12,9 +12,9 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.live.node import Company
+from xpbd_ros.node_stress.node import Company
 from xpbd_ros.study.stress.case import Outcome
-from xpbd_ros.study.stress.door import Refusal
+from xpbd_ros.study.stress.refusals import Refusal
 
 NAN, INF = float('nan'), float('inf')
 STILL = 1e-3

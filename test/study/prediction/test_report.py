@@ -16,10 +16,10 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.contact.collider_entries import SHAPES
-from xpbd_ros.study.check import check
-from xpbd_ros.study.check.decay import factor
-from xpbd_ros.study.check.stiffness import stiffness
-from xpbd_ros.study.check.substeps import stretch_error
+from xpbd_ros.study.prediction import check
+from xpbd_ros.study.prediction.decay import factor
+from xpbd_ros.study.prediction.stiffness import stiffness
+from xpbd_ros.study.prediction.substeps import stretch_error
 
 SOFT = {'solver.method': 'gauss_seidel', 'solver.substeps': 16}
 
@@ -184,8 +184,9 @@ def test_a_scene_that_makes_no_sense_is_refused(capsys):
 
 
 def test_nothing_is_compiled_to_machine_code():
-    code = ('from xpbd_ros.scene.load import load_scene; from xpbd_ros.study.check import check; '
-            'from xpbd_ros.sim import step; check(load_scene("swing")); '
+    code = ('from xpbd_ros.scene.load import load_scene; '
+            'from xpbd_ros.study.prediction import check; '
+            'from xpbd_ros.sim.stepping import step; check(load_scene("swing")); '
             'print([len(f.signatures) for f in step._COMPILED.values()])')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == '[0]'

@@ -13,7 +13,7 @@ from math import ceil, inf, sqrt
 from xpbd_ros.scene.auto import largest_rate, share
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
-from xpbd_ros.study.check.stiffness import Row, stiffness
+from xpbd_ros.study.prediction.stiffness import Row, stiffness
 
 MOST = 10_000
 """the most that a scene may ask for"""

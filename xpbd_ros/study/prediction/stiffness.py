@@ -7,8 +7,8 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
-from xpbd_ros.study.check.law import APART, BACK, FORTH, Law, WHOLE
-from xpbd_ros.study.check.loads import blown_up, hanging, hung_side, Sheet, sheets
+from xpbd_ros.study.prediction.law import APART, BACK, FORTH, Law, WHOLE
+from xpbd_ros.study.prediction.loads import blown_up, hanging, hung_side, Sheet, sheets
 
 WARP, WEFT = 0, 1
 SEEN = 0.01

@@ -8,9 +8,9 @@ from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.study.check.law import APART, Law
-from xpbd_ros.study.check.loads import sheets
-from xpbd_ros.study.check.stiffness import law_of, SEEN, stiffness
+from xpbd_ros.study.prediction.law import APART, Law
+from xpbd_ros.study.prediction.loads import sheets
+from xpbd_ros.study.prediction.stiffness import law_of, SEEN, stiffness
 
 
 def scene(grid, size, *, effects, pins, substeps, iterations=1, method='gauss_seidel',

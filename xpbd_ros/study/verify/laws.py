@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from xpbd_ros.study.cases.build import build, G, hold, place, run
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.build import build, G, hold, place, run
+from xpbd_ros.study.verify.case import case, order, value
 
 
 @case('V20', 'momentum of a free body')

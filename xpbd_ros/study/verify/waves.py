@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import j0
 
 from xpbd_ros.sim import measure
-from xpbd_ros.study.cases.build import (
+from xpbd_ros.study.verify.build import (
     BDF2,
     BE,
     build,
@@ -16,7 +16,7 @@ from xpbd_ros.study.cases.build import (
     place,
     run,
 )
-from xpbd_ros.study.cases.case import case, order, Row, value
+from xpbd_ros.study.verify.case import case, order, Row, value
 
 J0_ZERO = 2.404825557695773
 

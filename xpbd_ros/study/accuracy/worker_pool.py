@@ -15,8 +15,8 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.accuracy.errors import Errors, errors
-from xpbd_ros.study.accuracy.play import Edges, play, Track
-from xpbd_ros.study.accuracy.setting import default_solver, Setting, with_solver
+from xpbd_ros.study.accuracy.solver_setting import default_solver, Setting, with_solver
+from xpbd_ros.study.accuracy.trajectory import Edges, play, Track
 from xpbd_ros.study.accuracy.truth import push, size_of, Truth
 from xpbd_ros.study.reference import limit, problem_of, Reference
 

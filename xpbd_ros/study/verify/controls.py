@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xpbd_ros.study.cases.build import G
-from xpbd_ros.study.cases.wrong import chain, DECAYED, DROPPED, PBD, slide
+from xpbd_ros.study.verify.build import G
+from xpbd_ros.study.verify.negative_controls import chain, DECAYED, DROPPED, PBD, slide
 
 
 @dataclass(frozen=True)

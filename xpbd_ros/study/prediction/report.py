@@ -11,9 +11,9 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.contact.collider_entries import Entry
 from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.simulation import Simulation, Solver
-from xpbd_ros.study.check.decay import Decay, decays
-from xpbd_ros.study.check.stiffness import Row, stiffness, UNPREDICTED
-from xpbd_ros.study.check.substeps import needed, STRETCH
+from xpbd_ros.study.prediction.decay import Decay, decays
+from xpbd_ros.study.prediction.stiffness import Row, stiffness, UNPREDICTED
+from xpbd_ros.study.prediction.substeps import needed, STRETCH
 
 ERRORS = (0.1, 0.01, 0.001)
 WORTH_SAYING = 0.1

@@ -6,8 +6,8 @@ from pathlib import Path
 import time
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.study.cases import all_cases, Row
 from xpbd_ros.study.chart import COLOURS, INK, page, save
+from xpbd_ros.study.verify import all_cases, Row
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,11 @@ import tempfile
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.study.cases.bodies import sphere
-from xpbd_ros.study.cases.build import BDF2, G, run
-from xpbd_ros.study.cases.case import case, order, value
-from xpbd_ros.study.cases.elastic import still
 from xpbd_ros.study.reference import equilibrium, limit, problem_of, rms
+from xpbd_ros.study.verify.bodies import sphere
+from xpbd_ros.study.verify.build import BDF2, G, run
+from xpbd_ros.study.verify.case import case, order, value
+from xpbd_ros.study.verify.elastic import still
 
 _FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_')
 FRAMES = 6

@@ -3,8 +3,8 @@
 import numpy as np
 
 from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose
-from xpbd_ros.study.cases.build import build, G, place, run
-from xpbd_ros.study.cases.case import case, order, value
+from xpbd_ros.study.verify.build import build, G, place, run
+from xpbd_ros.study.verify.case import case, order, value
 
 MU = 0.4
 GAP = 0.001

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from xpbd_ros.study.cases import all_cases, FAMILIES
-from xpbd_ros.study.cases.case import order, value
-from xpbd_ros.study.cases.controls import controls
-from xpbd_ros.study.cases.wrong import chain, RIGHT
+from xpbd_ros.study.verify import all_cases, FAMILIES
+from xpbd_ros.study.verify.case import order, value
+from xpbd_ros.study.verify.controls import controls
+from xpbd_ros.study.verify.negative_controls import chain, RIGHT
 
 README = Path(__file__).parents[3] / 'README.md'
 EVERY = [one for family in all_cases().values() for one in family]
