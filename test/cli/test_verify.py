@@ -3,7 +3,7 @@
 import json
 
 from xpbd_ros.cli.main import main
-from xpbd_ros.study.verify.run import case
+from xpbd_ros.study.verify import case
 
 
 def test_one_case_as_a_table_and_as_json(capsys, tmp_path):

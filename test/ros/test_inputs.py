@@ -14,16 +14,16 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros import command_queue
+from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.command_queue import Inbox
 from xpbd_ros.ros.inputs import (
-    as_messages,
     count_in,
+    INPUTS,
     read_colliders,
     read_pins,
     read_pose,
     read_targets,
     read_wind,
-    READERS,
     unpacked,
 )
 from xpbd_ros.sim import commands
@@ -250,14 +250,14 @@ def test_commands_come_out_of_the_log_as_they_went_in():
     before = random_commands(2000)
     after = []
     for topic, message in as_messages(before, 'world', 1_700_000_000_123_456_789):
-        kind, read = READERS[topic.rsplit('/', 1)[-1]]
+        kind, read = INPUTS[topic.rsplit('/', 1)[-1]][:2]
         after += read(unpacked(serialize_message(message), kind), 'world')
     assert list(map(repr, after)) == list(map(repr, before))    # repr tells -0.0 from 0.0
 
 
 @pytest.mark.parametrize('count', [2**64 - 1, 2**40, 4097])
 def test_a_log_that_counts_more_resets_than_there_can_be_is_refused(count):
-    kind, read = READERS['resets']
+    kind, read = INPUTS['resets'][:2]
     with pytest.raises(InputError, match=f'{count} resets in one frame'):
         read(unpacked(serialize_message(kind(data=count)), kind), 'world')
     assert read(kind(data=4096), 'world') == [Reset()] * 4096

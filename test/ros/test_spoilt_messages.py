@@ -12,7 +12,7 @@ from ros.rig import collider, pin, pose_stamped, targets
 from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.ros.command_queue import Inbox
-from xpbd_ros.ros.inputs import read_pose, READERS
+from xpbd_ros.ros.inputs import INPUTS, read_pose
 
 NAN = float('nan')
 GOOD = {
@@ -68,7 +68,7 @@ def attack(count: int, seed: int) -> Counter:
     found = Counter()
     for _ in range(count):
         name = noise.choice(list(GOOD))
-        kind, read = {**READERS, 'pose': ONE_POSE}[name]
+        kind, read = {**INPUTS, 'pose': ONE_POSE}[name][:2]
         before = box.accepted.total(), box.refused.total()
         data = spoilt(noise, noise.choice(sent[name]))
         box.take(f'/{name}', data, kind, lambda message, read=read: read(message, 'world'))

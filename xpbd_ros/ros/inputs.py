@@ -1,30 +1,26 @@
 """
-Messages to commands, checked, and commands back to messages as the log keeps them.
+Messages to commands, checked, and the table of input topics.
 
 Each reader is a pure function of one message: it returns commands or raises ``InputError`` with
-the reason. What goes through unharmed comes out of the log's message bit for bit.
+the reason.
 """
 
-from itertools import groupby
+from collections.abc import Callable
 from math import isfinite, sqrt
 import struct
+from typing import NamedTuple
 
 from geometry_msgs.msg import (
-    Point,
-    Transform,
-    Twist as TwistMessage,
-    Vector3,
     Vector3Stamped,
 )
-from rcl_interfaces.msg import Parameter, ParameterEvent
-from rclpy.parameter import Parameter as RclpyParameter, parameter_value_to_python
+from rcl_interfaces.msg import ParameterEvent
+from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros.messages import quaternion, set_stamp, vector
 from xpbd_ros.scene.read import NAME
 from xpbd_ros.sim.commands import (
     Command,
@@ -250,126 +246,36 @@ def count_in(raw: bytes, kind: type) -> int:
         return 0
 
 
-def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object]]:
-    """
-    Return applied commands as (topic below the node, message), in order.
+class Input(NamedTuple):
+    """One topic that commands come from."""
 
-    Neighbours that fit into one message share it.
-    """
-    found = []
-    for key, group in groupby(commands, _batch):
-        group = list(group)
-        kind = key[0]
-        if kind in (Grasp, Release, ReleaseAll):
-            found.append(('pins', MarkerArray(
-                markers=[_marker(c, frame_id, time_ns) for c in group])))
-        elif kind is PlaceCollider:
-            found.append(('colliders', MarkerArray(
-                markers=[_collider(c, frame_id, time_ns) for c in group])))
-        elif kind in (MovePin, MoveCollider):
-            topic = 'pin_targets' if kind is MovePin else 'collider_states'
-            found.append((topic, _targets(group, frame_id)))
-        elif kind is SetWind:
-            found += [('wind', _wind(c, frame_id, time_ns)) for c in group]
-        elif kind is SetKey:
-            event = ParameterEvent(node='cloth')
-            set_stamp(event.stamp, time_ns)
-            event.changed_parameters = [_parameter(c) for c in group]
-            found.append(('/parameter_events', event))
-        elif kind is Reset:
-            found.append(('resets', UInt64(data=len(group))))
-    return found
+    kind: type
+    """of its messages"""
+    read: Callable
+    """(message, frame_id) -> commands"""
+    commands: tuple[type, ...]
+    """that its messages become"""
+    effect: str | None
+    """that a scene must have for the node to subscribe; None: only logs have the topic"""
 
 
-READERS = {
-    'pins': (MarkerArray, read_pins),
-    'pin_targets': (MultiDOFJointState, lambda m, f: read_targets(m, f, MovePin)),
-    'colliders': (MarkerArray, read_colliders),
-    'collider_states': (MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider)),
-    'wind': (Vector3Stamped, read_wind),
-    'parameter_events': (ParameterEvent, lambda m, f: read_events(m)),
-    'resets': (UInt64, lambda m, f: read_resets(m)),
+INPUTS = {
+    'pins': Input(MarkerArray, read_pins, (Grasp, Release, ReleaseAll), 'pin'),
+    'pin_targets': Input(MultiDOFJointState, lambda m, f: read_targets(m, f, MovePin), (MovePin,),
+                         'pin'),
+    'colliders': Input(MarkerArray, read_colliders,
+                       (PlaceCollider, RemoveCollider, RemoveAllColliders), 'contact'),
+    'collider_states': Input(MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider),
+                             (MoveCollider,), 'contact'),
+    'wind': Input(Vector3Stamped, read_wind, (SetWind,), 'wind'),
+    'parameter_events': Input(ParameterEvent, lambda m, f: read_events(m), (SetKey,), None),
+    'resets': Input(UInt64, lambda m, f: read_resets(m), (Reset,), None),
 }
-"""the log's input topics, by their last part: type, and reader (message, frame_id) -> commands"""
+"""by topic below the node; a log has them all, and its ``parameter_events`` at the root"""
 
 
-def _batch(command) -> tuple:
-    kind = type(command)
-    if kind in (MovePin, MoveCollider):
-        return kind, command.stamp_ns, command.twist is None
-    if kind in (RemoveCollider, RemoveAllColliders):
-        kind = PlaceCollider
-    return (Grasp if kind in (Release, ReleaseAll) else kind,)
-
-
-def _marker(command, frame_id: str, time_ns: int) -> Marker:
-    marker = Marker(type=Marker.SPHERE)
-    marker.header.frame_id = frame_id
-    set_stamp(marker.header.stamp, time_ns)
-    if isinstance(command, ReleaseAll):
-        marker.action = Marker.DELETEALL
-        return marker
-    marker.ns = command.pin
-    marker.action = Marker.DELETE
-    if isinstance(command, Grasp):
-        marker.action = Marker.ADD
-        marker.pose.position = vector(Point, command.pose.position)
-        marker.pose.orientation = quaternion(command.pose.orientation)
-        size = 2.0 * command.radius
-        marker.scale = Vector3(x=size, y=size, z=size)
-        marker.color.a = 1.0
-        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, SECOND)
-    return marker
-
-
-def _collider(command, frame_id: str, time_ns: int) -> Marker:
-    marker = Marker(ns=getattr(command, 'collider', ''), action=Marker.DELETE)
-    marker.header.frame_id = frame_id
-    set_stamp(marker.header.stamp, time_ns)
-    if isinstance(command, RemoveAllColliders):
-        marker.action = Marker.DELETEALL
-    elif isinstance(command, PlaceCollider):
-        marker.action, size = Marker.ADD, command.size
-        marker.type = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER,
-                       'mesh': Marker.TRIANGLE_LIST}[command.shape]
-        if command.shape == 'mesh':
-            marker.points = [Point(x=x, y=y, z=z) for x, y, z in zip(*[iter(size)] * 3)]
-            size = 1.0, 1.0, 1.0
-        elif command.shape != 'box':
-            across = 2.0 * size[0]
-            size = across, across, size[-1] if command.shape == 'cylinder' else across
-        marker.scale = vector(Vector3, size)
-        marker.pose.position = vector(Point, command.pose.position)
-        marker.pose.orientation = quaternion(command.pose.orientation)
-        marker.color.a = 1.0
-        marker.lifetime.sec, marker.lifetime.nanosec = divmod(command.lifetime_ns, SECOND)
-    return marker
-
-
-def _targets(group, frame_id: str) -> MultiDOFJointState:
-    message = MultiDOFJointState()
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, group[0].stamp_ns)
-    for command in group:
-        message.joint_names.append(getattr(command, 'pin', None) or command.collider)
-        message.transforms.append(Transform(
-            translation=vector(Vector3, command.pose.position),
-            rotation=quaternion(command.pose.orientation)))
-        if command.twist is not None:
-            message.twist.append(TwistMessage(linear=vector(Vector3, command.twist.linear),
-                                              angular=vector(Vector3, command.twist.angular)))
-    return message
-
-
-def _wind(command: SetWind, frame_id: str, time_ns: int) -> Vector3Stamped:
-    message = Vector3Stamped(vector=vector(Vector3, command.velocity))
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
-    return message
-
-
-def _parameter(command: SetKey) -> Parameter:
-    value = command.value
-    if isinstance(value, tuple):
-        value = list(value)
-    return RclpyParameter(command.key, value=value).to_parameter_msg()
+def topic_of(command: Command) -> str:
+    """Return the topic that a command came from, or ``parameters``."""
+    if isinstance(command, SetKey):
+        return 'parameters'
+    return next(topic for topic, about in INPUTS.items() if isinstance(command, about.commands))

@@ -9,7 +9,7 @@ from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
-from xpbd_ros.ros.inputs import READERS, unpacked
+from xpbd_ros.ros.inputs import INPUTS, unpacked
 from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.scene.model import Scene
@@ -95,13 +95,14 @@ class Recording:
                 if last_part(topic) == name and about.type == type_name(kind)]
 
     def _commands(self) -> dict[int, list[Command]]:
-        inputs = {topic: READERS[last_part(topic)] for topic, about in self._reader.topics.items()
+        inputs = {topic: INPUTS[last_part(topic)] for topic, about in self._reader.topics.items()
                   if is_recorded_input(topic, about.type)}
         found: dict[int, list[Command]] = {}
         for message in self._reader.messages(inputs):
-            kind, read = inputs[message.topic]
+            about = inputs[message.topic]
             try:
-                commands = read(unpacked(message.data, kind), self.scene.top.frame_id)
+                commands = about.read(unpacked(message.data, about.kind),
+                                      self.scene.top.frame_id)
             except InputError as error:
                 raise InputError(f'{self.path}: {message.topic}, frame {message.frame}: '
                                  f'{error}') from error
@@ -116,7 +117,7 @@ def last_part(topic: str) -> str:
 
 def is_recorded_input(topic: str, kind: str) -> bool:
     """Return whether a topic of this type is one that a log has inputs on."""
-    return last_part(topic) in READERS and type_name(READERS[last_part(topic)][0]) == kind
+    return last_part(topic) in INPUTS and type_name(INPUTS[last_part(topic)].kind) == kind
 
 
 def is_input(topic: str, kind: str) -> bool:

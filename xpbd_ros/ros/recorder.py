@@ -3,25 +3,18 @@
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Vector3Stamped
-from rcl_interfaces.msg import ParameterEvent
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import UInt64
-from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.cdr import trimmed
-from xpbd_ros.ros.inputs import as_messages, SECOND
+from xpbd_ros.ros.command_messages import as_messages
+from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
-INPUTS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
-          'colliders': MarkerArray, 'collider_states': MultiDOFJointState, 'wind': Vector3Stamped,
-          'resets': UInt64, '/parameter_events': ParameterEvent}
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
@@ -92,7 +85,7 @@ class Recorder:
         before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
         stamp_ns = self.epoch_ns + frame.time_ns if stamp_ns is None else stamp_ns
         for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
-            self._write_one(topic, INPUTS[topic], message, before_ns, frame.index)
+            self._write_one(topic, type(message), message, before_ns, frame.index)
         self._write_all(encoded, frame)
         self._write_all({'state_hash': outputs.hash()}, frame)
         period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))

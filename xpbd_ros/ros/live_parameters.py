@@ -1,0 +1,129 @@
+"""Parameters while the node runs: what may change, and the live keys of its scene."""
+
+import threading
+
+from rcl_interfaces.msg import SetParametersResult
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros.parameters import descriptor, TABLE
+from xpbd_ros.scene.read import unknown
+from xpbd_ros.sim.commands import SetKey
+
+QOS = 'qos_overrides.'
+
+
+class LiveParameters:
+    """
+    The parameters of a node, its own and those of its scene.
+
+    Parameters
+    ----------
+    node : the ``ClothNode`` that has them
+
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._rows = {row.name: row for row in TABLE}
+        self._keys: set[str] = set()
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._apply)
+        for row in TABLE:
+            node.declare_parameter(row.name, row.default, descriptor(row))
+
+    def declare(self, live) -> dict:
+        """Declare the scene's live keys; return those that a parameter file sets otherwise."""
+        changed = {}
+        for name, (value, about) in live.items():
+            given = as_plain(self._node.declare_parameter(name, value, about).value)
+            self._keys.add(name)
+            if given != value:
+                changed[name] = given
+        return changed
+
+    def forget(self) -> None:
+        """Undeclare the scene's live keys."""
+        for name in self._keys:
+            self._node.undeclare_parameter(name)
+        self._keys.clear()
+
+    def unknown(self) -> list[str]:
+        """Return a warning for each parameter override that no parameter has the name of."""
+        node = self._node
+        given = [name for name in node._parameter_overrides    # rclpy has no other way to them
+                 if not node.has_parameter(name)]
+        qos = [name for name in node._parameters if name.startswith(QOS)]
+        return [f'parameter {name}: {unknown(name, qos, "quality of service")}; ignored'
+                if name.startswith(QOS) else
+                f'parameter {name}: {unknown(name, (*self._rows, *self._keys), "parameter")}; '
+                'ignored. What cannot change while the scene runs stands in its file, or in '
+                "that of parameter 'settings'" for name in given]
+
+    def _check(self, parameters):
+        """Say yes or no; change nothing."""
+        simulation, changes = self._node.simulation, {}
+        for parameter in parameters:
+            row = self._rows.get(parameter.name)
+            value = parameter.value
+            if row is not None:
+                if row.choices and value not in row.choices:
+                    return refusal(f"{row.name}: must be one of {', '.join(row.choices)} "
+                                   f"(got '{value}')")
+                if simulation is not None and not row.live:
+                    return refusal(f'{row.name}: is read when the node is configured; clean it '
+                                   'up first')
+                if row.name == 'publish_rate' and simulation is not None:
+                    try:
+                        every(value, simulation)
+                    except InputError as error:
+                        return refusal(str(error))
+            elif simulation is not None and parameter.name in self._keys:
+                changes[parameter.name] = as_plain(value)
+        if changes:
+            try:
+                simulation.check(changes)
+            except InputError as error:
+                return refusal(str(error))
+        return SetParametersResult(successful=True)
+
+    def _apply(self, parameters):
+        """Hand live keys to the next frame, and the others to the part that they are of."""
+        node = self._node
+        if node.simulation is None or threading.current_thread() is node.stepper:
+            return    # the stepper only tells what holds already
+        keys = [(SetKey(p.name, as_plain(p.value)),) for p in parameters if p.name in self._keys]
+        if keys:
+            node.inbox.put('parameters', *keys)
+        recorder = node.recorder
+        for parameter in parameters:
+            if parameter.name == 'mode' and node.stepper is not None:
+                node.stepper.switch(parameter.value)
+            elif parameter.name == 'use_sim_time' and node.stepper is not None:
+                node.stepper.follow(*node.pace())
+            elif parameter.name == 'publish_rate':
+                node.publish_every = every(parameter.value, node.simulation)
+            elif recorder is not None and parameter.name == 'record.flush_period':
+                recorder.log.flush_period = parameter.value
+            elif recorder is not None and parameter.name == 'record.checkpoint_period':
+                recorder.checkpoint_period = parameter.value
+
+
+def every(rate: float, simulation) -> int:
+    """Return how many frames there are to one that is published, at ``publish_rate`` [Hz]."""
+    if rate == 0.0:
+        return 1
+    count = float(simulation.frame_rate) / rate
+    if abs(count - round(count)) > 1e-6 or round(count) < 1:
+        raise InputError(f'publish_rate: must divide the frame rate of '
+                         f'{float(simulation.frame_rate):g} Hz (got {rate:g} Hz)')
+    return round(count)
+
+
+def refusal(reason: str) -> SetParametersResult:
+    """Return a no with its reason."""
+    return SetParametersResult(successful=False, reason=reason)
+
+
+def as_plain(value):
+    """Return a parameter's value as a scene has it."""
+    return value if isinstance(value, bool | int | float | str) else list(value)

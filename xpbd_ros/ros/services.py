@@ -1,0 +1,105 @@
+"""The services of the node: ``~/pause``, ``~/play``, ``~/step``, ``~/reset``, ``~/record``."""
+
+from concurrent import futures
+from pathlib import Path
+
+from std_srvs.srv import SetBool, Trigger
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.sim.commands import Reset
+
+ANSWER_SECONDS = 10.0
+"""how long a service waits for the frame in hand"""
+
+
+class Services:
+    """
+    Each acts on the stepper's thread, between two frames, and answers when it is done.
+
+    Parameters
+    ----------
+    node : the ``ClothNode`` that offers them
+
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._offered = [
+            node.create_service(Trigger, '~/pause', self._pause),
+            node.create_service(Trigger, '~/play', self._play),
+            node.create_service(Trigger, '~/step', self._step),
+            node.create_service(Trigger, '~/reset', self._reset),
+            node.create_service(SetBool, '~/record', self._record),
+        ]
+
+    def close(self) -> None:
+        """Offer them no more."""
+        for service in self._offered:
+            self._node.destroy_service(service)
+
+    def _answer(self, response, action, message: str):
+        stepper = self._node.stepper
+        if stepper is None:
+            response.success, response.message = False, 'the node is not active'
+            return response
+        future = stepper.ask(action)
+        try:
+            done = future.result(ANSWER_SECONDS)
+            response.success, response.message = True, message.format(done)
+        except futures.TimeoutError:
+            response.success = False
+            response.message = f'not done after {ANSWER_SECONDS:g} s' + (
+                ', and given up' if future.cancel() else '; it may still happen')
+        except Exception as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _pause(self, request, response):
+        def pause():
+            self._node.stepper.playing = False
+            return self._node.simulation.index
+        return self._answer(response, pause, 'paused at frame {}')
+
+    def _play(self, request, response):
+        def play():
+            self._node.stepper.playing = True
+            self._node.stepper.resume()
+            return self._node.simulation.index
+        stepper = self._node.stepper
+        note = ' (mode lockstep: only ~/step moves on)' if stepper is not None and \
+            stepper.mode == 'lockstep' else ''
+        return self._answer(response, play, 'playing from frame {}' + note)
+
+    def _step(self, request, response):
+        def step():
+            if self._node.stepper.by_itself:
+                raise InputError('it runs by itself; ~/pause first, or use mode lockstep')
+            self._node.step()
+            return self._node.simulation.index
+        return self._answer(response, step, 'at frame {}')
+
+    def _reset(self, request, response):
+        def reset():
+            self._node.inbox.put('reset', (Reset(),))
+            self._node.step()
+            return self._node.simulation.index
+        return self._answer(response, reset, 'back at the start, in frame {}')
+
+    def _record(self, request, response):
+        node = self._node
+
+        def record():
+            if not request.data:
+                if node.recorder is None:
+                    raise InputError('not recording')
+                folder = node.recorder.folder
+                node.stop_recording()
+                return folder.absolute()
+            if node.recorder is not None:
+                raise InputError(f'already recording to {node.recorder.folder.absolute()}')
+            path = node.value('record.path')
+            folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
+            node.start_recording(folder)
+            return folder.absolute()
+        return self._answer(response, record, '{}')

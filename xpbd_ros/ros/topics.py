@@ -1,0 +1,81 @@
+"""The topics of a configured node: all outputs, and the inputs that its scene calls for."""
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.lifecycle import LifecycleNode
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from rosgraph_msgs.msg import Clock
+
+from xpbd_ros.ros.inlet import Inlet
+from xpbd_ros.ros.inputs import INPUTS, read_pose
+from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.scene.model import Scene
+
+
+class Topics:
+    """
+    What a node publishes and subscribes to.
+
+    Parameters
+    ----------
+    node : it has them
+    scene : names the colliders and the TF frame
+    outputs : what is published of the simulation, whose effects say what inputs there are
+    take : is given each message: full name of its topic, serialized message, type, and
+        (message) -> commands
+    clock : whether the node is the source of /clock
+
+    """
+
+    def __init__(self, node: LifecycleNode, scene: Scene, outputs: Outputs, take: Callable, *,
+                 clock: bool):
+        self._node, self._scene, self._outputs, self._take = node, scene, outputs, take
+        self._clock = clock
+        self._publishers, self._inlets = {}, []
+
+    def open(self) -> None:
+        """Create publishers and subscriptions; where that fails, ``close`` removes those made."""
+        node, effects = self._node, self._outputs.simulation.effects
+        overridable = QoSOverridingOptions.with_default_policies()
+        for output in self._outputs.topics.values():
+            if output.log_only:
+                continue
+            qos = QoSProfile(depth=output.qos.depth)
+            if output.qos.durability == 'transient_local':
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            self._publishers[output.topic] = node.create_lifecycle_publisher(
+                output.kind, f'~/{output.topic}', qos, qos_overriding_options=overridable)
+        self._publishers['/diagnostics'] = node.create_lifecycle_publisher(
+            DiagnosticArray, '/diagnostics', 10)
+        if self._clock:
+            self._publishers['/clock'] = node.create_lifecycle_publisher(Clock, '/clock', 10)
+        for topic, about in INPUTS.items():
+            if about.effect in effects:
+                self._listen(topic, about.kind, about.read)
+        if 'contact' in effects:
+            for name in self._scene.sections.get('colliders', {}):
+                self._listen(f'collider/{name}/pose', PoseStamped,
+                             lambda m, f, name=name: read_pose(m, f, name))
+
+    def _listen(self, topic: str, kind: type, read: Callable) -> None:
+        name = self._node.resolve_topic_name(f'~/{topic}')
+        self._inlets.append(Inlet(self._node, name, kind, lambda raw: self._take(
+            name, raw, kind, lambda message: read(message, self._scene.top.frame_id))))
+
+    def publish(self, topic: str, message) -> None:
+        """Publish a message, or one that is serialized."""
+        self._publishers[topic].publish(message)
+
+    def is_heard(self, topic: str) -> bool:
+        """Tell whether somebody subscribes."""
+        return self._publishers[topic].get_subscription_count() > 0
+
+    def close(self) -> None:
+        """Publish and listen no more."""
+        for publisher in self._publishers.values():
+            self._node.destroy_lifecycle_publisher(publisher)
+        for inlet in self._inlets:
+            inlet.close()
