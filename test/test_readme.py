@@ -1,4 +1,4 @@
-"""Everything that the README shows is run."""
+"""Everything that the README and the pages of doc/ show is run."""
 
 from dataclasses import fields
 import importlib
@@ -26,13 +26,15 @@ README = Path(__file__).parents[1] / 'README.md'
 pytestmark = pytest.mark.skipif(not README.is_file(), reason='the README is not installed')
 
 
-def text() -> str:
-    return README.read_text(encoding='utf-8')
+def text(page: str = 'README') -> str:
+    """Return the README, or a page of doc/."""
+    file = README if page == 'README' else README.parent / 'doc' / f'{page}.md'
+    return file.read_text(encoding='utf-8')
 
 
-def block(language: str) -> str:
-    """Return the only block of code in a language."""
-    found = re.findall(rf'```{language}\n(.*?)```', text(), re.S)
+def block(language: str, page: str = 'README') -> str:
+    """Return the only block of code of a page in a language."""
+    found = re.findall(rf'```{language}\n(.*?)```', text(page), re.S)
     assert len(found) == 1
     return found[0]
 
@@ -52,12 +54,12 @@ def effects_table() -> str:
 
 
 def test_table_of_effects_is_what_their_files_say():
-    assert effects_table() in text(), f'the README should hold\n{effects_table()}'
+    assert effects_table() in text('effects'), f'doc/effects.md should hold\n{effects_table()}'
 
 
 def test_shipped_scenes_are_named_and_have_a_picture():
     for file in (share_folder() / 'scenes').glob('*.yaml'):
-        assert f'`{file.stem}`' in text()
+        assert f'`{file.stem}`' in text('scenes')
         if file.stem != 'demo':    # which has a larger one of its own
             size = (README.parent / f'resource/images/{file.stem}.png').stat().st_size
             assert 3_000 < size < 60_000
@@ -68,7 +70,7 @@ def test_table_of_hard_cases_names_each_and_its_guards():
     from xpbd_ros.study.stress.guards import GUARDS
     from xpbd_ros.study.stress.run import NODE_CASES
     rows = {}
-    for line in re.findall(r'^\| H\d+ \|.*$', text(), re.M):
+    for line in re.findall(r'^\| H\d+ \|.*$', text('robustness'), re.M):
         id_, *cells = (cell.strip() for cell in line.split('|')[1:-1])
         rows[id_] = cells
     for id_, title in [*((one.id, one.title) for one in all_hard()), *NODE_CASES.items()]:
@@ -79,22 +81,23 @@ def test_table_of_hard_cases_names_each_and_its_guards():
         assert guard.what in rows[guard.case][3]
 
 
-def test_example_scene_runs():
-    simulation = compile_scene(scene_from_text(block('yaml'), where='README', name='readme'))
+@pytest.mark.parametrize('page', ['README', 'scenes'])
+def test_example_scene_runs(page):
+    simulation = compile_scene(scene_from_text(block('yaml', page), where=page, name='readme'))
     for _ in range(5):
         frame = simulation.step()
     assert np.isfinite(frame.x).all()
 
 
 def indented(heading: str) -> str:
-    """Return the only indented block of a section."""
-    section = text().split(f'### {heading}\n')[1].split('\n#')[0]
+    """Return the only indented block of a section of doc/scenes.md."""
+    section = text('scenes').split(f'## {heading}\n')[1].split('\n#')[0]
     (found,) = re.findall(r'\n\n((?:    .*\n)+)', section)
     return re.sub('^    ', '', found, flags=re.M)
 
 
 def test_pin_example_says_what_pins_hold():
-    scene, more = yaml.safe_load(block('yaml')), yaml.safe_load(indented('Pins'))
+    scene, more = yaml.safe_load(block('yaml', 'scenes')), yaml.safe_load(indented('Pins'))
     effects = {**scene['effects'], **more['effects']}
     simulation = compile_scene(scene_from_text(yaml.safe_dump(
         {**scene, **more, 'effects': effects}), where='README', name='readme'))
@@ -103,7 +106,7 @@ def test_pin_example_says_what_pins_hold():
 
 
 def test_seam_example_sews():
-    cloth = yaml.safe_load(block('yaml'))['cloths']['towel']
+    cloth = yaml.safe_load(block('yaml', 'scenes'))['cloths']['towel']
     simulation = compile_scene(scene_from_text(yaml.safe_dump(
         {'cloths': {'front': cloth, 'back': cloth}, **yaml.safe_load(indented('Seams'))}),
         where='README', name='readme'))
@@ -124,7 +127,7 @@ def test_collider_example_runs(tmp_path):
     faces = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
     (tmp_path / 'bust.obj').write_text('\n'.join(
         [f'v {x} {y} {z}' for x, y, z in corners] + ['f ' + ' '.join(map(str, f)) for f in faces]))
-    scene, more = yaml.safe_load(block('yaml')), yaml.safe_load(indented('Colliders'))
+    scene, more = yaml.safe_load(block('yaml', 'scenes')), yaml.safe_load(indented('Colliders'))
     simulation = compile_scene(scene_from_text(
         yaml.safe_dump({**scene, **more}), where='README', name='readme', folder=tmp_path))
     assert set(simulation.effects['contact'].placed) == {'floor', 'bust', 'ground'}
@@ -136,7 +139,7 @@ def test_material_example_means_denim():
                                name='readme').cloth_effects.values()
     assert cloth['bend'].stiffness == MATERIALS['denim'].bend
     assert set(cloth) == {'stretch', 'shear', 'bend'}
-    (solid,) = re.findall(r'or (\{young.*\}):', text())
+    (solid,) = re.findall(r'or (\{young.*\}):', text('scenes'))
     assert scene_from_text(indented('Materials'), where='README', name='readme', overrides={
         'cloths.jeans.material': yaml.safe_load(solid)}).cloths['jeans'].density == 0.9
 
@@ -145,12 +148,40 @@ def test_table_of_materials_is_what_their_file_says():
     for name, sheet in MATERIALS.items():
         warp, weft = pulled(sheet)
         assert (f'| `{name}` | {sheet.density:g} | {warp:.0f} | {weft:.0f} | {sheet.shear:.0f} | '
-                f'{1e6 * sheet.bend:.0f} |\n') in text()
+                f'{1e6 * sheet.bend:.0f} |\n') in text('scenes')
 
 
-def test_every_picture_is_there():
-    for name in re.findall(r'!\[[^]]*\]\(([^)]+)\)', text()):
-        assert (README.parent / name).stat().st_size > 10_000
+PAGES = [README, README.parent / 'CONTRIBUTING.md', *sorted((README.parent / 'doc').glob('*.md'))]
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_every_picture_and_page_that_is_named_is_there(page):
+    for mark, name in re.findall(r'(!?)\[[^]]*\]\(([^)#]+)\)', page.read_text(encoding='utf-8')):
+        assert (page.parent / name).stat().st_size > (10_000 if mark else 500), name
+
+
+def test_the_readme_is_short_and_names_every_page():
+    assert len(text().splitlines()) <= 150
+    for page in (README.parent / 'doc').glob('*.md'):
+        assert f'(doc/{page.name})' in text()
+
+
+def test_the_page_of_the_node_has_its_topics_services_and_parameters():
+    pytest.importorskip('rclpy', reason='ROS is not installed')
+    from xpbd_ros.ros.inputs import INPUTS
+    from xpbd_ros.ros.outputs import Outputs
+    from xpbd_ros.ros.parameters import TABLE
+    from xpbd_ros.ros.recorder import type_name
+    simulation = compile_scene(scene_from_text(block('yaml'), where='README', name='readme'))
+    topics = [*((topic, about.kind) for topic, about in INPUTS.items() if about.effect),
+              *((topic, about.kind) for topic, about in Outputs(simulation, '', '').topics.items()
+                if not about.log_only)]
+    for topic, kind in topics:
+        assert f'`~/{topic}` | {type_name(kind).replace("/msg/", "/")}' in text('node')
+    for row in TABLE:
+        live = 'yes' if row.live else 'no'
+        assert (f'| `{row.name}` | `{row.default!r}` | {row.description} | {live} |\n'
+                in text('node'))
 
 
 @pytest.fixture(scope='module')

@@ -45,7 +45,7 @@ READINGS = 5
 
 
 class ClothNode(LifecycleNode):
-    """The node; see the README for its topics, services and parameters."""
+    """The node; doc/node.md has its topics, services and parameters."""
 
     def __init__(self):
         super().__init__('cloth')

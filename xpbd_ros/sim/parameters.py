@@ -12,8 +12,8 @@ def quantity(default: Any = MISSING, *, unit: str = '', above: float | None = No
     """
     Declare a parameter: its unit, its range and whether it may change while running.
 
-    ``above`` is an exclusive lower bound. The loader, the README's table and the node's parameter
-    descriptors all read this.
+    ``above`` is an exclusive lower bound. The loader, the table in doc/effects.md and the node's
+    parameter descriptors all read this.
     """
     metadata = {'unit': unit, 'above': above, 'minimum': minimum, 'maximum': maximum,
                 'live': live, 'choices': choices, 'doc': doc}

@@ -10,7 +10,7 @@ from xpbd_ros.study.verify.case import order, value
 from xpbd_ros.study.verify.controls import controls
 from xpbd_ros.study.verify.negative_controls import chain, RIGHT
 
-README = Path(__file__).parents[3] / 'README.md'
+PAGE = Path(__file__).parents[3] / 'doc' / 'verification.md'
 EVERY = [one for family in all_cases().values() for one in family]
 
 
@@ -26,10 +26,10 @@ def test_case(case):
         assert row.good, row
 
 
-def test_the_readme_lists_every_case():
-    if not README.is_file():
-        pytest.skip('the README is not installed')
-    text = ' '.join(README.read_text(encoding='utf-8').split())
+def test_its_page_lists_every_case():
+    if not PAGE.is_file():
+        pytest.skip('doc/ is not installed')
+    text = ' '.join(PAGE.read_text(encoding='utf-8').split())
     for one in {one.id: one for one in reversed(EVERY)}.values():
         assert f'| {one.id} | {one.title} | ' in text
     for one in controls():
