@@ -19,7 +19,7 @@ from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.backend.threads import Crew
+from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.constraints.distance import by_place, grid_edges, mesh_edges
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, Shape
@@ -71,7 +71,7 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
         effects = (MeshStretch(mesh_edges(sheet.slot[work.edges.particles],
                                           work.edges.rest_length, work.edges.compliance,
                                           world=sheet)),)
-    step, how, crew = compiled(('stretch',)), METHODS[method](1), Crew(threads)
+    step, how, crew = compiled(('stretch',)), METHODS[method](1), ThreadPool(threads)
 
     def run(frames):
         crew.run(step, effects, sheet.state, how, frames * FRAME_DT, frames * SUBSTEPS)

@@ -82,7 +82,8 @@ def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cac
     seen = look(names, cache)
     assert not seen['cached']
     assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
-        stages.react, stages.project_back, stages.solve_lines, stages.kick))
+        stages.accumulate_reactions, stages.project_back, stages.solve_lines,
+        stages.add_explicit_forces))
     assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
     assert [name.lower() for name in seen['data']] == list(names)
     assert not seen['reaction']

@@ -208,7 +208,7 @@ def test_a_bound_moves_its_two_particles_along_the_gradient(name):
     state.x[:, ends[1]] = state.x[:, ends[0]] + [0.9, -0.4, 0.5]    # too far
     before = state.x.copy()
     apply_all(stages.prepare, simulation.effects[name], state)
-    apply_all(stages.touch, simulation.effects[name], state)
+    apply_all(stages.project_inequalities, simulation.effects[name], state)
     d, mobility = before[:, ends[0]] - before[:, ends[1]], H**2 * state.inv_mass[ends]
     length = np.linalg.norm(d)
     rest, alpha = (0.0, 0.002) if name == 'seam' else (1.1 * 0.6, 0.0)
@@ -331,7 +331,7 @@ def test_the_force_on_a_pinned_particle_balances_that_on_the_others(name, mesh):
         apply(stages.prepare, data, state)
         for pass_ in range(3):
             apply(stages.project_back if pass_ == 1 else stages.project, data, state)
-        apply(stages.react, data, state)
+        apply(stages.accumulate_reactions, data, state)
         given = (state.mass * (state.x - before)).sum(1) / H**2
         rounding = 1e-15 * state.mass.max() / H**2
         assert np.linalg.norm(given) > 1e4 * rounding

@@ -167,12 +167,12 @@ def test_a_push_that_is_taken_back_takes_its_friction_back():
     contact, friction = (simulation.effects[name].data for name in ('contact', 'friction'))
     state.x[:, 0] = (0.05, 0.0, R - 0.02)
     run_stage(stages.prepare, contact, state, substep)
-    run_stage(stages.touch, contact, state, substep)
-    run_stage(stages.touch, friction, state, substep)
+    run_stage(stages.project_inequalities, contact, state, substep)
+    run_stage(stages.project_inequalities, friction, state, substep)
     np.testing.assert_allclose(state.x[:, 0], [0.05 - MU * 0.02, 0.0, R], rtol=1e-12)
     state.x[2, 0] += 0.1
-    run_stage(stages.touch, contact, state, substep)
-    run_stage(stages.touch, friction, state, substep)
+    run_stage(stages.project_inequalities, contact, state, substep)
+    run_stage(stages.project_inequalities, friction, state, substep)
     np.testing.assert_allclose(state.x[:, 0], [0.05, 0.0, R + 0.08], rtol=1e-12)
 
 

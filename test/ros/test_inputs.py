@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros import command_queue
 from xpbd_ros.ros.command_messages import as_messages
-from xpbd_ros.ros.command_queue import Inbox
+from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.inputs import (
     count_in,
     INPUTS,
@@ -275,7 +275,7 @@ def said():
 @pytest.fixture
 def box(said):
     """Return an inbox that nothing has come to."""
-    return Inbox(said.append, max_message_bytes=1000, max_names=4)
+    return CommandQueue(said.append, max_message_bytes=1000, max_names=4)
 
 
 def take(box, message, topic='/t'):

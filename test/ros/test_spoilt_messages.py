@@ -11,7 +11,7 @@ from rclpy.serialization import serialize_message
 from ros.rig import collider, pin, pose_stamped, targets
 from visualization_msgs.msg import MarkerArray
 
-from xpbd_ros.ros.command_queue import Inbox
+from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.inputs import INPUTS, read_pose
 
 NAN = float('nan')
@@ -63,7 +63,7 @@ def numbers_in(value):
 def attack(count: int, seed: int) -> Counter:
     """Send so many spoilt messages to the inputs and return what came of them."""
     noise, said = random.Random(seed), []
-    box = Inbox(said.append, max_message_bytes=20_000, max_names=64)
+    box = CommandQueue(said.append, max_message_bytes=20_000, max_names=64)
     sent = {name: [serialize_message(one) for one in GOOD[name]] for name in GOOD}
     found = Counter()
     for _ in range(count):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from sim.small import simulate
 
-from xpbd_ros.ros.watch import LATER, SHARE, substeps_for, Watch
+from xpbd_ros.ros.watch import ErrorMonitor, LATER, SHARE, substeps_for
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import stiffness_given
 from xpbd_ros.sim.simulation import Solver
@@ -24,7 +24,7 @@ def swing(substeps=16, **options):
 
 def watched(simulation, frames: int, **options):
     """Step so many frames and return the watch and what it had done, by frame."""
-    watch, done = Watch(simulation, **{'target': None, 'most': 64, **options}), {}
+    watch, done = ErrorMonitor(simulation, **{'target': None, 'most': 64, **options}), {}
     for _ in range(frames):
         frame = simulation.step(watch.commands(), keep=watch.due())
         watch.look(0.001)
@@ -89,7 +89,7 @@ def test_what_cannot_be_held_is_said():
 
 def test_what_is_not_resolved_is_said():
     simulation = swing()
-    watch = Watch(simulation, target=None, most=64)
+    watch = ErrorMonitor(simulation, target=None, most=64)
     watch.latest = replace(FINE, resolved=False)
     watch.all.append(watch.latest)
     assert watch.trouble.startswith('under-resolved: with 16 substeps')

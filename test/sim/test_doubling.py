@@ -8,7 +8,7 @@ from sim.small import EXAMPLES, SETTINGS, simulate, with_effects
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.measure import largest_strain
-from xpbd_ros.sim.particles.state import new_state, remembered, solved_by
+from xpbd_ros.sim.particles.state import history_arrays, new_state, with_solver_storage
 from xpbd_ros.sim.stepping.error_estimate import estimate, refine, rms
 
 
@@ -54,14 +54,15 @@ def all_effects():
 
 
 def test_a_history_moves_along_a_cubic_exactly():
-    state = solved_by(new_state(np.zeros((1, 3)), np.ones(1), (0, 0, 0), np.array([0]), 8),
-                      integrator='ndf2', apart=None, constraints=[])
+    state = with_solver_storage(
+        new_state(np.zeros((1, 3)), np.ones(1), (0, 0, 0), np.array([0]), 8),
+        integrator='ndf2', apart=None, constraints=[])
     h = 0.3
 
     def at(t):
         return 1.0 - 2.0 * t + 3.0 * t**2 + 0.5 * t**3, -2.0 + 6.0 * t + 1.5 * t**2
     for factor in (2, 4):
-        last_x, last_v, older_x, older_v = remembered(state)
+        last_x, last_v, older_x, older_v = history_arrays(state)
         for array, value in zip((state.x, state.v, last_x, last_v), (*at(0.0), *at(-h))):
             array[:] = value
         refine(state, h, factor)

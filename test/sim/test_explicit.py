@@ -177,7 +177,7 @@ def test_frames_that_are_not_calm_are_done_again_with_lines_and_counted():
 
 
 def test_without_its_guard_it_explodes(monkeypatch):
-    monkeypatch.setattr('xpbd_ros.sim.stepping.explicit_guard.was_calm', lambda *_, **__: True)
+    monkeypatch.setattr('xpbd_ros.sim.stepping.explicit_guard.is_stable', lambda *_, **__: True)
     monkeypatch.setattr('xpbd_ros.sim.stepping.rollback.REACH', np.inf)
     wild = sheet(2, effects=STIFF)
     with np.errstate(all='ignore'):
@@ -188,8 +188,8 @@ def test_without_its_guard_it_explodes(monkeypatch):
                                    (np.nan, 1.0, 0.0), (0.0, np.nan, 0.0), (0.0, np.inf, 0.0)])
 def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
     kept = {'mass': 0.1, 'gravity': GRAVITY, 'dt': 1.0 / 60.0}
-    assert explicit_guard.was_calm((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
-    assert not explicit_guard.was_calm((0.0, 1.0, 0.0), after, **kept)
+    assert explicit_guard.is_stable((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
+    assert not explicit_guard.is_stable((0.0, 1.0, 0.0), after, **kept)
 
 
 @pytest.mark.parametrize(('stiffness', 'redone'), [(0.01, 0), (1.0, 1)])

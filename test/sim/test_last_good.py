@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from sim.small import run, with_effects
 
-from xpbd_ros.sim.particles.state import remembered
+from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.stepping.rollback import REACH
 
 
@@ -26,7 +26,7 @@ def test_a_frame_that_cannot_be_is_taken_back(cloth, monkeypatch, array, value):
 
     def advance(substeps):
         whole(substeps)
-        for broken in (getattr(cloth.state, array), *remembered(cloth.state)):
+        for broken in (getattr(cloth.state, array), *history_arrays(cloth.state)):
             broken[1, cloth.slot[7]] = value
 
     monkeypatch.setattr(cloth, '_advance', advance)

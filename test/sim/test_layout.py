@@ -8,7 +8,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import BITS, lane_count
 from xpbd_ros.sim.particles.memory_layout import APART, blocks, LINE, PAGE, zeros
-from xpbd_ros.sim.particles.state import forget, new_state, places, solved_by
+from xpbd_ros.sim.particles.state import forget, new_state, places, with_solver_storage
 
 DTYPES = pytest.mark.parametrize('dtype', ['float64', 'float32'])
 GRIDS = [[(1, 1)], [(1, 9)], [(9, 1)], [(5, 6)], [(33, 17)], [(4, 32)], [(8, 33)],
@@ -110,7 +110,7 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
     for array in (state.x, state.v, state.mass, state.inv_mass, state.mobility, state.reaction):
         assert (array[..., padding] == 0.0).all()
     assert state.history is state.apart is None
-    state = solved_by(state, integrator='bdf2', apart=None, constraints=[])
+    state = with_solver_storage(state, integrator='bdf2', apart=None, constraints=[])
     assert (state.history.fresh == 1.0).all()
     state.history.fresh[:] = 0.0
     forget(state, slot[3])

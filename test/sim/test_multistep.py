@@ -5,7 +5,7 @@ import pytest
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
-from xpbd_ros.sim.particles.history import FULL, HALF, NONE, REACH, steadied
+from xpbd_ros.sim.particles.history import FULL, HALF, NONE, REACH, with_order_reduction
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 H, GAP = 0.1, 0.5
@@ -15,7 +15,7 @@ H, GAP = 0.1, 0.5
 def steady(fresh, now, last, older, gap, h):
     """Steady all particles."""
     for q in range(0, len(fresh), lanes(fresh)):
-        steadied(fresh, now, last, older, gap, q, h)
+        with_order_reduction(fresh, now, last, older, gap, q, h)
 
 
 def freshness(before: float, *velocities) -> float:

@@ -24,9 +24,16 @@ from xpbd_ros.sim import measure
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.constraints.line_solver import solve_warp, solve_weft
-from xpbd_ros.sim.particles.integration import begin, put_back, turned, update_velocity
+from xpbd_ros.sim.particles.integration import begin, restore_buffers, turned, update_velocity
 from xpbd_ros.sim.particles.state import forget, Substep
-from xpbd_ros.sim.stepping.stages import kernel_of, prepare, project, solve_lines, touch, walk
+from xpbd_ros.sim.stepping.stages import (
+    kernel_of,
+    prepare,
+    project,
+    project_inequalities,
+    solve_lines,
+    walk,
+)
 
 HERE = 1.01
 """how far a method may be above Gauss-Seidel: rounding, and what a mean over a frame hides"""
@@ -165,9 +172,9 @@ def advance_one_sweep(effects, state, frame_dt, substeps):
         begin(now, substep)
         prepare(effects, now, substep)
         one_sweep(effects, now, substep)
-        touch(effects, now, substep)
+        project_inequalities(effects, now, substep)
         update_velocity(now, substep)
-    put_back(state, now)
+    restore_buffers(state, now)
 
 
 @pytest.mark.parametrize(('kinds', 'substeps'), [

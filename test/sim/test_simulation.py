@@ -26,7 +26,7 @@ from xpbd_ros.sim.commands import (
     Twist,
 )
 from xpbd_ros.sim.measure import angular_momentum, momentum
-from xpbd_ros.sim.particles.state import remembered
+from xpbd_ros.sim.particles.state import history_arrays
 
 ROOT = Path(__file__).resolve().parents[2]
 CLOTH = {name: EXAMPLES[name] for name in ('bend', 'shear', 'stretch')}
@@ -111,7 +111,7 @@ def test_the_hash_sees_the_last_bit_of_anything(options):
     state, last = simulation.state, simulation.slot[-1]
     arrays = [state.x[2], state.v[2], state.inv_mass]
     if state.history is not None:
-        arrays += [*(array[2] for array in remembered(state)), state.history.fresh]
+        arrays += [*(array[2] for array in history_arrays(state)), state.history.fresh]
     for array in arrays:
         array[last] = np.nextafter(array[last], 9.0)
         seen.add(simulation.hash())

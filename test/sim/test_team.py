@@ -6,7 +6,7 @@ import pytest
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.backend.threads import alone, Crew, share, Team, wait
+from xpbd_ros.sim.backend.threads import alone, share, ThreadPool, ThreadTeam, wait
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
 ALL = {'stretch': STRETCH, 'shear': {'stiffness': 300.0}, 'bend': {'stiffness': 1e-4}}
@@ -62,7 +62,7 @@ def _in_step(team, seen, rounds):
 
 
 def test_nobody_goes_on_before_all_are_here():
-    crew, seen, wrong = Crew(3), np.zeros(24, np.int64), []
+    crew, seen, wrong = ThreadPool(3), np.zeros(24, np.int64), []
 
     def step(effects, state):
         wrong.append(_in_step(state.team, seen, 300))
@@ -85,7 +85,7 @@ class _Stub:
 
 @pytest.mark.parametrize('worker', [0, 1])
 def test_what_is_broken_off_leaves_nobody_waiting(worker):
-    crew, seen = Crew(3), np.zeros(24, np.int64)
+    crew, seen = ThreadPool(3), np.zeros(24, np.int64)
 
     def broken(effects, state):
         if state.team.worker == worker:
@@ -108,7 +108,7 @@ def _share(team, count):
 @pytest.mark.parametrize('workers', [1, 2, 3, 7])
 def test_shares_are_whole_and_one_is_alone(count, workers):
     gate = np.zeros(8, np.int64)
-    found = [_share(Team(k, workers, gate), count) for k in range(workers)]
+    found = [_share(ThreadTeam(k, workers, gate), count) for k in range(workers)]
     assert [k for (begin, end), _ in found for k in range(begin, end)] == list(range(count))
     assert [yes for _, yes in found] == [True] + [False] * (workers - 1)
     assert _share(None, count) == ((0, count), True)

@@ -54,7 +54,7 @@ def run(arguments) -> int:
     from xpbd_ros.ros.diagnostics import percentile
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
-    from xpbd_ros.ros.watch import Watch
+    from xpbd_ros.ros.watch import ErrorMonitor
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
@@ -91,7 +91,7 @@ def run(arguments) -> int:
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
-    watch = Watch(simulation, target=scene.top.solver.error_target,
+    watch = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                   most=scene.top.solver.max_substeps)
     try:
         simulation.compile()

@@ -21,7 +21,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, fma, lanes, load, root, select
 from xpbd_ros.sim.backend.simd_records import load_records
-from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import (
     collect,
@@ -33,7 +33,13 @@ from xpbd_ros.sim.constraints.pinned import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces
+from xpbd_ros.sim.constraints.projection import (
+    denominator,
+    keep,
+    recall,
+    xpbd_residual,
+    zero_multipliers,
+)
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, length
 from xpbd_ros.sim.parameters import quantity
@@ -74,7 +80,7 @@ class Area(NamedTuple):
 @jit
 def prepare_area(area, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, area.force)
+    zero_multipliers(state.apart, area.force)
 
 
 @stage(project, Area)
@@ -126,8 +132,8 @@ def _project_packs(records, apart, particles, rest_area, compliance, force, begi
         total = fma(m0, fma(ex, ex, fma(ey, ey, ez * ez)), fma(
             m1, fma(gx, gx, fma(gy, gy, gz * gz)), m2 * fma(hx, hx, fma(hy, hy, hz * hz))))
         alpha, f = load(compliance, q), recall(apart, force, q)
-        df = select(both(there, total > 0.0), -misfit(0.5 * twice - load(rest_area, q), alpha, f)
-                    / divisor(apart, total, alpha), 0.0)
+        residual = xpbd_residual(0.5 * twice - load(rest_area, q), alpha, f)
+        df = select(both(there, total > 0.0), -residual / denominator(apart, total, alpha), 0.0)
         keep(force, q, f, df)
         put_records(records, apart, p0, q, x0, y0, z0, m0, m0 * df, ex, ey, ez)
         put_records(records, apart, p1, q, x1, y1, z1, m1, m1 * df, gx, gy, gz)
@@ -213,7 +219,8 @@ class BuiltArea(Built):
             np.array([particles.min(initial=world.slots), particles.max(initial=-1) + 1]),
             padded(particles, order, world.slots - 1, np.int32).T.copy(),
             padded(rest, order, 0.0, dtype),
-            padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+            padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype),
+                   dtype),
             zeros(count, dtype) if world.forces else None,
             packs_for(room_for(count, 3)) if world.pins else None)
         self.constraints = Triangles.of(self.data)

@@ -37,18 +37,24 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, straighten, twist_shapes, untwist
-from xpbd_ros.sim.constraints.distance import by_place, softest
+from xpbd_ros.sim.constraints.distance import by_place, max_compliance
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, listed, Runs
 from xpbd_ros.sim.constraints.isometric_bending import isometric_weights, project_packs
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import hold, room_for
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
-from xpbd_ros.sim.constraints.projection import release_forces, row
+from xpbd_ros.sim.constraints.projection import row, zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import from_records, to_records
-from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    prepare,
+    project,
+    project_back,
+    stage,
+)
 
 
 @dataclass(frozen=True)
@@ -138,7 +144,7 @@ class MeshBend(NamedTuple):
 @jit
 def prepare_bend(bend, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, bend.force)
+    zero_multipliers(state.apart, bend.force)
 
 
 @stage(project, Curvature, shared=True)
@@ -192,9 +198,9 @@ def _project_mesh(bend, state, reverse):
     from_records(state, bend.records, first_, last)
 
 
-@stage(react, Curvature)
-@stage(react, Twist)
-@stage(react, MeshBend)
+@stage(accumulate_reactions, Curvature)
+@stage(accumulate_reactions, Twist)
+@stage(accumulate_reactions, MeshBend)
 @jit
 def react_bend(bend, state, substep):
     """Forces on pinned particles: k_i f."""
@@ -317,7 +323,7 @@ def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
         np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(weight, order, 0.0, dtype).T.copy(),
-        padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+        padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype), dtype),
         zeros((3, len(order)), dtype) if world.forces else None,
         _room(len(order), 4) if world.pins else None)], notes
 

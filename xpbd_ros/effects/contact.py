@@ -51,7 +51,7 @@ from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, S
 from xpbd_ros.sim.contact.colliders import Colliders, new_colliders, write_grid, write_heights
 from xpbd_ros.sim.contact.contacts import (
     Contacts,
-    count_behind,
+    count_penetrating,
     move_colliders,
     new_contacts,
     push_all,
@@ -61,7 +61,13 @@ from xpbd_ros.sim.contact.restitution import Bounce, drive_away, rebound, speed_
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
-from xpbd_ros.sim.stepping.stages import finish, kick, prepare, stage, touch
+from xpbd_ros.sim.stepping.stages import (
+    add_explicit_forces,
+    finish,
+    prepare,
+    project_inequalities,
+    stage,
+)
 from xpbd_ros.sim.target_motion import delays
 
 CANDIDATES = 16
@@ -121,7 +127,7 @@ def waits(wait):
         return wait[0] < wait[1]
 
 
-@stage(touch, Contact)
+@stage(project_inequalities, Contact)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal; between two, more than once."""
@@ -138,7 +144,7 @@ def calm(contact, state, substep):
     """Take back the velocity that came from undoing an old overlap; let bounce what bounces."""
     contacts, h = contact.contacts, substep.h
     if contacts.count[3]:
-        contacts.count[4] += count_behind(contacts, state)
+        contacts.count[4] += count_penetrating(contacts, state)
     for k in range(contacts.count[0]):
         still = min(contacts.overlap[k], contacts.push[k])
         if still > 0.0:
@@ -148,7 +154,7 @@ def calm(contact, state, substep):
     rebound(contact.bounce, contacts, state, substep)
 
 
-@stage(kick, Contact)
+@stage(add_explicit_forces, Contact)
 @jit
 def rest_on_colliders(contact, state, substep):
     """What touches goes on as it does: the push is an impulse in every substep."""

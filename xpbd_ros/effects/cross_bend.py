@@ -19,11 +19,17 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, slenderness
-from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import dot, length
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    prepare,
+    project,
+    project_back,
+    stage,
+)
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ class CrossBend(NamedTuple):
 @jit
 def prepare_cross_bend(bend, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, bend.edges.force)
+    zero_multipliers(state.apart, bend.edges.force)
 
 
 @stage(project, CrossBend)
@@ -61,7 +67,7 @@ def project_cross_bend_back(bend, state, substep):
     distance.project_packs(bend.edges, state, substep, True)
 
 
-@stage(react, CrossBend)
+@stage(accumulate_reactions, CrossBend)
 @jit
 def react_cross_bend(bend, state, substep):
     """Forces between pinned particles."""

@@ -36,10 +36,10 @@ from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, length
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.particles.history import lose_history, step_at
+from xpbd_ros.sim.particles.history import invalidate_history, step_at
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import new_records
-from xpbd_ros.sim.stepping.stages import force, react, stage
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, force, stage
 
 RESOLVED = 0.5
 """largest trace of Z that ``auto`` allows the scene's wind, and with which BDF2 goes on"""
@@ -105,7 +105,7 @@ def drag_triangles(drag, state, substep):
     for i in range(first, last):
         step = step_at(state.history, i, substep.h)
         if _carry(drag, state, i, step) > RESOLVED:
-            lose_history(state.history, i)
+            invalidate_history(state.history, i)
 
 
 @jit
@@ -169,7 +169,7 @@ def _carry(drag, state, i, step):
     return trace
 
 
-@stage(react, Drag)
+@stage(accumulate_reactions, Drag)
 @jit
 def react_drag(drag, state, substep):
     """Force on pinned particles: D_i u_i."""

@@ -22,7 +22,7 @@ from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import step_of
 from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.stepping.stages import force, kick, react, stage
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, force, stage
 
 Vector = tuple[float, float, float]
 
@@ -68,7 +68,7 @@ def push(data, state, substep):
             store(v, i, fma(rate, load(f, i), load(v, i)))
 
 
-@stage(kick, Force)
+@stage(add_explicit_forces, Force)
 @jit
 def kick_force(data, state, substep):
     """H² w f."""
@@ -79,7 +79,7 @@ def kick_force(data, state, substep):
             store(move, i, fma(load(m, q), load(f, i), load(move, i)))
 
 
-@stage(react, Force)
+@stage(accumulate_reactions, Force)
 @jit
 def react_force(data, state, substep):
     """Hand the force on pinned particles to their pins."""

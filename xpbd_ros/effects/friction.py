@@ -30,7 +30,7 @@ from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surfac
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
-from xpbd_ros.sim.stepping.stages import stage, touch
+from xpbd_ros.sim.stepping.stages import project_inequalities, stage
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def holds(static, a, c, kinetic):
         return static[a, c]
 
 
-@stage(touch, Friction)
+@stage(project_inequalities, Friction)
 @jit
 def resist(friction, state, substep):
     """Take back tangential motion, within the cone |s| ≤ μ d."""

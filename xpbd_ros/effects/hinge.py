@@ -31,7 +31,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, fma, lanes, load, nearest, root, select, store
 from xpbd_ros.sim.backend.simd_records import load_records
 from xpbd_ros.sim.constraints.atan2 import angle_of
-from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, rigidity, slenderness
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import (
@@ -45,7 +45,13 @@ from xpbd_ros.sim.constraints.pinned import (
     segment_count,
 )
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces
+from xpbd_ros.sim.constraints.projection import (
+    denominator,
+    keep,
+    recall,
+    xpbd_residual,
+    zero_multipliers,
+)
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.closest_points import cross as cross_3, dot as dot_3
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
@@ -102,7 +108,7 @@ class Hinge(NamedTuple):
 @jit
 def prepare_hinge(hinge, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, hinge.force)
+    zero_multipliers(state.apart, hinge.force)
 
 
 @stage(project, Hinge)
@@ -171,8 +177,8 @@ def _project_packs(records, apart, particles, rest_angle, compliance, angle, for
         w1 = fma(t1 * t1, r1, fma(t2 * t2, r2, t1 * t2 * mixed))
         total = fma(m0, w0, fma(m1, w1, square * fma(m2, r1, m3 * r2)))
         alpha, f = load(compliance, q), recall(apart, force, q)
-        df = select(both(open_, total > 0.0), -misfit(now - load(rest_angle, q), alpha, f)
-                    / divisor(apart, total, alpha), 0.0)
+        df = select(both(open_, total > 0.0), -xpbd_residual(now - load(rest_angle, q), alpha, f)
+                    / denominator(apart, total, alpha), 0.0)
         keep(force, q, f, df)
         ux, uy, uz = r1 * nx, r1 * ny, r1 * nz
         vx, vy, vz = r2 * ox, r2 * oy, r2 * oz
@@ -282,7 +288,8 @@ class BuiltHinge(Built):
             world.records,
             np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
             padded(particles, order, world.slots - 1, np.int32).T.copy(), rest,
-            padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype), angle,
+            padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype),
+                   dtype), angle,
             zeros(len(order), dtype) if world.forces else None,
             packs_for(room_for(len(order), 4)) if world.pins else None)
         self._before = angle.copy()

@@ -37,7 +37,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, larger, load, root, select
 from xpbd_ros.sim.backend.simd_records import load_records
-from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import (
     collect,
@@ -49,7 +49,14 @@ from xpbd_ros.sim.constraints.pinned import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces, row
+from xpbd_ros.sim.constraints.projection import (
+    denominator,
+    keep,
+    recall,
+    row,
+    xpbd_residual,
+    zero_multipliers,
+)
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 from xpbd_ros.sim.parameters import quantity
@@ -138,7 +145,7 @@ class Membrane(NamedTuple):
 @jit
 def prepare_membrane(membrane, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, membrane.force)
+    zero_multipliers(state.apart, membrane.force)
 
 
 @stage(project, Membrane)
@@ -194,9 +201,9 @@ def _project_packs(records, apart, particles, inverse, compliance, force1, force
 
         a11, a12, a22, a33 = load(a_11, k), load(a_12, k), load(a_22, k), load(a_33, k)
         f1, f2, f3 = recall(apart, force1, k), recall(apart, force2, k), recall(apart, force3, k)
-        r1 = misfit(misfit(0.5 * (s11 - 1.0), a11, f1), a12, f2)
-        r2 = misfit(misfit(0.5 * (s22 - 1.0), a12, f1), a22, f2)
-        r3 = misfit(s12, a33, f3)
+        r1 = xpbd_residual(xpbd_residual(0.5 * (s11 - 1.0), a11, f1), a12, f2)
+        r2 = xpbd_residual(xpbd_residual(0.5 * (s22 - 1.0), a12, f1), a22, f2)
+        r3 = xpbd_residual(s12, a33, f3)
 
         half, apart_ = 0.5 * (s11 + s22), 0.5 * (s11 - s22)
         longest = half + root(fma(apart_, apart_, s12 * s12))
@@ -207,12 +214,12 @@ def _project_packs(records, apart, particles, inverse, compliance, force1, force
         pp = fma(m0 * p0, p0, fma(m1 * p1, p1, m2 * p2 * p2))
         qq = fma(m0 * q0, q0, fma(m1 * q1, q1, m2 * q2 * q2))
         pq = fma(m0 * p0, q0, fma(m1 * p1, q1, m2 * p2 * q2))
-        b11 = divisor(apart, pp * s11, a11)
-        b12 = divisor(apart, pq * s12, a12)
-        b22 = divisor(apart, qq * s22, a22)
-        b13 = divisor(apart, fma(pp, s12, pq * s11), 0.0)
-        b23 = divisor(apart, fma(pq, s22, qq * s12), 0.0)
-        b33 = divisor(apart, fma(pp, s22, fma(2.0 * pq, s12, qq * s11)), a33)
+        b11 = denominator(apart, pp * s11, a11)
+        b12 = denominator(apart, pq * s12, a12)
+        b22 = denominator(apart, qq * s22, a22)
+        b13 = denominator(apart, fma(pp, s12, pq * s11), 0.0)
+        b23 = denominator(apart, fma(pq, s22, qq * s12), 0.0)
+        b33 = denominator(apart, fma(pp, s22, fma(2.0 * pq, s12, qq * s11)), a33)
 
         l12, l13 = b12 / b11, b13 / b11    # symmetric and positive: no pivots to look for
         c22 = larger(b22 - l12 * b12, least * b22)
@@ -359,8 +366,8 @@ class BuiltMembrane(Built):
             compliance.append(world.compliance_scale * chosen.compliance / area[:, None])
         dtype = world.state.x.dtype
         particles, inverse, compliance = map(np.concatenate, (particles, inverse, compliance))
-        none = softest(dtype) * np.array([1.0, 0.0, 1.0, 1.0])
-        soft = np.abs(compliance).max(1, keepdims=True) > softest(dtype)
+        none = max_compliance(dtype) * np.array([1.0, 0.0, 1.0, 1.0])
+        soft = np.abs(compliance).max(1, keepdims=True) > max_compliance(dtype)
         compliance = np.where(soft, none, compliance)
         order = pack(particles)
         self.data = Membrane(

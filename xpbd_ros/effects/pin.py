@@ -47,7 +47,7 @@ from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
 from xpbd_ros.sim.pin_states import chosen, Held, PinStates
-from xpbd_ros.sim.stepping.stages import kick, prepare, react, stage
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
 from xpbd_ros.sim.target_motion import check_motion, delays, monotone_cubic, Motion
 
 
@@ -156,7 +156,7 @@ def pull_to_pins(spring, state, substep):
         state.mobility[i] = m / (1.0 + m / alpha)    # also where α is infinite
 
 
-@stage(kick, Spring)
+@stage(add_explicit_forces, Spring)
 @jit
 def kick_springs(spring, state, substep):
     """H² w (p + R q - x) / (n α)."""
@@ -177,7 +177,7 @@ def deliver(pin, k, axis, f, part, a, b, share):
     pin.force[k, axis] += part * now
 
 
-@stage(react, Pin)
+@stage(accumulate_reactions, Pin)
 @jit
 def take_reactions(pin, state, substep):
     """Add up what the constraints exerted on pinned particles in this substep."""
@@ -190,7 +190,7 @@ def take_reactions(pin, state, substep):
             state.reaction[axis, i] = 0.0
 
 
-@stage(react, Spring)
+@stage(accumulate_reactions, Spring)
 @jit
 def stretch_springs(spring, state, substep):
     """Add up what the springs are pulled with: (x - p - R q) / (n α)."""

@@ -32,20 +32,27 @@ from xpbd_ros.sim.backend.simd_records import load_records, PACK, store_records
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.projection import (
     at_the_end,
-    divisor,
+    denominator,
     keep,
-    misfit,
     moves,
     put,
     recall,
     row,
+    xpbd_residual,
 )
 from xpbd_ros.sim.constraints.spin_correction import keep_places, turn_back
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.stepping.stages import bound, prepare, project, project_back, stage, touch
+from xpbd_ros.sim.stepping.stages import (
+    limit_motion,
+    prepare,
+    project,
+    project_back,
+    project_inequalities,
+    stage,
+)
 
 AIR = 101325.0
 """[Pa]"""
@@ -97,7 +104,7 @@ def prepare_pressure(pressure, state, substep):
     keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
 
 
-@stage(touch, Pressure)
+@stage(project_inequalities, Pressure)
 @jit
 def turn_surface_back(pressure, state, substep):
     """Take back the turn that the constraints made."""
@@ -106,7 +113,7 @@ def turn_surface_back(pressure, state, substep):
                   pressure.before)
 
 
-@stage(bound, Pressure)
+@stage(limit_motion, Pressure)
 @jit
 def begin_iteration(pressure, state, substep):
     """Note where the next iteration begins."""
@@ -167,7 +174,7 @@ def project_pressure(pressure, state, substep):
         weight += mobility[i] * (x * x + y * y + z * z)
     alpha, f = splat(mobility, pressure.compliance[0]), recall(state.apart, force, 0)
     before = force[0] if at_the_end(state.apart) else 0.0
-    df = -misfit(splat(mobility, residual), alpha, f) / divisor(
+    df = -xpbd_residual(splat(mobility, residual), alpha, f) / denominator(
         state.apart, splat(mobility, weight), alpha)
     for lane in range(0, len(force), lanes(mobility)):
         keep(force, lane, f, df)

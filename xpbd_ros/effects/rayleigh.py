@@ -57,7 +57,7 @@ def keep_past(rayleigh, state, substep):
 class BuiltRayleigh(Built):
     """The relaxation time of each cloth; the constraints ask for it as they are built."""
 
-    not_with = ('line', 'explicit')
+    incompatible_with = ('line', 'explicit')
 
     def __init__(self, parameters, world):
         super().__init__()

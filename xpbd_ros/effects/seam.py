@@ -26,10 +26,16 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.effect import Built, Cloth, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
-from xpbd_ros.sim.stepping.stages import kick, prepare, react, stage, touch
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    prepare,
+    project_inequalities,
+    stage,
+)
 
 CLOSING = 1.0
 """how fast a rigid seam that is open closes [m/s]"""
@@ -81,7 +87,7 @@ def prepare_seams(seam, state, substep):
     seam.force[:] = 0.0
 
 
-@stage(touch, Seam)
+@stage(project_inequalities, Seam)
 @jit
 def sew(seam, state, substep):
     """Draw each pair together, one after another."""
@@ -105,7 +111,7 @@ def sew(seam, state, substep):
             x[a, j] -= n * df
 
 
-@stage(kick, Seam)
+@stage(add_explicit_forces, Seam)
 @jit
 def kick_seams(seam, state, substep):
     """H² w f, of the substep before."""
@@ -117,7 +123,7 @@ def kick_seams(seam, state, substep):
             move[a, j] -= m[j] * seam.force[p, a]
 
 
-@stage(react, Seam)
+@stage(accumulate_reactions, Seam)
 @jit
 def react_seams(seam, state, substep):
     """Forces on pinned particles."""
@@ -149,7 +155,7 @@ class BuiltSeam(Built):
             second.append(other)
             compliance.append(np.full(len(one), min(
                 len(one) * entry.compliance * world.compliance_scale,
-                softest(world.state.x.dtype))))
+                max_compliance(world.state.x.dtype))))
         self.names = tuple(world.sections.get('seams', {}))
         self.data = None
         if first:

@@ -43,29 +43,37 @@ from xpbd_ros.sim.self_collision.motion_limit import (
     hold_back,
     left_over,
     mark,
-    mark_behind,
+    mark_penetrating,
     rest_step,
 )
-from xpbd_ros.sim.self_collision.narrow_phase import list_close
+from xpbd_ros.sim.self_collision.narrow_phase import list_candidates
 from xpbd_ros.sim.self_collision.neighbour_list import (
     common_step,
     gone,
-    Nearby,
-    new_nearby,
+    NeighbourList,
+    new_neighbour_list,
     seek,
-    survey,
+    track_motion,
 )
 from xpbd_ros.sim.self_collision.pair_contacts import (
-    calm_down,
-    new_touches,
+    new_pair_contacts,
+    PairContacts,
+    PairFriction,
     press,
     push_apart,
+    remove_depenetration_velocity,
     rub,
-    Rubbing,
-    Touches,
 )
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
-from xpbd_ros.sim.stepping.stages import bound, finish, kick, prepare, react, stage, touch
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    finish,
+    limit_motion,
+    prepare,
+    project_inequalities,
+    stage,
+)
 
 NOT_SOUGHT = -1
 """count of pairs before the first iteration of a substep"""
@@ -95,8 +103,8 @@ class SelfCollision(NamedTuple):
 
     thickness: np.ndarray
     """[m], shape (1,)"""
-    near: Nearby
-    touches: Touches
+    near: NeighbourList
+    touches: PairContacts
     planes: Planes | None
     """None where only particles are looked at"""
     contacts: Contacts | None
@@ -114,7 +122,7 @@ def forget_touches(effect, state, substep):
     effect.touches.count[0] = NOT_SOUGHT
 
 
-@stage(touch, SelfCollision)
+@stage(project_inequalities, SelfCollision)
 @jit
 def keep_apart(effect, state, substep):
     """Push apart what is too near, and let it rub."""
@@ -145,15 +153,15 @@ def strays(near, state):
 def find_pairs(effect, state, substep, both):
     """Find what can get near in this substep; return the furthest that a particle may get."""
     near, touches, thickness = effect.near, effect.touches, effect.thickness[0]
-    most, side = survey(near, state.x, SLACK * thickness)
+    most, side = track_motion(near, state.x, SLACK * thickness)
     if near.margin[0] == 0.0 or side > 0.5 * near.margin[0]:
         seek(near, thickness, (1.0 - substep.begin) / (substep.end - substep.begin))
-    list_close(near, near.surface, effect.planes, touches, touches.rubbing, state, thickness,
+    list_candidates(near, near.surface, effect.planes, touches, touches.rubbing, state, thickness,
                DEPENETRATION * substep.h, both)
     return most
 
 
-@stage(bound, SelfCollision)
+@stage(limit_motion, SelfCollision)
 @jit
 def stop(effect, state, substep):
     """Let nothing through: push apart what would get there, in turn with what colliders push."""
@@ -215,7 +223,7 @@ def mark_all(planes, near, contacts, state, again):
     planes.held[:] = False
     planes.stays[:] = False
     if again:
-        mark_behind(contacts, planes.stays, state)
+        mark_penetrating(contacts, planes.stays, state)
         for j in range(len(planes.stays)):
             planes.held[j] = planes.stays[j]
     mark(planes, near, state)
@@ -225,12 +233,12 @@ def mark_all(planes, near, contacts, state, again):
 @jit
 def settle(effect, state, substep):
     """Take back velocities of old overlaps; move on with all particles."""
-    calm_down(effect.touches, state, substep)
+    remove_depenetration_velocity(effect.touches, state, substep)
     for a in range(3):
         effect.near.drift[a] += effect.near.step[a]
 
 
-@stage(kick, SelfCollision)
+@stage(add_explicit_forces, SelfCollision)
 @jit
 def rest_on_cloth(effect, state, substep):
     """What touches goes on as it does: the push is an impulse in every substep."""
@@ -242,7 +250,7 @@ def rest_on_cloth(effect, state, substep):
                     stay(state, touches.particles[k, p], substep.h)
 
 
-@stage(react, SelfCollision)
+@stage(accumulate_reactions, SelfCollision)
 @jit
 def press_on_pins(effect, state, substep):
     """Forces on pinned particles."""
@@ -263,9 +271,9 @@ class BuiltSelfCollision(Built):
         count = sum(len(cloth.slots) for cloth in world.cloths)
         room = parameters.room * count
         self.data = SelfCollision(
-            np.array([parameters.thickness]), new_nearby(world.cloths, LISTED * room, surface,
-                                                         kin(world)),
-            new_touches(room, 4 if surface else 2),
+            np.array([parameters.thickness]),
+            new_neighbour_list(world.cloths, LISTED * room, surface, kin(world)),
+            new_pair_contacts(room, 4 if surface else 2),
             new_planes(LISTED * room, count, world.slots) if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
@@ -279,7 +287,7 @@ class BuiltSelfCollision(Built):
         near, touches = self.data.near, self.data.touches
         cloth_of = np.zeros(near.slot.max() + 1, np.int64)
         cloth_of[near.slot] = near.cloth
-        self.data = self.data._replace(touches=touches._replace(rubbing=Rubbing(
+        self.data = self.data._replace(touches=touches._replace(rubbing=PairFriction(
             cloth_of, kinetic, static, np.zeros((len(touches.gap), 3)))))
 
     def again(self):

@@ -24,12 +24,18 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, shear_cells
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.constraints.shear_cells import Slant
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import is_square
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    prepare,
+    project,
+    project_back,
+    stage,
+)
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Shear(NamedTuple):
 @jit
 def prepare_shear(shear, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, shear.edges.force)
+    zero_multipliers(state.apart, shear.edges.force)
 
 
 @stage(project, Shear, shared=True)
@@ -66,7 +72,7 @@ def project_shear_back(shear, state, substep):
     distance.project_edges(shear.edges, state, substep, True)
 
 
-@stage(react, Shear)
+@stage(accumulate_reactions, Shear)
 @jit
 def react_shear(shear, state, substep):
     """Forces between pinned particles."""
@@ -77,7 +83,7 @@ def react_shear(shear, state, substep):
 @jit
 def prepare_slant(slants, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, slants.force)
+    zero_multipliers(state.apart, slants.force)
 
 
 @stage(project, Slant, shared=True)
@@ -94,7 +100,7 @@ def project_slant_back(slants, state, substep):
     shear_cells.project_slants(slants, state, substep, True)
 
 
-@stage(react, Slant)
+@stage(accumulate_reactions, Slant)
 @jit
 def react_slant(slants, state, substep):
     """Forces between pinned particles."""

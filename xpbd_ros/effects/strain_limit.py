@@ -60,15 +60,22 @@ from xpbd_ros.sim.constraints.pinned import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import new_records, to_positions, to_records
 from xpbd_ros.sim.particles.state import places
-from xpbd_ros.sim.stepping.stages import bound, prepare, react, stage, touch, unmet
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    are_inequalities_unmet,
+    limit_motion,
+    prepare,
+    project_inequalities,
+    stage,
+)
 
 EASE = 3e-3
 """what an edge may be longer than the limit, relative"""
@@ -159,7 +166,7 @@ class MeshStrainLimit(NamedTuple):
 @jit
 def prepare_lines(limit, state, substep):
     """Zero the forces, but for lines that cannot be."""
-    release_forces(None, limit.force)
+    zero_multipliers(None, limit.force)
     overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
 
 
@@ -167,10 +174,10 @@ def prepare_lines(limit, state, substep):
 @jit
 def prepare_edges(limit, state, substep):
     """Zero the forces."""
-    release_forces(None, limit.force)
+    zero_multipliers(None, limit.force)
 
 
-@stage(touch, StrainLimit)
+@stage(project_inequalities, StrainLimit)
 @jit
 def limit_lines(limit, state, substep):
     """Put lines that are too long back, until none is."""
@@ -186,7 +193,7 @@ def limit_lines(limit, state, substep):
     _stop(limit.pulled, limit.force, state)
 
 
-@stage(touch, MeshStrainLimit)
+@stage(project_inequalities, MeshStrainLimit)
 @jit
 def limit_edges(limit, state, substep):
     """Put edges that are too long back, until none is."""
@@ -287,8 +294,8 @@ def note_turn(trend, found):
         trend[0] += 1.0
 
 
-@stage(bound, StrainLimit)
-@stage(bound, MeshStrainLimit)
+@stage(limit_motion, StrainLimit)
+@stage(limit_motion, MeshStrainLimit)
 @jit
 def end_turns(limit, state, substep):
     """Get ready for the next iteration."""
@@ -302,8 +309,8 @@ def forget_turns(trend):
         trend[:] = 0.0
 
 
-@stage(unmet, StrainLimit)
-@stage(unmet, MeshStrainLimit)
+@stage(are_inequalities_unmet, StrainLimit)
+@stage(are_inequalities_unmet, MeshStrainLimit)
 @jit
 def is_unmet(limit, state, turn):
     """Tell whether what came after has pulled an edge beyond its limit, and may let go of it."""
@@ -332,8 +339,8 @@ def _stop(pulled, force, state):
     """Let what is held back end the substep with backward Euler."""
     for c in range(len(pulled.index)):
         if force[pulled.index[c]] < 0.0:
-            lose_history(state.history, pulled.particles[0, c])
-            lose_history(state.history, pulled.particles[1, c])
+            invalidate_history(state.history, pulled.particles[0, c])
+            invalidate_history(state.history, pulled.particles[1, c])
 
 
 @jit
@@ -369,7 +376,7 @@ def _put_back(records, i, j, longest, force, begin, end, reverse):
     return highest(most)
 
 
-@stage(react, StrainLimit)
+@stage(accumulate_reactions, StrainLimit)
 @jit
 def react_limit(limit, state, substep):
     """Forces of lines between pins too far apart; all others are known by now."""
@@ -439,7 +446,7 @@ class Listed(NamedTuple):
 class BuiltStrainLimit(Built):
     """The edges of every cloth that has a limit: of grids, and of other meshes."""
 
-    not_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+    incompatible_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
     ns_per_particle = 100.0
 
     def __init__(self, parameters, world):

@@ -27,11 +27,18 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.projection import release_forces
+from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import edge_areas
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.stepping.stages import prepare, project, project_back, react, solve_lines, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    prepare,
+    project,
+    project_back,
+    solve_lines,
+    stage,
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,7 @@ class MeshStretch(NamedTuple):
 @jit
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers, but for lines that cannot be."""
-    release_forces(state.apart, stretch.edges.force)
+    zero_multipliers(state.apart, stretch.edges.force)
     overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
@@ -78,7 +85,7 @@ def prepare_stretch(stretch, state, substep):
 @jit
 def prepare_mesh_stretch(stretch, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, stretch.edges.force)
+    zero_multipliers(state.apart, stretch.edges.force)
 
 
 @stage(project, Stretch, shared=True)
@@ -116,14 +123,14 @@ def solve_stretch(stretch, state, substep):
     line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
 
 
-@stage(react, Stretch)
+@stage(accumulate_reactions, Stretch)
 @jit
 def react_stretch(stretch, state, substep):
     """Forces between pinned particles."""
     distance.react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
 
 
-@stage(react, MeshStretch)
+@stage(accumulate_reactions, MeshStretch)
 @jit
 def react_mesh_stretch(stretch, state, substep):
     """Forces between pinned particles."""

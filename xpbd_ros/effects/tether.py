@@ -31,7 +31,7 @@ from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.geodesics import shortest, straight_lines
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import prepare, stage, touch
+from xpbd_ros.sim.stepping.stages import prepare, project_inequalities, stage
 
 GROUPS = 4
 """pinned groups that hold one particle"""
@@ -69,7 +69,7 @@ def prepare_tethers(tether, state, substep):
     tether.force[:tether.count[0]] = 0.0
 
 
-@stage(touch, Tether)
+@stage(project_inequalities, Tether)
 @jit
 def pull_back(tether, state, substep):
     """Put what is too far away back, particle after particle."""
@@ -159,7 +159,7 @@ class Ways:
 class BuiltTether(Built):
     """The tethers of every cloth that has them, as long as something is pinned."""
 
-    not_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+    incompatible_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
 
     def __init__(self, parameters, world):
         super().__init__()

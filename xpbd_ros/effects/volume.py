@@ -41,7 +41,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, larger, load, root, select
 from xpbd_ros.sim.backend.simd_records import load_records
-from xpbd_ros.sim.constraints.distance import softest
+from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import (
     collect,
@@ -53,7 +53,14 @@ from xpbd_ros.sim.constraints.pinned import (
     segment,
     segment_count,
 )
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall, release_forces, row
+from xpbd_ros.sim.constraints.projection import (
+    denominator,
+    keep,
+    recall,
+    row,
+    xpbd_residual,
+    zero_multipliers,
+)
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
@@ -126,7 +133,7 @@ class Volume(NamedTuple):
 @jit
 def prepare_volume(volume, state, substep):
     """Zero the multipliers."""
-    release_forces(state.apart, volume.force)
+    zero_multipliers(state.apart, volume.force)
 
 
 @stage(project, Volume)
@@ -270,10 +277,10 @@ def _project_packs(records, apart, particles, inverse, compliance, fd, fh, begin
         wh = inner(m, gh, gh)
         alpha_d, alpha_h = load(compliance, q), load(compliance, count + q)
         f, g = recall(apart, fd, q), recall(apart, fh, q)
-        rd, rh = -misfit(cd, alpha_d, f), -misfit(ch, alpha_h, g)
+        rd, rh = -xpbd_residual(cd, alpha_d, f), -xpbd_residual(ch, alpha_h, g)
         # [wd + α_D, -t α_D; -t α_D, wh + t² α_D + α_H] [u; v] = [rd; rh - t rd]
-        wd, wh = divisor(apart, wd, 0.0), divisor(apart, wh, 0.0)
-        ad, ah = divisor(apart, 0.0, alpha_d), divisor(apart, 0.0, alpha_h)
+        wd, wh = denominator(apart, wd, 0.0), denominator(apart, wh, 0.0)
+        ad, ah = denominator(apart, 0.0, alpha_d), denominator(apart, 0.0, alpha_h)
         along = t * ad
         det = (wd + ad) * (wh + ah) + t * along * wd
         u = ((wh + ah) * rd + along * rh) / det
@@ -415,7 +422,7 @@ class BuiltVolume(Built):
                                    for modulus in chosen.lame[::-1]])
         particles, inverse = np.concatenate(particles), np.concatenate(inverse)
         dtype = world.state.x.dtype
-        compliance = np.minimum(np.concatenate(compliance, 1).T, softest(dtype))
+        compliance = np.minimum(np.concatenate(compliance, 1).T, max_compliance(dtype))
         order = pack(particles)
         count = len(order)
         self.data = Volume(

@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
-from xpbd_ros.ros.command_queue import Inbox
+from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.inputs import topic_of
 from xpbd_ros.ros.live_parameters import every, LiveParameters
@@ -32,7 +32,7 @@ from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals, nothing_t
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.topics import Topics
-from xpbd_ros.ros.watch import Watch
+from xpbd_ros.ros.watch import ErrorMonitor
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
@@ -53,7 +53,7 @@ class ClothNode(LifecycleNode):
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
         self._recorded: set[Path] = set()
-        self.watch: Watch | None = None
+        self.watch: ErrorMonitor | None = None
         self.failed = False
         """whether the stepper's thread ended on an error"""
         self.stamps = Stamps()
@@ -114,14 +114,14 @@ class ClothNode(LifecycleNode):
             simulation.compile()
         log.info(f'compiled in {time.perf_counter() - begin:.1f} s')
         self.scene, self.simulation = scene, simulation
-        self.inbox = Inbox(log.warning, max_message_bytes=self.value('max_message_bytes'),
+        self.inbox = CommandQueue(log.warning, max_message_bytes=self.value('max_message_bytes'),
                            max_names=self._room())
         if changed:
             self.inbox.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver))
         self.status = Status(self)
-        self.watch = Watch(simulation, target=scene.top.solver.error_target,
+        self.watch = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                            most=scene.top.solver.max_substeps)
         self.topics = Topics(self, scene, self.outputs, self._take,
                              clock=self.value('publish_clock'))

@@ -28,7 +28,7 @@ TARGETS = MovePin, MoveCollider, PlaceCollider, SetWind
 Group = tuple[Command, ...]
 
 
-class Inbox:
+class CommandQueue:
     """Commands that wait for the next frame."""
 
     def __init__(self, warn: Callable[[str], None], *, max_message_bytes: int, max_names: int):

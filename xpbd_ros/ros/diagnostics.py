@@ -124,7 +124,7 @@ class Status:
     def _activity(self) -> str:
         """Return whether the node steps, or what it waits for."""
         node = self._node
-        if node.stepper is None or not node.stepper.by_itself:
+        if node.stepper is None or not node.stepper.free_running:
             return 'waiting'
         now_ns = node.now_ns()
         stands, self._now_ns = now_ns == self._now_ns, now_ns

@@ -16,7 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages
-from xpbd_ros.sim.particles.state import remembered
+from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.simulation import Frame, Simulation
 
 LATCHED = Qos(durability='transient_local', depth=1)
@@ -86,7 +86,7 @@ class Outputs:
     def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
         """Return the state whole, in float64, with what the integrator remembers."""
         state, natural = self.simulation.state, self.simulation.natural
-        columns = [frame.x, frame.v, *(natural(array) for array in remembered(state))]
+        columns = [frame.x, frame.v, *(natural(array) for array in history_arrays(state))]
         if state.history is not None:
             columns.append(state.history.fresh[self.simulation.slot][:, None])
         table = np.hstack(columns)

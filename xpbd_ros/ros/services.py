@@ -73,7 +73,7 @@ class Services:
 
     def _step(self, request, response):
         def step():
-            if self._node.stepper.by_itself:
+            if self._node.stepper.free_running:
                 raise InputError('it runs by itself; ~/pause first, or use mode lockstep')
             self._node.step()
             return self._node.simulation.index

@@ -58,7 +58,7 @@ class Stepper(threading.Thread):
         self._seen = 0, 0    # the clock and a steady one, when they were looked at [ns]
 
     @property
-    def by_itself(self) -> bool:
+    def free_running(self) -> bool:
         """Whether it steps without being asked."""
         return self.playing and self.mode != 'lockstep'
 
@@ -142,7 +142,7 @@ class Stepper(threading.Thread):
 
     def _due_in(self) -> float:
         """Return the time until the next frame is due [s]."""
-        if not self.by_itself:
+        if not self.free_running:
             return float('inf')
         if self.mode == 'fast':
             return 0.0

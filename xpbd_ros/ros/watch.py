@@ -33,7 +33,7 @@ MOST_CHANGE = 2.0
 """by how much substeps change at a time"""
 
 
-class Watch:
+class ErrorMonitor:
     """
     The estimates of one run.
 

@@ -59,7 +59,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     ``explicit`` itself takes the bound of ``stability_limit``. ``budget_ms`` bounds the substeps
     by the cost table above.
     """
-    barred = {method: name for name, built in effects.items() for method in built.not_with}
+    barred = {method: name for name, built in effects.items()
+              for method in built.incompatible_with}
     method = keys.method
     if method == 'auto':
         method = 'gauss_seidel_symmetric' if 'line' in barred else 'line'

@@ -12,13 +12,13 @@ from xpbd_ros.scene.auto import resolve
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
-from xpbd_ros.sim.effect import Built, Cloth, World
+from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
 from xpbd_ros.sim.geometry.quaternion import rotate
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.memory_layout import blocks
-from xpbd_ros.sim.particles.state import new_state, solved_by, State
+from xpbd_ros.sim.particles.state import new_state, State, with_solver_storage
 from xpbd_ros.sim.simulation import Change, Simulation
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
@@ -62,7 +62,7 @@ def compile_scene(scene: Scene) -> Simulation:
     try:
         effects = _build(scene, tuple(cloths), state)
         solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
-        state = solved_by(state, integrator=solver.integrator,
+        state = with_solver_storage(state, integrator=solver.integrator,
                           apart=APART.get(solver.method),
                           constraints=[these.particles for built in effects.values()
                                        for these in built.by_part],
@@ -134,7 +134,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
            before: dict[str, Built] | None = None) -> dict[str, Built]:
     built: dict[str, Built] = {}
     solver = scene.top.solver
-    world = World(cloths, state, scene.sections, built, 'pin' in scene.effects,
+    world = BuildContext(cloths, state, scene.sections, built, 'pin' in scene.effects,
                   solver.compliance_scale, before or {},
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1

@@ -70,7 +70,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class World:
+class BuildContext:
     """What an effect may look at while it is built."""
 
     cloths: tuple[Cloth, ...]
@@ -117,7 +117,7 @@ class Built:
     """
 
     data: tuple | None
-    not_with: tuple[str, ...] = ()
+    incompatible_with: tuple[str, ...] = ()
     """methods and integrators that do without it"""
     also: tuple[tuple, ...] = ()
     ns_per_particle: float = 0.0
@@ -193,7 +193,7 @@ class Effect:
     name: str
     parameters: type
     """frozen dataclass of ``quantity`` fields"""
-    build: Callable[[Any, World], Built]
+    build: Callable[[Any, BuildContext], Built]
     """gets the parameters (for an effect of cloths: a dict by cloth) and the world"""
     entry: type | None = None
     """the dataclass of one entry of the scene section that belongs to it, such as ``pins``"""

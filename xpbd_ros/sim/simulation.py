@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.sim.backend.threads import Crew
+from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.effect import Built, Clock, Cloth
-from xpbd_ros.sim.particles.state import forget, gather, places, remembered, State
+from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
-from xpbd_ros.sim.stepping.rollback import LastGood
+from xpbd_ros.sim.stepping.rollback import FrameRollback
 
 
 @dataclass(frozen=True)
@@ -93,10 +93,10 @@ class Simulation:
         self._retune = retune
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
-        self._crew = Crew(solver.threads)
+        self._crew = ThreadPool(solver.threads)
         self._tuple = ()
         self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
-        self._last = LastGood(self)
+        self._last = FrameRollback(self)
         for built in effects.values():
             built.reset(state, 0)
         self._collect()
@@ -253,7 +253,7 @@ class Simulation:
         digest = hashlib.blake2b(digest_size=8)
         state = self.state
         fresh = [] if state.history is None else [state.history.fresh]
-        for array in (state.x, state.v, state.inv_mass, *remembered(state), *fresh):
+        for array in (state.x, state.v, state.inv_mass, *history_arrays(state), *fresh):
             digest.update(np.ascontiguousarray(array[..., self.slot]))
         return int.from_bytes(digest.digest(), 'little')
 

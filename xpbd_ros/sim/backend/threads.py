@@ -20,12 +20,12 @@ from xpbd_ros.sim.backend.simd import place
 
 APART = 8
 """from one thread's number in a gate to the next: a cache line, so that only it writes there"""
-EAGER, PATIENCE = 100, 4096
+SPINS_BEFORE_PAUSE, PATIENCE = 100, 4096
 """looks at the gate before the core pauses after each, and before it is offered to others"""
 X86 = binding.get_process_triple().startswith('x86_64')
 
 
-class Team(NamedTuple):
+class ThreadTeam(NamedTuple):
     """One thread's place among those that share a step."""
 
     worker: int
@@ -127,11 +127,11 @@ def _meet(gate, worker, workers):
                 if _read(gate, workers * APART):
                     return
                 _offer()
-            elif looks > EAGER:
+            elif looks > SPINS_BEFORE_PAUSE:
                 _breathe()
 
 
-class Crew:
+class ThreadPool:
     """The threads of one simulation."""
 
     def __init__(self, workers: int):
@@ -158,7 +158,8 @@ class Crew:
     def _join(self, worker: int, step, effects, state, *arguments) -> None:
         """Call a step on one thread; if that fails, the others do not wait for it."""
         try:
-            step(effects, state._replace(team=Team(worker, self.workers, self._gate)), *arguments)
+            step(effects, state._replace(team=ThreadTeam(worker, self.workers, self._gate)),
+                 *arguments)
         except BaseException:    # such as Ctrl-C, before this thread came to the others
             self._gate[-APART] = 1
             raise

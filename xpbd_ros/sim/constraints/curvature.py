@@ -4,7 +4,15 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, first, fma, lanes, load, select
 from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.constraints.grid_batches import PHASES, Shape, share_of
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, moves, put, recall, row
+from xpbd_ros.sim.constraints.projection import (
+    denominator,
+    keep,
+    moves,
+    put,
+    recall,
+    row,
+    xpbd_residual,
+)
 
 
 @jit
@@ -43,10 +51,10 @@ def _straighten(x, y, z, tx, ty, tz, fx, fy, fz, mobility, apart, runs, complian
                            recall(apart, fz, base + c))
                 total = fma(4.0, m2, m1 + m3)
                 there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
-                per = select(there, -1.0 / divisor(apart, total, alpha), 0.0)
-                dx = per * misfit(fma(-2.0, x2, x1 + x3), alpha, f)
-                dy = per * misfit(fma(-2.0, y2, y1 + y3), alpha, g)
-                dz = per * misfit(fma(-2.0, z2, z1 + z3), alpha, h)
+                per = select(there, -1.0 / denominator(apart, total, alpha), 0.0)
+                dx = per * xpbd_residual(fma(-2.0, x2, x1 + x3), alpha, f)
+                dy = per * xpbd_residual(fma(-2.0, y2, y1 + y3), alpha, g)
+                dz = per * xpbd_residual(fma(-2.0, z2, z1 + z3), alpha, h)
                 keep(fx, base + c, f, dx)
                 keep(fy, base + c, g, dy)
                 keep(fz, base + c, h, dz)
@@ -100,10 +108,10 @@ def _untwist(x, y, z, tx, ty, tz, fx, fy, fz, mobility, apart, runs, compliance,
                            recall(apart, fz, base + c))
                 total = (m0 + m1) + (m2 + m3)
                 there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
-                per = select(there, -1.0 / divisor(apart, total, alpha), 0.0)
-                dx = per * misfit((x0 - x1) - (x2 - x3), alpha, f)
-                dy = per * misfit((y0 - y1) - (y2 - y3), alpha, g)
-                dz = per * misfit((z0 - z1) - (z2 - z3), alpha, h)
+                per = select(there, -1.0 / denominator(apart, total, alpha), 0.0)
+                dx = per * xpbd_residual((x0 - x1) - (x2 - x3), alpha, f)
+                dy = per * xpbd_residual((y0 - y1) - (y2 - y3), alpha, g)
+                dz = per * xpbd_residual((z0 - z1) - (z2 - z3), alpha, h)
                 keep(fx, base + c, f, dx)
                 keep(fy, base + c, g, dy)
                 keep(fz, base + c, h, dz)

@@ -55,7 +55,7 @@ def records_before(damping, i, j, c):
     """Return x̄_i - x̄_j of the constraints from index c on, by the slots in i and j."""
 
 
-def lag(misfit, gamma, before, dx, dy, dz, l):
+def lag(xpbd_residual, gamma, before, dx, dy, dz, l):
     """Return a misfit and γ n·(d - d̄) for an edge d = l n."""
 
 
@@ -107,13 +107,13 @@ def _records_before(damping, i, j, c):
 
 
 @inline(lag)
-def _lag(misfit, gamma, before, dx, dy, dz, l):
+def _lag(xpbd_residual, gamma, before, dx, dy, dz, l):
     if _none(gamma):
-        return lambda misfit, gamma, before, dx, dy, dz, l: misfit
+        return lambda xpbd_residual, gamma, before, dx, dy, dz, l: xpbd_residual
 
-    def lagging(misfit, gamma, before, dx, dy, dz, l):
+    def lagging(xpbd_residual, gamma, before, dx, dy, dz, l):
         along = fma(dx, before[0], fma(dy, before[1], dz * before[2])) / l
-        return fma(gamma, l - along, misfit)
+        return fma(gamma, l - along, xpbd_residual)
     return lagging
 
 

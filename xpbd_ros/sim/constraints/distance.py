@@ -43,20 +43,20 @@ from xpbd_ros.sim.constraints.pinned import (
 )
 from xpbd_ros.sim.constraints.projection import (
     at_the_end,
-    divisor,
+    denominator,
     keep,
-    misfit,
     moves,
     put,
     recall,
     row,
+    xpbd_residual,
 )
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import from_records, put_records, to_records
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-HOLE = -1.0
+ABSENT = -1.0
 """compliance where there is no edge"""
 
 
@@ -178,7 +178,7 @@ class Edges:
         return float((0.5 * self.residual(x)[elastic]**2 / self.compliance[elastic]).sum())
 
 
-def softest(dtype) -> float:
+def max_compliance(dtype) -> float:
     """Return the largest compliance: finite, so that times no force it is nothing."""
     return float(np.sqrt(np.finfo(dtype).max))
 
@@ -186,15 +186,15 @@ def softest(dtype) -> float:
 def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
     """Return the compliances of grids as one table, HOLE where there is no constraint."""
     table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
-    table[:] = HOLE
+    table[:] = ABSENT
     first_ = 0
     for each in compliance:
-        each = np.minimum(each, softest(dtype))
+        each = np.minimum(each, max_compliance(dtype))
         there = np.s_[first_:first_ + len(each), :runs.present.shape[1]]
         width = each.shape[1] if each.shape[1] > 1 else runs.present.shape[1]
         table[there][:, :width] = each
         first_ += len(each)
-    table[:, :runs.present.shape[1]][~runs.present] = HOLE
+    table[:, :runs.present.shape[1]][~runs.present] = ABSENT
     return table
 
 
@@ -243,7 +243,7 @@ def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.nd
         world.records, np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(rest_length, order, 0.0, dtype),
-        padded(np.minimum(compliance, softest(dtype)), order, softest(dtype), dtype),
+        padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype), dtype),
         zeros(count, dtype) if world.forces else None,
         packs_for(room(count)) if world.pins else None,
         None if time is None else damping(world, padded(time, order, 0.0, dtype),
@@ -298,9 +298,9 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
     l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
     apart_ = l > 0.0
     l_or_1 = select(apart_, l, 1.0)
-    wrong = lag(misfit(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
+    wrong = lag(xpbd_residual(l - rest, alpha, f), gamma, before, dx, dy, dz, l_or_1)
     s = select(both(total > 0.0, there),
-               wrong / (l_or_1 * divisor(apart, shared(total, gamma), alpha)), 0.0)
+               wrong / (l_or_1 * denominator(apart, shared(total, gamma), alpha)), 0.0)
     return (s, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
             -(s * l_or_1))
 

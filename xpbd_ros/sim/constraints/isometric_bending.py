@@ -5,7 +5,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, load, select
 from xpbd_ros.sim.backend.simd_records import load_records
-from xpbd_ros.sim.constraints.projection import divisor, keep, misfit, recall
+from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 from xpbd_ros.sim.particles.records import put_records
 
@@ -50,9 +50,9 @@ def project_packs(records, apart, particles, weight, compliance, fx, fy, fz, rev
         x = fma(k0, x0, fma(k1, x1, fma(k2, x2, k3 * x3)))
         y = fma(k0, y0, fma(k1, y1, fma(k2, y2, k3 * y3)))
         z = fma(k0, z0, fma(k1, z1, fma(k2, z2, k3 * z3)))
-        per = select(total > 0.0, -1.0 / divisor(apart, total, alpha), 0.0)
-        dx, dy, dz = (per * misfit(x, alpha, f), per * misfit(y, alpha, g),
-                      per * misfit(z, alpha, h))
+        per = select(total > 0.0, -1.0 / denominator(apart, total, alpha), 0.0)
+        dx, dy, dz = (per * xpbd_residual(x, alpha, f), per * xpbd_residual(y, alpha, g),
+                      per * xpbd_residual(z, alpha, h))
         keep(fx, q, f, dx)
         keep(fy, q, g, dy)
         keep(fz, q, h, dz)

@@ -46,7 +46,7 @@ from xpbd_ros.sim.backend.simd import (
     transpose,
 )
 from xpbd_ros.sim.backend.threads import share, wait, worker
-from xpbd_ros.sim.constraints.distance import gather_line_reaction, note_line, softest
+from xpbd_ros.sim.constraints.distance import gather_line_reaction, max_compliance, note_line
 from xpbd_ros.sim.particles.memory_layout import Block, zeros
 
 TINY = 1e-4
@@ -104,8 +104,8 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
     longest = max(max(b.parts * b.part, b.rows) for b in blocks) + lanes_
     warp, weft = (np.zeros((len(blocks), longest), dtype) for _ in range(2))
     for g, (block, (by_row, by_column)) in enumerate(zip(blocks, compliance)):
-        warp[g, :block.rows] = np.minimum(by_row, softest(dtype))
-        weft[g, block.slots[0] - block.first] = np.minimum(by_column, softest(dtype))
+        warp[g, :block.rows] = np.minimum(by_row, max_compliance(dtype))
+        weft[g, block.slots[0] - block.first] = np.minimum(by_column, max_compliance(dtype))
 
     def of(value):
         return np.array([value(b) for b in blocks], np.int64)

@@ -46,11 +46,11 @@ def keep(force, c, f, df):
     """Keep multipliers f + Δf."""
 
 
-def misfit(residual, alpha, f):
+def xpbd_residual(residual, alpha, f):
     """Return C + α f."""
 
 
-def divisor(apart, total, alpha):
+def denominator(apart, total, alpha):
     """Return what a misfit is divided by: W + α, and what the method makes of it."""
 
 
@@ -90,14 +90,14 @@ def _keep(force, c, f, df):
     return lambda force, c, f, df: store(force, c, f + df)
 
 
-@inline(misfit)
+@inline(xpbd_residual)
 def _misfit(residual, alpha, f):
     if isinstance(f, types.NoneType):
         return lambda residual, alpha, f: residual
     return lambda residual, alpha, f: fma(alpha, f, residual)
 
 
-@inline(divisor)
+@inline(denominator)
 def _divisor(apart, total, alpha):
     if _kind(apart) is Jacobi:
         return lambda apart, total, alpha: (total + alpha) * apart.per_relaxation[0]
@@ -120,7 +120,7 @@ def _put(x, target, i, xi, step, d):
     return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
 
 
-def release_forces(apart, force):
+def zero_multipliers(apart, force):
     """
     Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4).
 
@@ -128,7 +128,7 @@ def release_forces(apart, force):
     """
 
 
-@inline(release_forces)
+@inline(zero_multipliers)
 def _release_forces(apart, force):
     if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
         return lambda apart, force: None

@@ -37,13 +37,13 @@ from xpbd_ros.sim.constraints.grid_batches import listed, PHASES, Runs, Shape, s
 from xpbd_ros.sim.constraints.pinned import room_for
 from xpbd_ros.sim.constraints.projection import (
     at_the_end,
-    divisor,
+    denominator,
     keep,
-    misfit,
     moves,
     put,
     recall,
     row,
+    xpbd_residual,
 )
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.particles.memory_layout import zeros
@@ -247,10 +247,10 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, compliance, force, axis
                 total = (m0 + m1) + (m2 + m3)
                 there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
                 # γ counts how far both lag behind, the second one with the other sign
-                wrong = lag(misfit(l - g, alpha, f), gamma, apart_before(damping, i0, i1), dx, dy,
-                            dz, l_or_1)
+                wrong = lag(xpbd_residual(l - g, alpha, f), gamma,
+                            apart_before(damping, i0, i1), dx, dy, dz, l_or_1)
                 wrong = -lag(-wrong, gamma, apart_before(damping, i2, i3), ex, ey, ez, g_or_1)
-                df = select(there, -(wrong / divisor(apart, shared(total, gamma), alpha)), 0.0)
+                df = select(there, -(wrong / denominator(apart, shared(total, gamma), alpha)), 0.0)
                 keep(force, base + c, f, df)
                 s, t = df / l_or_1, df / g_or_1
                 dx, dy, dz = (select(long, dx, axis[0, 0]), select(long, dy, axis[0, 1]),

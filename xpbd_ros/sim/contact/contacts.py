@@ -8,9 +8,9 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import Colliders, to_local, to_world, write_pose
 from xpbd_ros.sim.contact.continuous_detection import look_back
-from xpbd_ros.sim.contact.corners import ahead, is_behind, leave_corners, SHORT
+from xpbd_ros.sim.contact.corners import ahead, is_penetrating, leave_corners, SHORT
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.history import invalidate_history
 
 DEPENETRATION = 1.0
 """speed at which an overlap that was there before is undone [m/s]"""
@@ -185,17 +185,17 @@ def push_once(contacts, state, back=False, eased=False):
         state.x[1, i] += ny * push
         state.x[2, i] += nz * push
         contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
-        lose_history(state.history, i)
+        invalidate_history(state.history, i)
     if held_back or not back:
         contacts.count[2] = held_back
 
 
 @jit
-def count_behind(contacts, state):
+def count_penetrating(contacts, state):
     """Count the candidates that are left inside a collider, or behind the plane they came from."""
     count = 0
     for k in range(contacts.count[0]):
-        count += is_behind(contacts, k, state)
+        count += is_penetrating(contacts, k, state)
     return count
 
 

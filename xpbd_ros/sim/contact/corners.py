@@ -21,7 +21,7 @@ from xpbd_ros.sim.contact.colliders import to_local
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.geometry.quaternion import rotate
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.history import invalidate_history
 
 SHORT = 0.01
 """of the thickness: what is left of it where there is no room for more"""
@@ -47,7 +47,7 @@ def ahead(contacts, k, x, y, z):
 
 
 @jit(inline=True)
-def is_behind(contacts, k, state):
+def is_penetrating(contacts, k, state):
     """Tell whether a candidate is left inside a collider, or behind the plane it came from."""
     i = contacts.particle[k]
     phi, _ = ahead(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
@@ -67,7 +67,7 @@ def leave_corners(contacts, state):
                 if left(contacts, k, state):
                     count += 1
                     state.x[0, i], state.x[1, i], state.x[2, i] = x
-                lose_history(state.history, i)
+                invalidate_history(state.history, i)
     return count
 
 
@@ -75,7 +75,7 @@ def leave_corners(contacts, state):
 def left(contacts, k, state):
     """Tell whether a particle, whose last candidate is k, is left inside any collider."""
     while k >= 0:
-        if is_behind(contacts, k, state):
+        if is_penetrating(contacts, k, state):
             return True
         k = contacts.earlier[k]
     return False

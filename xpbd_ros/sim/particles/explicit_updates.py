@@ -39,7 +39,7 @@ def add_moves(state):
 
 
 @jit
-def kick_on(state, substep):
+def apply_leapfrog_kick(state, substep):
     """
     v += h F / m, with the moves h² F / m that were summed up, and x as v then says.
 

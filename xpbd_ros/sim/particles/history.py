@@ -68,7 +68,7 @@ def new_history(integrator: str, slots: int, dtype) -> History | None:
 
 
 @jit
-def lose_history(history, i):
+def invalidate_history(history, i):
     """Mark a particle as touched in this substep: it ends it with backward Euler."""
     if history is not None:
         history.fresh[i] = TOUCHED
@@ -97,7 +97,7 @@ def _weights(older, w, fresh, h):
     return bdf2 if isinstance(older, types.NoneType) else ndf2
 
 
-def steadied(fresh, now, last, older, gap, q, h):
+def with_order_reduction(fresh, now, last, older, gap, q, h):
     """
     Return ``fresh`` of the particles from slot q on, at least HALF for those that go to and fro.
 
@@ -105,7 +105,7 @@ def steadied(fresh, now, last, older, gap, q, h):
     """
 
 
-@inline(steadied)
+@inline(with_order_reduction)
 def _steadied(fresh, now, last, older, gap, q, h):
     if isinstance(last, types.NoneType):
         return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
@@ -147,11 +147,11 @@ def _mean(now, last, older, i, a, b):
     return mean_of_three
 
 
-def turned_history(history, x, x_prev, v):
+def rotate_history(history, x, x_prev, v):
     """Return x, x_prev, v and the history of the next substep (``state.turned``)."""
 
 
-@inline(turned_history)
+@inline(rotate_history)
 def _turned_history(history, x, x_prev, v):
     if isinstance(history, types.NoneType):
         return lambda history, x, x_prev, v: (x_prev, x, v, None)
@@ -164,7 +164,7 @@ def _turned_history(history, x, x_prev, v):
 
 
 @jit(inline=True)
-def put_back_history(home, home_v, history, older_v, v, i):
+def restore_history(home, home_v, history, older_v, v, i):
     """Write the components from i on to where they were (``state.put_back``)."""
     now, before = load(v, i), load(history.v, i)
     if older_v is not None:

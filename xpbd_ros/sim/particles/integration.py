@@ -16,11 +16,11 @@ from xpbd_ros.sim.backend.threads import share, wait
 from xpbd_ros.sim.particles.history import (
     aged,
     mean,
-    put_back_history,
-    steadied,
+    restore_history,
+    rotate_history,
     TOUCHED,
-    turned_history,
     weights,
+    with_order_reduction,
 )
 from xpbd_ros.sim.particles.state import State
 
@@ -40,7 +40,7 @@ def turned(state):
 
     The arrays trade places; what was oldest makes room for what comes.
     """
-    x, x_prev, v, history = turned_history(state.history, state.x, state.x_prev, state.v)
+    x, x_prev, v, history = rotate_history(state.history, state.x, state.x_prev, state.v)
     return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
                  state.reaction, history, state.apart, state.team, state.gap)
 
@@ -114,7 +114,7 @@ def _begin_euler(state, q, h):
 def _begin_multistep(state, history, older_x, older_v, q, h):
     w, slots = load(state.inv_mass, q), len(state.inv_mass)
     free = w > 0.0
-    fresh = steadied(history.fresh, history.v, older_v, state.v, state.gap, q, h)
+    fresh = with_order_reduction(history.fresh, history.v, older_v, state.v, state.gap, q, h)
     step, a, b = weights(older_x, state.inv_mass, fresh, h)
     store(state.mobility, q, w * (step * step))
     for k in range(3):
@@ -233,7 +233,7 @@ def _write_mean(state, history, older_x, target, q, h):
 
 
 @jit
-def put_back(home, state):
+def restore_buffers(home, state):
     """Write what ``turned`` moved to where it was."""
     slots = len(state.inv_mass)
     first, last = own(state)
@@ -247,7 +247,7 @@ def put_back(home, state):
 def _put_back(home, home_history, state, history, i):
     x, x_prev = load(state.x, i), load(state.x_prev, i)
     if history is not None:
-        put_back_history(home_history, home.v, history, history.older_v, state.v, i)
+        restore_history(home_history, home.v, history, history.older_v, state.v, i)
     store(home.x, i, x)
     store(home.x_prev, i, x_prev)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import Team
+from xpbd_ros.sim.backend.threads import ThreadTeam
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.history import History, new_history, NONE
 from xpbd_ros.sim.particles.memory_layout import zeros
@@ -35,7 +35,7 @@ class State(NamedTuple):
     """None with backward Euler"""
     apart: Jacobi | Explicit | None
     """where constraints add up their moves; None where each moves its particles at once"""
-    team: Team | None = None
+    team: ThreadTeam | None = None
     """None where one thread does it all"""
     gap: np.ndarray | None = None
     """distance of neighbours [m], shape (slots,); None where nobody asks"""
@@ -84,7 +84,7 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     return state
 
 
-def solved_by(state: State, *, integrator: str, apart: type | None, constraints,
+def with_solver_storage(state: State, *, integrator: str, apart: type | None, constraints,
               gap=np.inf) -> State:
     """
     Return the same particles, with what their solver needs besides.
@@ -140,7 +140,7 @@ def gather(x, v, inv_mass, slots, natural_x, natural_v, natural_inv_mass):
         natural_inv_mass[i] = inv_mass[slot]
 
 
-def remembered(state: State) -> list[np.ndarray]:
+def history_arrays(state: State) -> list[np.ndarray]:
     """Return what the next substep starts from besides x and v; each of shape (3, slots)."""
     if state.history is None:
         return []

@@ -12,9 +12,9 @@ What pins and colliders still force through one another is counted.
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.contacts import count_behind, surface_motion
-from xpbd_ros.sim.contact.corners import is_behind
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.contact.contacts import count_penetrating, surface_motion
+from xpbd_ros.sim.contact.corners import is_penetrating
+from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.neighbour_list import gone
 from xpbd_ros.sim.self_collision.separating_planes import parts
 
@@ -102,7 +102,7 @@ def go_share(near, state, i, share):
     if share >= 1.0 or state.inv_mass[j] == 0.0:
         return
     near.count[2] += 1
-    lose_history(state.history, j)
+    invalidate_history(state.history, j)
     for a in range(3):
         start = near.x[i, a] + near.step[a]
         state.x[a, j] = start + share * (state.x[a, j] - start)
@@ -142,11 +142,11 @@ def add_to_step(step, rank, count, one, way):
 
 
 @jit
-def mark_behind(contacts, marks, state):
+def mark_penetrating(contacts, marks, state):
     """Mark the particles that are behind a collider."""
     if contacts is not None:
         for k in range(contacts.count[0]):
-            if is_behind(contacts, k, state):
+            if is_penetrating(contacts, k, state):
                 marks[contacts.particle[k]] = True
 
 
@@ -165,4 +165,4 @@ def behind(contacts, state):
     if contacts is None:
         return 0
     else:    # Numba prunes the branch that is not taken
-        return count_behind(contacts, state)
+        return count_penetrating(contacts, state)

@@ -27,7 +27,7 @@ from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 @jit(inline=True)
 def reach_of(near, kind, i, j, k, l):
     """Return how far a pair's sides may get towards each other, and how far they have since."""
-    go, past = near.travel, near.strayed
+    go, past = near.travel, near.drift_since_build
     if kind == EDGES:
         return max(go[i], go[j]) + max(go[k], go[l]), max(past[i], past[j]) + max(past[k], past[l])
     return go[i] + max(go[j], go[k], go[l]), past[i] + max(past[j], past[k], past[l])
@@ -47,7 +47,7 @@ def is_inside(kind, b):
 
 
 @jit
-def list_close(near, surface, planes, touches, rubbing, state, thickness, apart, both):
+def list_candidates(near, surface, planes, touches, rubbing, state, thickness, apart, both):
     """
     List what can get through in this substep; and, if ``both``, what can touch.
 

@@ -42,7 +42,7 @@ class Surface(NamedTuple):
     """of the middles"""
 
 
-class Nearby(NamedTuple):
+class NeighbourList(NamedTuple):
     """The list, and what it was made from; particles in natural order."""
 
     slot: np.ndarray
@@ -61,7 +61,7 @@ class Nearby(NamedTuple):
     """U: the way that all have gone together since [m], shape (3,)"""
     step: np.ndarray
     """the same of this substep: of what is pinned, or of all; [m], shape (3,)"""
-    strayed: np.ndarray
+    drift_since_build: np.ndarray
     """s at the substep's start [m], shape (particles,)"""
     travel: np.ndarray
     """how far each may get from x + step in this substep [m], shape (particles,)"""
@@ -88,7 +88,8 @@ class Nearby(NamedTuple):
     """the same number for particles that are sewn together, shape (particles,); None: none are"""
 
 
-def new_nearby(cloths, room: int, surface: bool, kin: np.ndarray | None = None) -> Nearby:
+def new_neighbour_list(cloths, room: int, surface: bool,
+                       kin: np.ndarray | None = None) -> NeighbourList:
     """Return room for that many pairs of particles, or of what they span."""
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
     count, span = len(rest), None
@@ -102,7 +103,7 @@ def new_nearby(cloths, room: int, surface: bool, kin: np.ndarray | None = None) 
         span = Surface(triangles, sides, outer, np.zeros((len(sides), 3)), new_cells(len(sides)))
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
-    return Nearby(
+    return NeighbourList(
         np.concatenate([cloth.slots for cloth in cloths]),
         np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths]),
         rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count, 3)), np.zeros((count, 3)),
@@ -201,17 +202,17 @@ def common_step(near, state):
 
 
 @jit
-def survey(near, x, slack):
+def track_motion(near, x, slack):
     """Note how far each may get, apart from what all do; return the most, and a side's most."""
     most, side = 0.0, 0.0
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.travel[i] = moved + max(moved, slack)
-        near.strayed[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
+        near.drift_since_build[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
                                   near.x[i, 1] - near.seen[i, 1] - near.drift[1],
                                   near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
         most = max(most, near.travel[i])
-        side = max(side, near.travel[i] + near.strayed[i])
+        side = max(side, near.travel[i] + near.drift_since_build[i])
     return most, side
 
 
@@ -228,7 +229,7 @@ def seek(near, thickness, left):
     top = 0.0
     for i in range(len(near.slot)):
         top = max(top, near.travel[i])
-        near.strayed[i] = 0.0
+        near.drift_since_build[i] = 0.0
         for a in range(3):
             near.seen[i, a] = near.x[i, a]
     near.drift[:] = 0.0

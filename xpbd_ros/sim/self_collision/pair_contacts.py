@@ -15,10 +15,10 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.contacts import shortened
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.history import invalidate_history
 
 
-class Rubbing(NamedTuple):
+class PairFriction(NamedTuple):
     """What only friction needs."""
 
     cloth: np.ndarray
@@ -31,7 +31,7 @@ class Rubbing(NamedTuple):
     """s, friction's displacement so far in this substep [m], shape (room, 3)"""
 
 
-class Touches(NamedTuple):
+class PairContacts(NamedTuple):
     """The pairs that may touch in this substep; those with a push > 0 do."""
 
     count: np.ndarray
@@ -48,13 +48,13 @@ class Touches(NamedTuple):
     """part of the push that must not become velocity [m], shape (room,)"""
     push: np.ndarray
     """d, so far in this substep [m], shape (room,)"""
-    rubbing: Rubbing | None
+    rubbing: PairFriction | None
     """None in a scene without friction"""
 
 
-def new_touches(room: int, particles: int) -> Touches:
+def new_pair_contacts(room: int, particles: int) -> PairContacts:
     """Return room for that many pairs of that many particles, none of them in use."""
-    return Touches(np.zeros(2, np.int64), np.zeros((room, particles), np.int64),
+    return PairContacts(np.zeros(2, np.int64), np.zeros((room, particles), np.int64),
                    np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
                    np.zeros(room), np.zeros(room), None)
 
@@ -90,7 +90,7 @@ def push_apart(touches, state):
             if share != 0.0:
                 for a in range(3):
                     x[a, i] += share * n[k, a]
-                lose_history(state.history, i)
+                invalidate_history(state.history, i)
 
 
 @jit
@@ -127,7 +127,7 @@ def rub(rubbing, touches, state):
 
 
 @jit
-def calm_down(touches, state, substep):
+def remove_depenetration_velocity(touches, state, substep):
     """Take back the velocity that came from undoing an old overlap."""
     v, n = state.v, touches.normal
     for k in range(touches.count[0]):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.particles.history import lose_history
+from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 CLEAR = 0.1
@@ -124,5 +124,5 @@ def push_pair(planes, m, i, j, state):
         for a in range(3):
             x[a, i] += n[m, a] * missing * w[i] / total
             x[a, j] -= n[m, a] * missing * w[j] / total
-        lose_history(state.history, i)
-        lose_history(state.history, j)
+        invalidate_history(state.history, i)
+        invalidate_history(state.history, j)

@@ -27,7 +27,7 @@ GROWTH = 2.0
 """by which the energy may be more than can be told"""
 
 
-class Calm(NamedTuple):
+class EdgeProbe(NamedTuple):
     """The edges to look at, and the oblong cells."""
 
     particles: np.ndarray
@@ -46,7 +46,7 @@ class Calm(NamedTuple):
     """as of edges, shape (cells,)"""
 
 
-def calm_edges(lists: list, cells: list = ()) -> Calm:
+def probed_edges(lists: list, cells: list = ()) -> EdgeProbe:
     """Return lists of edges (``distance.Edges``) and cells (``shear_cells.Slants``) to look at."""
     def of(lists, name, empty):
         return np.concatenate([empty, *(getattr(edges, name) for edges in lists)])
@@ -57,7 +57,7 @@ def calm_edges(lists: list, cells: list = ()) -> Calm:
     least = np.full(max(particles.max(initial=-1), corners.max(initial=-1)) + 1, np.inf)
     np.minimum.at(least, particles, compliance[:, None])
     np.minimum.at(least, corners, 0.5 * slack[:, None])    # a cell pulls at twice as many as edges
-    return Calm(particles, of(lists, 'rest_length', np.zeros(0)), compliance,
+    return EdgeProbe(particles, of(lists, 'rest_length', np.zeros(0)), compliance,
                 least[particles].min(axis=1) / compliance, corners, slack,
                 least[corners].min(axis=1) / (0.5 * slack))
 
@@ -98,7 +98,7 @@ def look(calm, x, v, mass, inv_mass):
     return strain, energy, pinned
 
 
-def was_calm(before, after, *, mass: float, gravity: float, dt: float) -> bool:
+def is_stable(before, after, *, mass: float, gravity: float, dt: float) -> bool:
     """Tell whether what ``look`` saw after a frame can come of what it saw before it."""
     speed = np.sqrt(2.0 * before[1] / mass) + gravity * dt
     given = mass * gravity * dt * speed + max(before[2], after[2])
@@ -129,7 +129,7 @@ class ExplicitGuard:
     def collect(self) -> None:
         """Learn the edges as they stand now."""
         effects = self._simulation.effects
-        self._edges = calm_edges(
+        self._edges = probed_edges(
             [these for built in effects.values() for these in built.by_part
              if these.particles.shape[1] == 2],
             [these for name in ('shear',) if name in effects for these in effects[name].by_part
@@ -141,7 +141,7 @@ class ExplicitGuard:
         self._x[:], self._v[:] = state.x, state.v
         before = self._look()
         simulation._advance(simulation.solver.substeps)
-        if was_calm(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
+        if is_stable(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
                     gravity=float(np.linalg.norm(state.gravity))):
             return
         state.x[:], state.v[:] = self._x, self._v

@@ -17,9 +17,21 @@ from typing import NamedTuple
 
 from xpbd_ros.sim.backend.emit import written_out
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.particles.explicit_updates import add_moves, at_start, half_kick, kick_on
+from xpbd_ros.sim.particles.explicit_updates import (
+    add_moves,
+    apply_leapfrog_kick,
+    at_start,
+    half_kick,
+)
 from xpbd_ros.sim.particles.integration import set_mobility
-from xpbd_ros.sim.stepping.stages import kernel_of, kick, project, project_back, solve_lines, walk
+from xpbd_ros.sim.stepping.stages import (
+    add_explicit_forces,
+    kernel_of,
+    project,
+    project_back,
+    solve_lines,
+    walk,
+)
 
 
 class GaussSeidel(NamedTuple):
@@ -96,7 +108,7 @@ def _sweep(writer, method, *values):
         if kind is Jacobi:
             writer.call(add_moves, state)
         else:
-            writer.call(kick_on, state, substep)
+            writer.call(apply_leapfrog_kick, state, substep)
         return
     for walk_ in WALKS[kind]:
         writer.call(walk_, *values)
@@ -126,5 +138,5 @@ def _kick(effects, state, substep, share):
     """Move the velocities on by a share of a substep."""
     set_mobility(state, substep.h)
     project(effects, state, substep)
-    kick(effects, state, substep)
+    add_explicit_forces(effects, state, substep)
     half_kick(state, substep.h, share)

@@ -6,7 +6,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import absolute, any_lane, both, lanes, load, select, splat
-from xpbd_ros.sim.particles.state import forget, remembered
+from xpbd_ros.sim.particles.state import forget, history_arrays
 
 REACH = 1000.0
 """no particle goes further in a frame, in sizes of the cloths and ways of what may drive it"""
@@ -15,7 +15,7 @@ DRIVE = 1.0
 
 
 @jit
-def can_be(state, before, reach):
+def is_plausible(state, before, reach):
     """Tell whether no particle went further than a reach along an axis, and v is finite."""
     x, v, slots = state.x, state.v, len(state.inv_mass)
     bad = splat(x, 0.0)
@@ -25,7 +25,7 @@ def can_be(state, before, reach):
     return not any_lane(bad > 0.0)
 
 
-class LastGood:
+class FrameRollback:
     """
     Takes back a frame that cannot be: what follows from it would be lost.
 
@@ -53,10 +53,10 @@ class LastGood:
         dt = simulation.frame_dt
         gx, gy, gz = state.gravity.tolist()
         drive = dt * (DRIVE + dt * sqrt(gx * gx + gy * gy + gz * gz))
-        if can_be(state, self._x, REACH * (self._size + drive)):
+        if is_plausible(state, self._x, REACH * (self._size + drive)):
             return
         state.x[:], state.v[:] = self._x, 0.0
-        for array in remembered(state):
+        for array in history_arrays(state):
             array[:] = 0.0    # no share of nan is 0
         forget(state)
         if state.reaction is not None:

@@ -22,7 +22,7 @@ def force(effects, state, substep):
     """Change predicted velocities v, and mobilities; x = x̄ + H v is predicted anew after it."""
 
 
-def pushes(effects):
+def has_force(effects):
     """Tell whether an effect takes part in ``force``."""
 
 
@@ -42,19 +42,19 @@ def solve_lines(effects, state, substep):
     """Solve whole lines of constraints at once, for an effect that has lines."""
 
 
-def touch(effects, state, substep):
+def project_inequalities(effects, state, substep):
     """Contact and friction, after everything else of an iteration."""
 
 
-def bound(effects, state, substep):
+def limit_motion(effects, state, substep):
     """Last in an iteration: how far particles may get."""
 
 
-def unmet(effects, state, turn):
+def are_inequalities_unmet(effects, state, turn):
     """Tell whether a touch must be repeated, since what came after an effect has undone it."""
 
 
-def may_repeat(effects):
+def may_repeat_inequalities(effects):
     """Tell whether an effect takes part in ``unmet``."""
 
 
@@ -62,11 +62,11 @@ def finish(effects, state, substep):
     """Once per substep, after the velocities are known."""
 
 
-def finishes(effects):
+def has_finish(effects):
     """Tell whether an effect takes part in ``finish``, so that velocities must be known there."""
 
 
-def kick(effects, state, substep):
+def add_explicit_forces(effects, state, substep):
     """
     Add up the moves h² F / m of what acts at x without a projection.
 
@@ -75,7 +75,7 @@ def kick(effects, state, substep):
     """
 
 
-def react(effects, state, substep):
+def accumulate_reactions(effects, state, substep):
     """
     Add up the forces on pinned particles; compiled only where ``state.reaction`` exists.
 
@@ -159,12 +159,13 @@ def _asks_all(stub: Callable) -> None:
         return found
 
 
-_asks_all(unmet)
-_tells_of(force, pushes)
-_tells_of(unmet, may_repeat)
-_tells_of(finish, finishes)
-for _stub in (force, prepare, project, touch, bound, finish, kick):
+_asks_all(are_inequalities_unmet)
+_tells_of(force, has_force)
+_tells_of(are_inequalities_unmet, may_repeat_inequalities)
+_tells_of(finish, has_finish)
+for _stub in (force, prepare, project, project_inequalities, limit_motion, finish,
+              add_explicit_forces):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
-walk(react, lambda effect, state: None if _is_none(state, 'reaction') else kernel_of(
-    react, effect), backwards=True)
+walk(accumulate_reactions, lambda effect, state: None if _is_none(state, 'reaction') else
+     kernel_of(accumulate_reactions, effect), backwards=True)

@@ -11,7 +11,7 @@ from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.particles.integration import (
     begin,
     predict,
-    put_back,
+    restore_buffers,
     turned,
     update_velocity,
     update_velocity_and_begin,
@@ -19,16 +19,16 @@ from xpbd_ros.sim.particles.integration import (
 from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping.methods import enter, leave, sweep
 from xpbd_ros.sim.stepping.stages import (
-    bound,
+    accumulate_reactions,
+    are_inequalities_unmet,
     finish,
-    finishes,
     force,
-    may_repeat,
+    has_finish,
+    has_force,
+    limit_motion,
+    may_repeat_inequalities,
     prepare,
-    pushes,
-    react,
-    touch,
-    unmet,
+    project_inequalities,
 )
 
 
@@ -51,29 +51,29 @@ def advance(effects, state, method, frame_dt, substeps):
             now = turned(now)
             begin(now, substep)
         force(effects, now, substep)
-        if pushes(effects):
+        if has_force(effects):
             predict(now, substep)
         prepare(effects, now, substep)
         for _ in range(method.iterations):
             sweep(method, effects, now, substep)
-            touch(effects, now, substep)
-            if may_repeat(effects):
+            project_inequalities(effects, now, substep)
+            if may_repeat_inequalities(effects):
                 turn = 1
-                while unmet(effects, now, turn):
+                while are_inequalities_unmet(effects, now, turn):
                     wait(now.team)    # until all have asked
-                    touch(effects, now, substep)
+                    project_inequalities(effects, now, substep)
                     turn += 1
                 wait(now.team)
-            bound(effects, now, substep)
-        react(effects, now, substep)
-        begun = k + 1 < substeps and not finishes(effects)
+            limit_motion(effects, now, substep)
+        accumulate_reactions(effects, now, substep)
+        begun = k + 1 < substeps and not has_finish(effects)
         if begun:
             update_velocity_and_begin(now, substep)
             now = turned(now)
         else:
             update_velocity(now, substep)
             finish(effects, now, substep)
-    put_back(state, now)
+    restore_buffers(state, now)
     leave(method, effects, state, Substep(h, 1.0, 1.0))
     restore_mode(mode)
 

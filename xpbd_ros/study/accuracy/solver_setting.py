@@ -125,7 +125,7 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
             continue
         rungs = rungs_of(simulation, method, usual)
         barred = {one: name for name, built in simulation.effects.items()
-                  for one in built.not_with}
+                  for one in built.incompatible_with}
         for integrator in integrators:
             if integrator in barred:
                 refused.append(Refused(f'{method} {integrator}',

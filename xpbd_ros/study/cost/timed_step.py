@@ -12,11 +12,16 @@ from numba import typeof
 
 from xpbd_ros.sim.backend.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.particles.explicit_updates import add_moves, at_start, half_kick, kick_on
+from xpbd_ros.sim.particles.explicit_updates import (
+    add_moves,
+    apply_leapfrog_kick,
+    at_start,
+    half_kick,
+)
 from xpbd_ros.sim.particles.integration import (
     begin,
     predict,
-    put_back,
+    restore_buffers,
     set_mobility,
     turned,
     update_velocity,
@@ -33,20 +38,20 @@ from xpbd_ros.sim.stepping.methods import (
     Symmetric,
 )
 from xpbd_ros.sim.stepping.stages import (
-    bound,
+    accumulate_reactions,
+    add_explicit_forces,
+    are_inequalities_unmet,
     finish,
-    finishes,
     force,
+    has_finish,
+    has_force,
     kernel_of,
-    kick,
+    limit_motion,
     prepare,
     project,
     project_back,
-    pushes,
-    react,
+    project_inequalities,
     solve_lines,
-    touch,
-    unmet,
 )
 from xpbd_ros.study.cost.clock import lap
 
@@ -57,9 +62,9 @@ SWEEPS = {GaussSeidel: ((project, False),),
 backwards"""
 SWEPT = (project, project_back, solve_lines)
 NAMES = {each.__name__: each for each in (
-    add_moves, at_start, begin, finishes, flush_denormals, half_kick, kick_on, lap, predict,
-    pushes, put_back, restore_mode, set_mobility, Substep, turned, unmet,
-    update_velocity, update_velocity_and_begin)}
+    add_moves, apply_leapfrog_kick, are_inequalities_unmet, at_start, begin, flush_denormals,
+    half_kick, has_finish, has_force, lap, predict, restore_buffers, restore_mode, set_mobility,
+    Substep, turned, update_velocity, update_velocity_and_begin)}
 
 
 def timed_step(effects: tuple, method: type):
@@ -96,7 +101,7 @@ class _Step:
         yield f'{inner}state = turned(state)'
         yield from self._integrate(inner, 'begin(state, substep)')
         yield from self._walk(each, force)
-        yield f'{each}if pushes(effects):'
+        yield f'{each}if has_force(effects):'
         yield from self._integrate(inner, 'predict(state, substep)')
         yield from self._walk(each, prepare)
         yield f'{each}for _ in range(method.iterations):'
@@ -106,23 +111,23 @@ class _Step:
         else:
             yield from self._sum_up(inner, 'at_start(state)' if leaps else 'state')
             yield from self._integrate(
-                inner, 'kick_on(state, substep)' if leaps else 'add_moves(state)')
-        yield from self._walk(inner, touch)
+                inner, 'apply_leapfrog_kick(state, substep)' if leaps else 'add_moves(state)')
+        yield from self._walk(inner, project_inequalities)
         yield f'{inner}turn = 1'
-        yield f'{inner}while unmet(effects, state, turn):'
+        yield f'{inner}while are_inequalities_unmet(effects, state, turn):'
         yield f'{inner}    turn += 1'
-        yield from self._walk(f'{inner}    ', touch)
-        yield from self._walk(inner, bound)
+        yield from self._walk(f'{inner}    ', project_inequalities)
+        yield from self._walk(inner, limit_motion)
         yield f'{inner}pass'
-        yield from self._walk(each, react, backwards=True)
-        yield f'{each}begun = k + 1 < substeps and not finishes(effects)'
+        yield from self._walk(each, accumulate_reactions, backwards=True)
+        yield f'{each}begun = k + 1 < substeps and not has_finish(effects)'
         yield f'{each}if begun:'
         yield from self._integrate(inner, 'update_velocity_and_begin(state, substep)')
         yield f'{inner}state = turned(state)'
         yield f'{each}else:'
         yield from self._integrate(inner, 'update_velocity(state, substep)')
         yield from self._walk(inner, finish)
-        yield from self._integrate(once, 'put_back(home, state)')
+        yield from self._integrate(once, 'restore_buffers(home, state)')
         yield f'{once}state = home'
         if leaps:
             yield from self._kick(once, 1.0, 0.5)
@@ -153,5 +158,5 @@ class _Step:
         yield f'{indent}substep = Substep(h, {place}, {place})'
         yield f'{indent}set_mobility(state, h)'
         yield from self._sum_up(indent, 'state')
-        yield from self._walk(indent, kick)
+        yield from self._walk(indent, add_explicit_forces)
         yield from self._integrate(indent, f'half_kick(state, h, {share})')

@@ -84,7 +84,7 @@ GUARDS = (
     Guard('H17', 'explicit leapfrog 100x1 centre of a sphere',
           'a frame of explicit that was not calm is computed anew',
           'sim/stepping/explicit_guard.py',
-          'if was_calm(before', 'if True or was_calm(before'),
+          'if is_stable(before', 'if True or is_stable(before'),
     Guard('H27', 'line bdf2 16x1 slammed shut', 'planes part cloth from cloth',
           'sim/self_collision/separating_planes.py',
           'if parts(planes, m, near, state.x):', 'if True:'),
@@ -98,7 +98,7 @@ GUARDS = (
           'sim/stepping/methods.py', 'Line: (forth, back, close)', 'Line: (forth, close)'),
     Guard('H32', 'jacobi backward_euler 8x1 relaxation too large',
           'a frame that cannot be is taken back', 'sim/stepping/rollback.py',
-          'if can_be(state, self._x, REACH * (self._size + drive)):', 'if True:'),
+          'if is_plausible(state, self._x, REACH * (self._size + drive)):', 'if True:'),
     Guard('H33', 'line bdf2 8x1 a sway that dies away', 'what is too small to matter becomes 0',
           'sim/backend/denormals.py', 'FLUSH = 0x8040', 'FLUSH = 0'),
 )
