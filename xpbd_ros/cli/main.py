@@ -28,6 +28,7 @@ VERBS = {
     'verify': 'compare the simulation with answers that are known',
     'accuracy': 'error against time for a scene, and the setting to take',
     'stress': 'the hard cases that break solvers, at every setting',
+    'compile': 'compile scenes ahead of time, for images and read-only homes',
     'check': 'check a scene, and predict what its setting will give',
     'cost': 'what each effect of a scene costs: time, memory, code',
 }
