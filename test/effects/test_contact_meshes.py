@@ -269,8 +269,8 @@ def test_shapes_that_a_scene_lacks_have_no_arrays():
 
 
 @pytest.mark.parametrize('entry, text', [
-    ({'mesh': {'file': '/no/such.obj'}}, 'mesh: no such file: /no/such.obj; put it back, or name '
-     'it anew'),
+    ({'mesh': {'file': '/no/such.obj'}}, 'mesh: no such file: /no/such.obj; restore it, or '
+     'correct the path'),
     ({'mesh': {'file': 'OPEN'}}, 'mesh: FILE: is not closed (3 open edges), so it has no inside; '
      'close it, or use a box'),
     ({'mesh': {'file': 'OPEN', 'spacing': 0.0}}, 'mesh.spacing: must be > 0 m (got 0.0)'),

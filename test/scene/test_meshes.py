@@ -121,8 +121,8 @@ def test_what_a_log_keeps_runs_from_anywhere_with_the_same_bits(scene, monkeypat
     assert simulation.hash() == again.hash()
     (tmp_path / 'disc.obj').unlink()
     assert refusal(lambda: compile_scene(scene_from_text(text, where='log', name='log'))) == (
-        f"log: cloths.c.mesh.file: no such file: {tmp_path / 'disc.obj'}; put it back, or name it "
-        'anew')
+        f"log: cloths.c.mesh.file: no such file: {tmp_path / 'disc.obj'}; restore it, or correct "
+        'the path')
 
 
 def test_a_relative_scene_path_finds_the_mesh_too(scene, monkeypatch, tmp_path):

@@ -1,4 +1,4 @@
-"""A progress bar on long work, where somebody watches."""
+"""A progress bar for long work, on a terminal."""
 
 from collections.abc import Iterable
 import sys

@@ -11,7 +11,7 @@ DOMAINS = range(1, 101)
 
 
 def free_domain() -> int:
-    """Return a domain whose discovery ports nobody uses on this machine (RTPS 9.6.1.1)."""
+    """Return a domain whose discovery ports are free on this machine (RTPS 9.6.1.1)."""
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         if all(_free(7400 + 250 * domain + offset) for offset in (0, 1, 10, 11)):
             return domain

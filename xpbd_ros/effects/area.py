@@ -70,8 +70,8 @@ class Area(NamedTuple):
     compliance: np.ndarray
     """A0 / stiffness [m³/N], shape (triangles,)"""
     force: np.ndarray | None
-    """f, multiplier over H² [N/m], negative in tension, shape (triangles,); None where nobody
-    asks"""
+    """f, multiplier over H² [N/m], negative in tension, shape (triangles,); None if
+    multipliers are not kept"""
     packs: Packs | None
     """those at pinned particles; None in a scene without pins"""
 

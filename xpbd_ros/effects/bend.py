@@ -80,7 +80,7 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The constraints at pinned particles, whose forces somebody asks for."""
+    """The constraints at pinned particles, whose reaction forces are requested."""
 
     count: np.ndarray
     """shape (1,)"""
@@ -99,7 +99,7 @@ class Curvature(NamedTuple):
     compliance: np.ndarray
     """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
     force: np.ndarray | None
-    """f [N], shape (3, families * slots); None where nobody asks"""
+    """f [N], shape (3, families * slots); None if multipliers are not kept"""
     held: Held | None
     """None in a scene without pins"""
 
@@ -111,7 +111,7 @@ class Twist(NamedTuple):
     compliance: np.ndarray
     """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
     force: np.ndarray | None
-    """f [N], shape (3, families * slots); None where nobody asks"""
+    """f [N], shape (3, families * slots); None if multipliers are not kept"""
     held: Held | None
     """None in a scene without pins"""
 
@@ -133,7 +133,7 @@ class MeshBend(NamedTuple):
     compliance: np.ndarray
     """1 / B [1/(N m)], shape (hinges,)"""
     force: np.ndarray | None
-    """f [N m], shape (3, hinges); None where nobody asks"""
+    """f [N m], shape (3, hinges); None if multipliers are not kept"""
     held: Held | None
     """None in a scene without pins"""
 

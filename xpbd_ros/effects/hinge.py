@@ -99,7 +99,7 @@ class Hinge(NamedTuple):
     angle: np.ndarray
     """as seen last [rad], whole turns included; shape (hinges,)"""
     force: np.ndarray | None
-    """f [N m], shape (hinges,); None where nobody asks"""
+    """f [N m], shape (hinges,); None if multipliers are not kept"""
     packs: Packs | None
     """those at pinned particles; None in a scene without pins"""
 

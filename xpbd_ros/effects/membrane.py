@@ -110,7 +110,7 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The triangles at pinned particles, whose forces somebody asks for."""
+    """The triangles at pinned particles, whose reaction forces are requested."""
 
     count: np.ndarray
     """shape (1,)"""
@@ -136,7 +136,7 @@ class Membrane(NamedTuple):
     compliance: np.ndarray
     """α11, α12, α22, α33 [1/(N m)], shape (4, triangles)"""
     force: np.ndarray | None
-    """f [N m], shape (3, triangles); None where nobody asks"""
+    """f [N m], shape (3, triangles); None if multipliers are not kept"""
     packs: Packs | None
     """those at pinned particles; None in a scene without pins"""
 

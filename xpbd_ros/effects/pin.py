@@ -264,7 +264,7 @@ class BuiltPin(Built):
         self._wrench = np.zeros((slots, 6))
         self.states = self._states(np.inf)
         self.changed = True
-        """whether the pinned set is new since somebody last looked"""
+        """whether the pinned set has changed since it was last read"""
         self.slipped = 0
         """how many pins have let go by themselves since the start"""
         self._v_before = np.zeros((3, 0))

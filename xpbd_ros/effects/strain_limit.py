@@ -15,7 +15,7 @@ starts from where the last two lead (Nesterov 1983),
 
     x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
 
-with k counted anew when the largest excess has grown (O'Donoghue and Candès 2015). Where nothing
+with k restarted when the largest excess has grown (O'Donoghue and Candès 2015). Where nothing
 is too long one pass finds so. It comes last in each iteration, after all that is elastic and
 before seams, contact and friction. Where these pull an edge beyond the limit again, they and the
 limit are repeated in turn until they agree. Edges are those along warp and weft of a grid, and all
@@ -93,7 +93,7 @@ TURNS = 400
 PATIENCE = 20
 """repetitions in which the largest excess must halve; else there is no room"""
 GROWTH = 1.2
-"""by how much the largest excess may grow before k is counted anew"""
+"""growth of the largest excess at which k restarts"""
 SUBSTEPS = 8
 """what ``auto`` gives at least: with fewer, passes cost more than substeps"""
 
@@ -165,7 +165,7 @@ class MeshStrainLimit(NamedTuple):
 @stage(prepare, StrainLimit)
 @jit
 def prepare_lines(limit, state, substep):
-    """Zero the forces, but for lines that cannot be."""
+    """Zero the forces, except of overextended lines."""
     zero_multipliers(None, limit.force)
     overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
 

@@ -76,7 +76,7 @@ class MeshStretch(NamedTuple):
 @stage(prepare, Stretch)
 @jit
 def prepare_stretch(stretch, state, substep):
-    """Zero the multipliers, but for lines that cannot be."""
+    """Zero the multipliers, except of overextended lines."""
     zero_multipliers(state.apart, stretch.edges.force)
     overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 

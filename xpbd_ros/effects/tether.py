@@ -10,8 +10,8 @@ with r = (1 + slack) times the shortest way from a to x over the surface at rest
 and Müller 2012, algorithm 1): on a grid, which is flat, the straight line; on other meshes the
 shortest path of straight lines across at most ACROSS edges (``geometry.geodesics``). Each group of
 neighbouring pinned particles holds every particle by the nearest of them, up to four groups each;
-ways and groups are found anew when a pin grasps or lets go. So an error of the solver cannot grow
-along the cloth, however few the substeps. It comes last in each iteration, before contact.
+paths and groups are recomputed when a pin grasps or releases. So an error of the solver cannot
+grow along the cloth, however few the substeps. It comes last in each iteration, before contact.
 
 Limits: a bound and no elasticity: it hides real stretch beyond ``slack``, so leave it out where
 accuracy counts. On meshes ways are up to 8 % too long, more where triangles are slivers; in a body

@@ -95,7 +95,7 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The tetrahedra at pinned particles, whose forces somebody asks for."""
+    """The tetrahedra at pinned particles, whose reaction forces are requested."""
 
     count: np.ndarray
     """shape (1,)"""
@@ -121,8 +121,8 @@ class Volume(NamedTuple):
     compliance: np.ndarray
     """α_D and α_H [1/J], shape (2, tetrahedra)"""
     force: np.ndarray | None
-    """f of C_D and of C_H, multipliers over H² [J], shape (2, tetrahedra); None where nobody
-    asks"""
+    """f of C_D and of C_H, multipliers over H² [J], shape (2, tetrahedra); None if multipliers are
+    not kept"""
     packs: Packs | None
     """those at pinned particles; None in a scene without pins"""
     work: np.ndarray

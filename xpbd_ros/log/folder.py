@@ -1,4 +1,4 @@
-"""Where what nobody named a place for goes."""
+"""Fresh output folders for runs that name none."""
 
 from datetime import datetime
 import itertools

@@ -1,4 +1,4 @@
-"""A node as a process, and somebody who speaks to it."""
+"""A node process under test, and its client."""
 
 from pathlib import Path
 import signal

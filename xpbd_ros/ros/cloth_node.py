@@ -326,7 +326,7 @@ class ClothNode(LifecycleNode):
             self.topics.publish(topic, data)
 
     def _failed(self, error: Exception) -> None:
-        """End the node: one that looks alive and does not step helps nobody."""
+        """Shut the node down after an error of the stepper."""
         if rclpy.ok():
             self.failed = True
             self.get_logger().fatal(f'stopped stepping: {type(error).__name__}: {error}')
@@ -367,7 +367,7 @@ def with_chosen_substeps(frame, asked: int, chosen: int):
     """
     Return a frame that also says what ``auto`` made of a changed key.
 
-    The log's scene has ``auto`` resolved, so whoever repeats the run would not choose again.
+    The log's scene has ``auto`` resolved, so repeating the run does not choose again.
     """
     if chosen == asked:
         return frame

@@ -48,7 +48,7 @@ class Inlet:
         return subscription
 
     def _unheard(self, event) -> None:
-        """Listen to senders that are not heard yet, or say why that cannot be."""
+        """Subscribe to best-effort publishers, or report why one is incompatible."""
         given = f'qos_overrides.{self._topic}.subscription.reliability'
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         if policy != 'RELIABILITY' or given in self._node._parameter_overrides:

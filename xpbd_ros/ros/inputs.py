@@ -44,7 +44,7 @@ FAR = 1e6
 SECOND = 10**9
 """[ns]"""
 MOST_RESETS = 4096
-"""in one frame; a log that says more is not one of ours"""
+"""in one frame; a log with more is not from this program"""
 
 
 def pose(position, orientation, what: str) -> Pose:

@@ -1,5 +1,5 @@
 """
-Frames to messages: one buffer per topic, laid out once and filled anew each frame.
+Frames to messages: one buffer per topic, allocated once and filled each frame.
 
 The same bytes go to the wire and to the log. A message's layout (CDR) does not change while the
 counts in it stay the same, so it is serialized once, with marks in the places that will change.

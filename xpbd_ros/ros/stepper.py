@@ -94,7 +94,7 @@ class Stepper(threading.Thread):
         return self.ask(follow)
 
     def resume(self) -> None:
-        """Count time from now on, so that a pause is not made up for."""
+        """Restart the schedule, so that a pause causes no dropped frames."""
         self._start_ns, self._count = self._now_ns(), 0
         self._seen = self._start_ns, time.monotonic_ns()
 
@@ -118,7 +118,7 @@ class Stepper(threading.Thread):
             self._failed(error)
 
     def _refuse_more(self) -> None:
-        """Do nothing more, and leave nobody waiting for what will not happen."""
+        """Stop, and cancel pending requests."""
         with self._wake:
             self._stopping = True
             self._wake.notify()
@@ -134,7 +134,7 @@ class Stepper(threading.Thread):
                     return
                 action, future = self._asked.popleft()
             if not future.set_running_or_notify_cancel():
-                continue    # whoever asked has given up
+                continue    # the caller timed out
             try:
                 future.set_result(action())
             except Exception as error:

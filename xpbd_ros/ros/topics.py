@@ -70,7 +70,7 @@ class Topics:
         self._publishers[topic].publish(message)
 
     def is_heard(self, topic: str) -> bool:
-        """Tell whether somebody subscribes."""
+        """Return whether the topic has subscribers."""
         return self._publishers[topic].get_subscription_count() > 0
 
     def close(self) -> None:

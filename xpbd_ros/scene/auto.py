@@ -71,8 +71,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
     if integrator in barred:
-        raise InputError(f"solver.integrator: '{integrator}' goes wild with {barred[integrator]}, "
-                         'which the scene has; take bdf2 or backward_euler')
+        raise InputError(f"solver.integrator: '{integrator}' is unstable with "
+                         f'{barred[integrator]}, which the scene has; take bdf2 or backward_euler')
     if (keys.integrator is None and method == 'line' and 'ndf2' not in barred
             and CALM * needed <= (keys.substeps or affordable)):
         integrator = 'ndf2'

@@ -29,7 +29,7 @@ def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     """
     if not path.is_file():
-        raise InputError(f'no such file: {path}; put it back, or name it anew')
+        raise InputError(f'no such file: {path}; restore it, or correct the path')
     try:
         return _read_obj(path) if path.suffix.lower() == '.obj' else _read_with_meshio(path)
     except OSError as error:
@@ -102,7 +102,7 @@ def read_table(file: str) -> np.ndarray:
     """Return the rows of numbers in a .npy file, or in a text with commas or blanks between."""
     path = Path(file)
     if not path.is_file():
-        raise InputError(f'no such file: {path}; put it back, or name it anew')
+        raise InputError(f'no such file: {path}; restore it, or correct the path')
     try:
         if path.suffix.lower() == '.npy':
             return np.load(path, allow_pickle=False)

@@ -80,7 +80,7 @@ class BuildContext:
     built: dict[str, 'Built']
     """the effects built so far, in projection order"""
     pins: bool
-    """whether the scene has pins, so that somebody will ask for forces"""
+    """whether pins require reaction forces"""
     compliance_scale: float = 1.0
     before: dict[str, 'Built'] = field(default_factory=dict)
     """the effects that this one takes over from, where a live key changed"""
@@ -89,7 +89,7 @@ class BuildContext:
     read_table: Callable[[str], np.ndarray] | None = None
     """rows of numbers in a file"""
     forces: bool = True
-    """whether multipliers are kept: somebody asks for forces, or a pass follows another"""
+    """whether multipliers are kept: for reaction forces, or since there are several passes"""
 
     iterations: int = 1
     """of the solver"""

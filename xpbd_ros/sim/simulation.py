@@ -80,7 +80,7 @@ class Simulation:
         self.slot = slot
         """where each particle is, in natural order: cloth after cloth, row after row"""
         self.notes = tuple(notes)
-        """what whoever runs this should know of its making"""
+        """notes on the compiled scene for the user"""
         self.frame_rate = frame_rate
         """frames per second of simulation time, exact"""
         self.frame_dt = float(1 / frame_rate)

@@ -33,7 +33,7 @@ class Cache(FunctionCache):
     """
 
     def save_overload(self, signature, data):
-        """Write one variant, while nobody else does."""
+        """Write one variant, under the cache's lock."""
         with open(CACHE_FOLDER / 'lock', 'ab') as lock:
             with suppress(OSError):    # a file system without locks
                 fcntl.flock(lock, fcntl.LOCK_EX)
@@ -63,7 +63,7 @@ def _sources_hash() -> str:
 
 
 def _cache_folder() -> Path:
-    """Return a folder of ours that can be written to."""
+    """Return a writable cache folder."""
     base = os.environ.get('NUMBA_CACHE_DIR') or os.environ.get('XDG_CACHE_HOME')
     for root in (Path(base) if base else Path.home() / '.cache', Path(tempfile.gettempdir())):
         folder = root / 'xpbd_ros' / _sources_hash()
@@ -109,7 +109,7 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     """
     Compile a module-level kernel, GIL released, cached on disk.
 
-    Arrays that come from outside outlive the call, so that nobody counts references to them;
+    Arrays that come from outside outlive the call, so references to them are not counted;
     only a kernel that ``allocates`` arrays must.
 
     ``inline`` writes the function out where it is called: Numba hands over a NamedTuple by copying

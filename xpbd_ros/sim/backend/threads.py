@@ -40,7 +40,7 @@ def share(team, count):
 
 
 def alone(team):
-    """Tell whether this thread does what cannot be shared."""
+    """Return whether this is the main thread, which does serial work."""
 
 
 def wait(team):

@@ -61,7 +61,7 @@ ABSENT = -1.0
 
 
 class Held(NamedTuple):
-    """The edges at pinned particles, whose forces somebody asks for."""
+    """The edges at pinned particles, whose reaction forces are requested."""
 
     count: np.ndarray
     """shape (1,)"""
@@ -99,8 +99,8 @@ class GridEdges(NamedTuple):
     axis: np.ndarray
     """where two particles coincide, by shape; shape (shapes, 3)"""
     force: np.ndarray | None
-    """f, multiplier over H² [N], negative in tension, shape (families * slots,); None where nobody
-    asks"""
+    """f, multiplier over H² [N], negative in tension, shape (families * slots,); None if
+    multipliers are not kept"""
     stops: Stops | None
     """None in a scene without pins"""
     damping: Damping | None = None
@@ -121,7 +121,7 @@ class MeshEdges(NamedTuple):
     compliance: np.ndarray
     """[m/N], shape (edges,)"""
     force: np.ndarray | None
-    """f [N], shape (edges,); None where nobody asks"""
+    """f [N], shape (edges,); None if multipliers are not kept"""
     packs: Packs | None
     """those at pinned particles; None in a scene without pins"""
     damping: Damping | None = None

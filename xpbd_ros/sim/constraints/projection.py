@@ -9,7 +9,7 @@ far a constraint goes.
     Jacobi          Δf = -ω (C + α f) / (W + α)        NUMERICS 2.14
     explicit        f  = -C / α, from f = 0            the force at x itself
 
-``None`` for a multiplier means that nobody asks for it and that it is 0 before the only pass.
+``None`` for a multiplier: it is not kept, and is 0 before the only pass.
 """
 
 from operator import getitem

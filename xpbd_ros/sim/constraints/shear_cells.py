@@ -50,7 +50,7 @@ from xpbd_ros.sim.particles.memory_layout import zeros
 
 
 class Held(NamedTuple):
-    """The cells at pinned particles, whose forces somebody asks for."""
+    """The cells at pinned particles, whose reaction forces are requested."""
 
     count: np.ndarray
     """shape (1,)"""
@@ -71,7 +71,7 @@ class Slant(NamedTuple):
     axis: np.ndarray
     """where the ends of each diagonal coincide, shape (2, 3)"""
     force: np.ndarray | None
-    """f, multiplier over H² [N], shape (families * slots,); None where nobody asks"""
+    """f, multiplier over H² [N], shape (families * slots,); None if multipliers are not kept"""
     stops: Stops | None
     """at pinned particles, with n and o; None in a scene without pins"""
     damping: Damping | None = None

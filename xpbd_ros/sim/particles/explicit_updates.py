@@ -21,7 +21,7 @@ def at_start(state):
 
 @jit(inline=True)
 def _taken(move, i):
-    """Return moves from index i on, and begin to sum up anew."""
+    """Return moves from index i on, and set them to zero."""
     found = load(move, i)
     store(move, i, 0.0)
     return found

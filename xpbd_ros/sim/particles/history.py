@@ -13,8 +13,8 @@ difference scheme", 2010).
 
 A particle without a history takes a step of backward Euler, and then, for NDF2, one of BDF2.
 
-NDF2 hardly damps what goes to and fro every two substeps, and a line that is solved where such a
-swing was predicted to be can feed it: edges flip over for ever. So a particle takes BDF2 while
+NDF2 barely damps period-two oscillations, and a line solve at positions that such an oscillation
+predicts can feed it: edges flip for ever. So a particle takes BDF2 while
 
     v_n · v_{n-2} < 0   and   |v_n - 2 v_{n-1} + v_{n-2}| > |v_n - v_{n-2}| > REACH gap / h,
 
@@ -34,7 +34,7 @@ from xpbd_ros.sim.particles.memory_layout import zeros
 FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
 """values of ``fresh``"""
 REACH = 0.1
-"""part of the distance of neighbours that is far to go to and fro in a substep"""
+"""amplitude of a period-two oscillation, relative to the distance of neighbours, that counts"""
 
 
 class History(NamedTuple):
@@ -99,7 +99,7 @@ def _weights(older, w, fresh, h):
 
 def with_order_reduction(fresh, now, last, older, gap, q, h):
     """
-    Return ``fresh`` of the particles from slot q on, at least HALF for those that go to and fro.
+    Return ``fresh`` of the particles from slot q on, at least HALF for period-two oscillations.
 
     ``now``, ``last`` (None with BDF2) and ``older`` are velocities, shape (3, slots).
     """

@@ -38,7 +38,7 @@ class State(NamedTuple):
     team: ThreadTeam | None = None
     """None where one thread does it all"""
     gap: np.ndarray | None = None
-    """distance of neighbours [m], shape (slots,); None where nobody asks"""
+    """distance of neighbours [m], shape (slots,); None unless the integrator needs it"""
 
 
 class Substep(NamedTuple):
@@ -151,7 +151,7 @@ def history_arrays(state: State) -> list[np.ndarray]:
 
 
 def forget(state: State, particles=slice(None)) -> None:
-    """Let particles start anew: their next substep is one of backward Euler."""
+    """Clear the history of particles: their next substep is one of backward Euler."""
     if state.history is not None:
         state.history.fresh[particles] = NONE
 

@@ -225,7 +225,7 @@ def gone(x, start, step, j, i):
 
 @jit
 def seek(near, thickness, left):
-    """List all pairs anew; ``left`` is how many substeps the list should last."""
+    """Rebuild the list of all pairs; ``left`` is how many substeps the list should last."""
     top = 0.0
     for i in range(len(near.slot)):
         top = max(top, near.travel[i])

@@ -63,7 +63,7 @@ class Estimate:
     largest: float
     """of one particle [m]"""
     resolved: bool
-    """whether the estimate holds; else the error is more, by nobody knows how much"""
+    """whether the estimate holds; else it is only a lower bound"""
     frames: int
     """how many frames' worth of work it took"""
 

@@ -1,4 +1,4 @@
-"""A frame that cannot be is taken back: what follows from it would be lost."""
+"""Roll back non-finite or implausible frames."""
 
 from math import inf, sqrt
 
@@ -27,11 +27,10 @@ def is_plausible(state, before, reach):
 
 class FrameRollback:
     """
-    Takes back a frame that cannot be: what follows from it would be lost.
+    Restores the state of the frame before, at rest, and counts it.
 
-    It has numbers that are not finite, or a particle that went REACH times the size of all cloths
-    and the way that gravity and DRIVE make in a frame. The particles are put where the frame
-    began, at rest; only what is asked for can lead there.
+    A frame is implausible if a number is not finite, or if a particle moved by more than REACH
+    times the size of all cloths plus the distance that gravity and DRIVE account for.
     """
 
     def __init__(self, simulation):

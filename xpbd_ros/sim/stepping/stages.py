@@ -19,7 +19,7 @@ from xpbd_ros.sim.backend.threads import alone, wait
 
 
 def force(effects, state, substep):
-    """Change predicted velocities v, and mobilities; x = x̄ + H v is predicted anew after it."""
+    """Change predicted velocities v, and mobilities; x = x̄ + H v is recomputed after it."""
 
 
 def has_force(effects):

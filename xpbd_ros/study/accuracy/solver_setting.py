@@ -129,7 +129,7 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
         for integrator in integrators:
             if integrator in barred:
                 refused.append(Refused(f'{method} {integrator}',
-                                       f'goes wild with {barred[integrator]}'))
+                                       f'is unstable with {barred[integrator]}'))
                 continue
             for substeps in rungs:
                 add(Setting(method, integrator, substeps))

@@ -6,7 +6,7 @@ with the order that the ladder itself shows. Where every effect of a scene has a
 independent solver knows (``study.reference``), its positions are taken, and our limit is compared
 with them.
 
-A scene may be such that nobody knows the answer for long: cloth that buckles or flutters makes a
+Some scenes are chaotic: cloth that buckles or flutters makes a
 push of 1e-9 m grow by orders, and fine runs no longer agree. Up to the ``horizon`` they do, so
 that their limit is known to ``AGREED`` of the scene's size; after it only means over time are
 compared.

@@ -14,7 +14,7 @@ MARKERS = ('jaws', 'ball', 'none')
 
 
 def _points(value: ArrayLike, what: str) -> Array:
-    """Return finite points (n, 3) that nobody else writes to."""
+    """Return finite points (n, 3), as a private copy."""
     points = np.array(value, dtype=float) if np.size(value) else np.empty((0, 3))
     points = points[None] if points.ndim == 1 else points
     if points.ndim != 2 or points.shape[1] != 3:

@@ -28,7 +28,7 @@ class Elements:
     """shape (m, k)"""
 
     def __post_init__(self):
-        """Refuse what has no meaning, and keep copies that nobody writes to."""
+        """Refuse what has no meaning, and keep read-only copies."""
         for entry in fields(self):
             kind = np.int64 if entry.name == 'particles' else float
             array = np.array(getattr(self, entry.name), kind, order='C')

@@ -53,7 +53,7 @@ class Problem:
     """what stores energy"""
 
     def __post_init__(self):
-        """Refuse what has no meaning, and keep copies that nobody writes to."""
+        """Refuse what has no meaning, and keep read-only copies."""
         n = len(self.x)
         zeros = np.zeros((n, 3))
         for name, value, shape, kind in (

@@ -166,7 +166,7 @@ class _Rungs:
                 self.solutions = {int(n): (x, v) for n, x, v in zip(
                     stored['steps'], stored['x'], stored['v'])}
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            pass    # absent, or a file that somebody broke: computed again
+            pass    # absent or corrupt: computed again
 
     def add(self, steps: int, solution: tuple[Array, Array]) -> None:
         """Keep a rung."""

@@ -53,7 +53,7 @@ def pin_teleports():
 
 @hard('H14', 'a pin taken and left in every frame')
 def on_and_off():
-    """Finite, and whole when it ends; what cannot be is refused."""
+    """Finite, and whole when it ends; invalid commands are refused."""
     def blink(t):
         k = round(t * 60.0)
         return {'b': None if k % 2 and t < 1.5 else (0.0, 0.0, 0.0)}

@@ -17,7 +17,7 @@ GENTLE = 0.05
 @hard('H19', 'substeps from 1e-5 to 0.1 s')
 def steps():
     """
-    Softer where they are long, by the law, and never wild.
+    Softer where they are long, by the law, and never unstable.
 
     In 10 µs gravity moves a particle by 1e-9 m, and float32 rounds its place by up to 1.5e-8 m:
     what it weighs is not known there. That is said, and it stays bounded.
