@@ -11,9 +11,9 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import lane_count
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
-from xpbd_ros.sim.constraints.distance import room
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, listed, Runs, STRIP
 from xpbd_ros.sim.constraints.pinned import hold
+from xpbd_ros.sim.constraints.pinned_edges import room
 from xpbd_ros.sim.particles.memory_layout import blocks
 
 EFFECTS = {'stretch': {'warp': 1.0, 'weft': 1.0}, 'shear': {'stiffness': 1.0},

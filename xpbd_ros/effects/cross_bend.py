@@ -19,6 +19,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, slenderness
+from xpbd_ros.sim.constraints.pinned_edges import react_edges
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import dot, length
@@ -71,7 +72,7 @@ def project_cross_bend_back(bend, state, substep):
 @jit
 def react_cross_bend(bend, state, substep):
     """Forces between pinned particles."""
-    distance.react_edges(bend.edges.packs.held, bend.edges.force, state, substep)
+    react_edges(bend.edges.packs.held, bend.edges.force, state, substep)
 
 
 def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, shear_cells
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
+from xpbd_ros.sim.constraints.pinned_edges import react_edges
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.constraints.shear_cells import Slant
 from xpbd_ros.sim.effect import Built, Effect
@@ -76,7 +77,7 @@ def project_shear_back(shear, state, substep):
 @jit
 def react_shear(shear, state, substep):
     """Forces between pinned particles."""
-    distance.react_edges(shear.edges.stops.held, shear.edges.force, state, substep)
+    react_edges(shear.edges.stops.held, shear.edges.force, state, substep)
 
 
 @stage(prepare, Slant)

@@ -9,17 +9,11 @@ a force f ≤ 0 that only pulls (Provot 1995; NUMERICS 2.12):
 with mobilities m = w H². Where all edges keep to it is a convex set, so what is sought is the
 point of it that is nearest to where the elastic forces left the particles, weighed by mass. On a
 grid whole lines are solved at once (``constraints.inextensible_lines``), warp and weft in turn,
-until no edge is longer than it may be by more than EASE. Edges of other meshes take passes forth
-and back; since a net that hangs by a corner would take thousands of them, each pair of passes
-starts from where the last two lead (Nesterov 1983),
-
-    x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
-
-with k restarted when the largest excess has grown (O'Donoghue and Candès 2015). Where nothing
-is too long one pass finds so. It comes last in each iteration, after all that is elastic and
-before seams, contact and friction. Where these pull an edge beyond the limit again, they and the
-limit are repeated in turn until they agree. Edges are those along warp and weft of a grid, and all
-of any other mesh.
+until no edge is longer than it may be by more than EASE. Edges of other meshes take accelerated
+passes (``constraints.inextensible_edges``). Where nothing is too long one pass finds so. It comes
+last in each iteration, after all that is elastic and before seams, contact and friction. Where
+these pull an edge beyond the limit again, they and the limit are repeated in turn until they
+agree. Edges are those along warp and weft of a grid, and all of any other mesh.
 
 Limits: it takes energy away, as an inelastic stop does; what it holds takes steps of backward
 Euler, since an integrator that remembers would throw it back. Pins and colliders that leave the
@@ -33,40 +27,20 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import (
-    both,
-    fma,
-    highest,
-    lanes,
-    larger,
-    load,
-    root,
-    select,
-    splat,
-    store,
-)
-from xpbd_ros.sim.backend.simd_records import load_records, store_records
 from xpbd_ros.sim.constraints import overextended_lines
-from xpbd_ros.sim.constraints.distance import note_packs, react_edges, room, Stops
-from xpbd_ros.sim.constraints.inextensible_lines import per_euler, tighten
+from xpbd_ros.sim.constraints.inextensible_edges import EASE, FEW, FINE, shorten
+from xpbd_ros.sim.constraints.inextensible_lines import tighten
 from xpbd_ros.sim.constraints.line_solver import grid_lines, Lines
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
-from xpbd_ros.sim.constraints.pinned import (
-    collect,
-    hold,
-    hold_packs,
-    Packs,
-    packs_for,
-    segment,
-    segment_count,
-)
+from xpbd_ros.sim.constraints.pinned import hold, hold_packs, Packs, packs_for
+from xpbd_ros.sim.constraints.pinned_edges import react_edges, room, Stops
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.particles.records import new_records, to_positions, to_records
+from xpbd_ros.sim.particles.records import new_records
 from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -77,10 +51,6 @@ from xpbd_ros.sim.stepping.stages import (
     stage,
 )
 
-EASE = 3e-3
-"""what an edge may be longer than the limit, relative"""
-FINE, FEW = 1e-5, 8
-"""the same in so many passes, if they suffice: what is left over makes forces chatter"""
 NEAR = 3e-3
 """how much shorter than the limit an edge of a line may be that a first pass takes as pulling"""
 PASSES, PASSES_AGAIN = 200, 20
@@ -92,8 +62,6 @@ TURNS = 400
 """most repetitions in an iteration"""
 PATIENCE = 20
 """repetitions in which the largest excess must halve; else there is no room"""
-GROWTH = 1.2
-"""growth of the largest excess at which k restarts"""
 SUBSTEPS = 8
 """what ``auto`` gives at least: with fewer, passes cost more than substeps"""
 
@@ -197,82 +165,9 @@ def limit_lines(limit, state, substep):
 @jit
 def limit_edges(limit, state, substep):
     """Put edges that are too long back, until none is."""
-    first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
-    to_records(state, limit.records, first, last)
-    begin_pull(limit.pull)
-    step, before, found = 0.0, np.inf, 0.0
-    for k in range(most_passes(limit.trend)):
-        if k > 0:
-            share = max(step - 1.0, 0.0) / (step + 2.0)
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, share)
-            _go_on(limit.force, limit.force_before, 0, count, share)
-            go_on_pulling(limit.pull, limit.pull_before, share)
-        most = _sweep(limit, state, False)
-        if k == 0:
-            found = most
-        if most <= (FINE if k < FEW else EASE):
-            break
-        if k == 0:
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, 0.0)
-            _go_on(limit.force, limit.force_before, 0, count, 0.0)
-            go_on_pulling(limit.pull, limit.pull_before, 0.0)
-        _sweep(limit, state, True)
-        step = 0.0 if most > GROWTH * before else step + 1.0
-        before = most
-    to_positions(state, limit.records, first, last)
-    end_pull(limit.pull, substep.end - substep.begin, state.reaction)
+    found = shorten(limit, state, substep, most_passes(limit.trend))
     note_turn(limit.trend, found)
     _stop(limit.pulled, limit.force, state)
-
-
-@jit
-def _sweep(limit, state, reverse):
-    """Pass over all edges; return the largest excess over the limit that it found, relative."""
-    most, packs = 0.0, limit.packs
-    for number in range(segment_count(packs)):
-        begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
-        note_packs(packs, a, b, limit.records, None, limit.force)
-        weigh(packs, a, b, state)
-        most = max(most, _put_back(limit.records, limit.particles[0], limit.particles[1],
-                                   limit.longest, limit.force, begin, end, reverse))
-        collect(packs, a, b, limit.force, 1.0, limit.pull)
-    return most
-
-
-@jit
-def weigh(packs, first, last, state):
-    """Let the edges of a pack count as what they do to momentum."""
-    if packs is not None:
-        for k in range(first, last):
-            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
-            share = per_euler(state, i, j)
-            for p in range(2):
-                for a in range(3):
-                    packs.gradient[k - first, 0, p, a] *= share
-
-
-@jit
-def begin_pull(pull):
-    """Begin a touch."""
-    if pull is not None:
-        pull[:] = 0.0
-
-
-@jit
-def go_on_pulling(pull, before, share):
-    """Go on with impulses as with what exerts them."""
-    if pull is not None:
-        for a in range(3):
-            _go_on(pull[a], before[a], 0, pull.shape[1], share)
-
-
-@jit
-def end_pull(pull, part, reaction):
-    """Add the impulses of a touch to those of the frame."""
-    if pull is not None:
-        for a in range(3):
-            for i in range(pull.shape[1]):
-                reaction[a, i] += part * pull[a, i]
 
 
 @jit(inline=True)
@@ -341,39 +236,6 @@ def _stop(pulled, force, state):
         if force[pulled.index[c]] < 0.0:
             invalidate_history(state.history, pulled.particles[0, c])
             invalidate_history(state.history, pulled.particles[1, c])
-
-
-@jit
-def _go_on(numbers, before, first, last, share):
-    """Go on by a share of what numbers changed by since the last time."""
-    for q in range(first, last, lanes(numbers)):
-        now = load(numbers, q)
-        if share > 0.0:    # no share of nan is 0
-            store(numbers, q, fma(share, now - load(before, q), now))
-        store(before, q, now)
-
-
-@jit
-def _put_back(records, i, j, longest, force, begin, end, reverse):
-    """Pass over some edges; return the largest excess over the limit that it found, relative."""
-    step, most = lanes(longest), splat(longest, 0.0)
-    for p in range(begin, end, step):
-        q = begin + end - step - p if reverse else p
-        xi, yi, zi, mi = load_records(records, i, q)
-        xj, yj, zj, mj = load_records(records, j, q)
-        dx, dy, dz, total, longest_ = xi - xj, yi - yj, zi - zj, mi + mj, load(longest, q)
-        l, f = root(fma(dx, dx, fma(dy, dy, dz * dz))), load(force, q)
-        moves = both(l > 0.0, total > 0.0)
-        over = select(moves, l - longest_, 0.0)
-        most = larger(most, over / longest_)
-        pulled = f - over / select(moves, total, 1.0)
-        pulled = select(both(moves, pulled < 0.0), pulled, 0.0)
-        g = (pulled - f) / select(moves, l, 1.0)
-        gi, gj = g * mi, -g * mj
-        store_records(records, i, q, fma(gi, dx, xi), fma(gi, dy, yi), fma(gi, dz, zi), mi)
-        store_records(records, j, q, fma(gj, dx, xj), fma(gj, dy, yj), fma(gj, dz, zj), mj)
-        store(force, q, pulled)
-    return highest(most)
 
 
 @stage(accumulate_reactions, StrainLimit)

@@ -27,6 +27,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
+from xpbd_ros.sim.constraints.pinned_edges import react_edges
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import edge_areas
@@ -127,14 +128,14 @@ def solve_stretch(stretch, state, substep):
 @jit
 def react_stretch(stretch, state, substep):
     """Forces between pinned particles."""
-    distance.react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
+    react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
 
 
 @stage(accumulate_reactions, MeshStretch)
 @jit
 def react_mesh_stretch(stretch, state, substep):
     """Forces between pinned particles."""
-    distance.react_edges(stretch.edges.packs.held, stretch.edges.force, state, substep)
+    react_edges(stretch.edges.packs.held, stretch.edges.force, state, substep)
 
 
 def _on_grids(cloths, world) -> Stretch:

@@ -18,7 +18,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, first, fma, lane_count, lanes, load, root, select
 from xpbd_ros.sim.backend.simd_records import load_records
-from xpbd_ros.sim.backend.threads import alone, wait
+from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.constraints.damping import (
     apart_before,
     Damping,
@@ -36,13 +36,18 @@ from xpbd_ros.sim.constraints.pinned import (
     hold_packs,
     Packs,
     packs_for,
-    remember,
-    room_for,
     segment,
     segment_count,
 )
+from xpbd_ros.sim.constraints.pinned_edges import (
+    gather_reaction,
+    note,
+    note_packs,
+    room,
+    Stops,
+    stops_for,
+)
 from xpbd_ros.sim.constraints.projection import (
-    at_the_end,
     denominator,
     keep,
     moves,
@@ -58,34 +63,6 @@ from xpbd_ros.sim.particles.records import from_records, put_records, to_records
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 ABSENT = -1.0
 """compliance where there is no edge"""
-
-
-class Held(NamedTuple):
-    """The edges at pinned particles, whose reaction forces are requested."""
-
-    count: np.ndarray
-    """shape (1,)"""
-    particles: np.ndarray
-    """slots, shape (room, 2)"""
-    index: np.ndarray
-    """where each keeps its force, shape (room,)"""
-    rest_length: np.ndarray
-    """[m], shape (room,)"""
-    compliance: np.ndarray
-    """[m/N], shape (room,)"""
-
-
-class Stops(NamedTuple):
-    """Where a sweep over runs stops for edges at pinned particles, and what is noted of them."""
-
-    held: Held
-    """the edges, in sweep order"""
-    first: np.ndarray
-    """number of each run's first of them, and how many there are; shape (runs + 1,)"""
-    direction: np.ndarray
-    """n of each, as it is projected; shape (room, 3)"""
-    before: np.ndarray
-    """f of each before that [N], shape (room,)"""
 
 
 class GridEdges(NamedTuple):
@@ -267,18 +244,6 @@ def relaxation(world, cloth) -> float | None:
     return world.built['rayleigh'].time(cloth) if 'rayleigh' in world.built else None
 
 
-def room(count: int) -> Held:
-    """Return a list for as many edges as there are."""
-    return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
-
-
-def stops_for(runs: Runs) -> Stops:
-    """Return the stops of a sweep over some runs."""
-    count = len(listed(runs)[1])
-    return Stops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
-                 np.zeros(count))
-
-
 def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndarray) -> None:
     """Learn which edges touch a pinned particle."""
     if isinstance(edges, MeshEdges):
@@ -303,34 +268,6 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
                wrong / (l_or_1 * denominator(apart, shared(total, gamma), alpha)), 0.0)
     return (s, select(apart_, dx, ux), select(apart_, dy, uy), select(apart_, dz, uz),
             -(s * l_or_1))
-
-
-@jit
-def note(stops, first, last, x, y, z, apart, force):
-    """Note the directions and multipliers of some edges at pinned particles."""
-    if stops is not None:
-        for k in range(first, last):
-            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
-            dx, dy, dz = x[i] - x[j], y[i] - y[j], z[i] - z[j]
-            l = np.sqrt(dx * dx + dy * dy + dz * dz)
-            per = 1.0 / l if l > 0.0 else 0.0
-            stops.direction[k, 0] = per * dx
-            stops.direction[k, 1] = per * dy
-            stops.direction[k, 2] = per * dz
-            stops.before[k] = force[stops.held.index[k]] if at_the_end(apart) else 0.0
-
-
-@jit
-def gather_reaction(stops, first, last, mobility, force, part, reaction):
-    """Add what they exerted since, n Δf; what cannot move is for ``react_edges``."""
-    if stops is not None:
-        for k in range(first, last):
-            i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
-            if mobility[i] + mobility[j] > 0.0:
-                df = part * (force[stops.held.index[k]] - stops.before[k])
-                for a in range(3):
-                    reaction[a, i] += df * stops.direction[k, a]
-                    reaction[a, j] -= df * stops.direction[k, a]
 
 
 @jit(inline=True)
@@ -358,28 +295,6 @@ def stops_between(stops, first, last, begin, end, reverse):
         while k < last and index[k] < end:
             k += 1
         return first, k
-
-
-@jit
-def note_line(stops, base, state, force):
-    """Note the edges at pinned particles whose multipliers begin at ``base``, before a solve."""
-    if stops is not None:
-        if alone(state.team):
-            for k in range(stops.held.count[0]):
-                if base <= stops.held.index[k] < base + state.x.shape[1]:
-                    note(stops, k, k + 1, state.x[0], state.x[1], state.x[2], state.apart, force)
-        wait(state.team)
-
-
-@jit
-def gather_line_reaction(stops, base, state, force, part):
-    """Add what they exerted in the solve."""
-    if stops is not None:
-        if alone(state.team):
-            for k in range(stops.held.count[0]):
-                if base <= stops.held.index[k] < base + state.x.shape[1]:
-                    gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
-        wait(state.team)
 
 
 @jit
@@ -455,21 +370,6 @@ def project_packs(edges, state, substep, reverse):
 
 
 @jit
-def note_packs(packs, first_, last, x, apart, force):
-    """Note n and -n of the edges of a pack."""
-    if packs is not None:
-        remember(packs, first_, last, apart, force)
-        for k in range(first_, last):
-            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
-            dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
-            l = np.sqrt(dx * dx + dy * dy + dz * dz)
-            per = 1.0 / l if l > 0.0 else 0.0
-            for a, d in enumerate((dx, dy, dz)):
-                packs.gradient[k - first_, 0, 0, a] = per * d
-                packs.gradient[k - first_, 0, 1, a] = -per * d
-
-
-@jit
 def _project_packs(records, apart, i, j, rest_length, compliance, force, damping, begin, end,
                    reverse):
     step = lanes(rest_length)
@@ -487,27 +387,3 @@ def _project_packs(records, apart, i, j, rest_length, compliance, force, damping
         put_records(records, apart, j, q, xj, yj, zj, mj, gj, dx, dy, dz)
 
 
-@jit
-def react_edges(held, force, state, substep):
-    """
-    Add what edges exert that cannot move: -C / α n between two pins.
-
-    What is taut between two pins (``constraints.overextended_lines``) pulls with the f that it was
-    given.
-    """
-    weight, x = substep.end - substep.begin, state.x
-    for k in range(held.count[0]):
-        i, j, c = held.particles[k, 0], held.particles[k, 1], held.index[k]
-        if state.mobility[i] + state.mobility[j] > 0.0:
-            continue
-        dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
-        l = np.sqrt(dx * dx + dy * dy + dz * dz)
-        if l == 0.0:
-            continue
-        f = force[c]
-        if state.inv_mass[i] + state.inv_mass[j] == 0.0 and held.compliance[k] > 0.0:
-            f = -(l - held.rest_length[k]) / held.compliance[k]
-        f *= weight / l
-        for a, d in enumerate((dx, dy, dz)):
-            state.reaction[a, i] += f * d
-            state.reaction[a, j] -= f * d

@@ -22,8 +22,8 @@ from xpbd_ros.sim.backend.simd import (
     splat,
     store,
 )
-from xpbd_ros.sim.constraints.distance import gather_reaction, note
 from xpbd_ros.sim.constraints.line_solver import gather_rows, scatter_rows
+from xpbd_ros.sim.constraints.pinned_edges import gather_reaction, note
 from xpbd_ros.sim.particles.history import weights_at
 
 

@@ -29,12 +29,12 @@ from xpbd_ros.sim.constraints.distance import (
     by_place,
     damping,
     Edges,
-    Stops,
     stops_between,
     stops_of,
 )
 from xpbd_ros.sim.constraints.grid_batches import listed, PHASES, Runs, Shape, share_of
 from xpbd_ros.sim.constraints.pinned import room_for
+from xpbd_ros.sim.constraints.pinned_edges import Stops
 from xpbd_ros.sim.constraints.projection import (
     at_the_end,
     denominator,

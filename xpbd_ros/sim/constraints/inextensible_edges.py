@@ -1,0 +1,157 @@
+"""
+Inextensible edges of meshes: accelerated Gauss-Seidel passes over unilateral constraints.
+
+Each edge longer than it may be is put back, and only pulls (f ≤ 0). A net that hangs by a corner
+would take thousands of passes, so each pair of passes, forth and back, starts from where the last
+two lead (Nesterov 1983),
+
+    x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
+
+with k restarted when the largest excess has grown (O'Donoghue and Candès 2015). Grids solve whole
+lines instead (``constraints.inextensible_lines``).
+"""
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import (
+    both,
+    fma,
+    highest,
+    lanes,
+    larger,
+    load,
+    root,
+    select,
+    splat,
+    store,
+)
+from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.constraints.inextensible_lines import per_euler
+from xpbd_ros.sim.constraints.pinned import collect, segment, segment_count
+from xpbd_ros.sim.constraints.pinned_edges import note_packs
+from xpbd_ros.sim.particles.records import to_positions, to_records
+
+EASE = 3e-3
+"""what an edge may be longer than the limit, relative"""
+FINE, FEW = 1e-5, 8
+"""the same in so many passes, if they suffice: what is left over makes forces chatter"""
+GROWTH = 1.2
+"""growth of the largest excess at which k restarts"""
+
+
+@jit
+def shorten(limit, state, substep, passes):
+    """
+    Make passes over the edges of meshes until none is too long; return the first largest excess.
+
+    ``limit`` has the fields of ``MeshStrainLimit``.
+    """
+    first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
+    to_records(state, limit.records, first, last)
+    begin_pull(limit.pull)
+    step, before, found = 0.0, np.inf, 0.0
+    for k in range(passes):
+        if k > 0:
+            share = max(step - 1.0, 0.0) / (step + 2.0)
+            _go_on(limit.records, limit.before, 4 * first, 4 * last, share)
+            _go_on(limit.force, limit.force_before, 0, count, share)
+            go_on_pulling(limit.pull, limit.pull_before, share)
+        most = _sweep(limit, state, False)
+        if k == 0:
+            found = most
+        if most <= (FINE if k < FEW else EASE):
+            break
+        if k == 0:
+            _go_on(limit.records, limit.before, 4 * first, 4 * last, 0.0)
+            _go_on(limit.force, limit.force_before, 0, count, 0.0)
+            go_on_pulling(limit.pull, limit.pull_before, 0.0)
+        _sweep(limit, state, True)
+        step = 0.0 if most > GROWTH * before else step + 1.0
+        before = most
+    to_positions(state, limit.records, first, last)
+    end_pull(limit.pull, substep.end - substep.begin, state.reaction)
+    return found
+
+
+@jit
+def _sweep(limit, state, reverse):
+    """Pass over all edges; return the largest excess over the limit that it found, relative."""
+    most, packs = 0.0, limit.packs
+    for number in range(segment_count(packs)):
+        begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
+        note_packs(packs, a, b, limit.records, None, limit.force)
+        weigh(packs, a, b, state)
+        most = max(most, _put_back(limit.records, limit.particles[0], limit.particles[1],
+                                   limit.longest, limit.force, begin, end, reverse))
+        collect(packs, a, b, limit.force, 1.0, limit.pull)
+    return most
+
+
+@jit
+def weigh(packs, first, last, state):
+    """Let the edges of a pack count as what they do to momentum."""
+    if packs is not None:
+        for k in range(first, last):
+            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
+            share = per_euler(state, i, j)
+            for p in range(2):
+                for a in range(3):
+                    packs.gradient[k - first, 0, p, a] *= share
+
+
+@jit
+def begin_pull(pull):
+    """Begin a touch."""
+    if pull is not None:
+        pull[:] = 0.0
+
+
+@jit
+def go_on_pulling(pull, before, share):
+    """Go on with impulses as with what exerts them."""
+    if pull is not None:
+        for a in range(3):
+            _go_on(pull[a], before[a], 0, pull.shape[1], share)
+
+
+@jit
+def end_pull(pull, part, reaction):
+    """Add the impulses of a touch to those of the frame."""
+    if pull is not None:
+        for a in range(3):
+            for i in range(pull.shape[1]):
+                reaction[a, i] += part * pull[a, i]
+
+
+@jit
+def _go_on(numbers, before, first, last, share):
+    """Go on by a share of what numbers changed by since the last time."""
+    for q in range(first, last, lanes(numbers)):
+        now = load(numbers, q)
+        if share > 0.0:    # no share of nan is 0
+            store(numbers, q, fma(share, now - load(before, q), now))
+        store(before, q, now)
+
+
+@jit
+def _put_back(records, i, j, longest, force, begin, end, reverse):
+    """Pass over some edges; return the largest excess over the limit that it found, relative."""
+    step, most = lanes(longest), splat(longest, 0.0)
+    for p in range(begin, end, step):
+        q = begin + end - step - p if reverse else p
+        xi, yi, zi, mi = load_records(records, i, q)
+        xj, yj, zj, mj = load_records(records, j, q)
+        dx, dy, dz, total, longest_ = xi - xj, yi - yj, zi - zj, mi + mj, load(longest, q)
+        l, f = root(fma(dx, dx, fma(dy, dy, dz * dz))), load(force, q)
+        moves = both(l > 0.0, total > 0.0)
+        over = select(moves, l - longest_, 0.0)
+        most = larger(most, over / longest_)
+        pulled = f - over / select(moves, total, 1.0)
+        pulled = select(both(moves, pulled < 0.0), pulled, 0.0)
+        g = (pulled - f) / select(moves, l, 1.0)
+        gi, gj = g * mi, -g * mj
+        store_records(records, i, q, fma(gi, dx, xi), fma(gi, dy, yi), fma(gi, dz, zi), mi)
+        store_records(records, j, q, fma(gj, dx, xj), fma(gj, dy, yj), fma(gj, dz, zj), mj)
+        store(force, q, pulled)
+    return highest(most)
