@@ -179,6 +179,13 @@ def test_rooms_of_the_simulation_import_only_what_is_below():
     assert not wrong, '\n'.join(wrong)
 
 
+def test_only_the_backend_knows_the_inside_of_numba():
+    inside = {file: sorted(name for name in imported(file)
+                           if name.split('.')[0] == 'llvmlite' or name.startswith('numba.core'))
+              for file in sources() if 'backend' not in file.parts}
+    assert not [(file, names) for file, names in inside.items() if names]
+
+
 def test_effects_never_import_one_another():
     """Adding one is one file; taking one away breaks none."""
     wrong = [f'{file.name}: {name}' for file in sorted((PACKAGE / 'effects').glob('[!_]*.py'))
