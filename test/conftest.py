@@ -14,7 +14,7 @@ from samples import sample_log
 
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
-    """Return a DDS domain that nobody on this machine uses, and keep other test runs off it."""
+    """Return a DDS domain that is free on this machine, and reserve it for this test run."""
     domains = list(range(1, 101))
     random.shuffle(domains)
     for domain in domains:
@@ -49,6 +49,12 @@ def reserve(domain: int) -> socket.socket | None:
         return lock
     except OSError:
         return None
+
+
+@pytest.fixture
+def meshio():
+    """Return the library that reads meshes other than OBJ; ``[test]`` brings it, a ROS may not."""
+    return pytest.importorskip('meshio', reason="meshio is missing: pip install '.[mesh]'")
 
 
 @pytest.fixture

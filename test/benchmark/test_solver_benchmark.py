@@ -18,7 +18,7 @@ ROW = {'what', 'method', 'precision', 'n', 'threads', 'ns_per_projection', 'rati
 @pytest.fixture(scope='module')
 def report(tmp_path_factory) -> dict:
     if not any(map(shutil.which, ('g++', 'clang++', 'c++'))):
-        pytest.skip('no C++ compiler, so no baselines')
+        pytest.skip('no C++ compiler for the baselines: install g++ or clang++')
     return run(tmp_path_factory.mktemp('benchmark') / 'figures.json',
                '--quick', '--sizes', '9', '17', '--rounds', '1', '--seconds', '0.001')
 

@@ -210,8 +210,8 @@ def test_commands_of_one_message_act_together_or_not_at_all():
     assert simulation.step([(a, again)]).pins == {}
     frame = simulation.step([(a, Release('a'), again, b)])
     assert (list(frame.pins), frame.refused) == (['e', 'b'], ())
-    frame = simulation.step([(ReleaseAll(), a), (up, MovePin('nobody', Pose()))])
-    assert frame.refused == ((up, "pin 'nobody' holds nothing (holding: a); nothing of it was "
+    frame = simulation.step([(ReleaseAll(), a), (up, MovePin('missing', Pose()))])
+    assert frame.refused == ((up, "pin 'missing' holds nothing (holding: a); nothing of it was "
                                   'done'),)
     assert frame.pins['a'].pose.position == corners[0], 'it was not moved'
     assert simulation.step([(up, Release('a'), ReleaseAll())]).refused == ()

@@ -129,7 +129,6 @@ def test_what_is_not_closed_is_refused(shape, reason):
         f'small.yaml: cloths.c.effects.pressure: needs a closed surface, and {reason}')
 
 
-def test_the_skin_of_a_body_may_hold_gas():
-    pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_the_skin_of_a_body_may_hold_gas(meshio):
     simulation = simulate(mesh=file_of(*box()), effects={'pressure': {'amount': 1.1}})
     assert np.isfinite(run(simulation, 2).x).all()

@@ -189,7 +189,7 @@ def test_colliders_come_change_and_go(cloth):
     assert cloth.status()['colliders'] == '3'
     assert put(collider('crate', action=Marker.DELETE)) == pytest.approx(0.004, abs=1e-4)
     crate.lifetime.nanosec = 200_000_000
-    assert put(crate) == pytest.approx(0.004, abs=1e-4), 'nobody renewed it'
+    assert put(crate) == pytest.approx(0.004, abs=1e-4), 'missing renewed it'
     crowd = [collider(f'c{k}', (5.0, k, 0.0)) for k in range(31)]
     cloth.peer.say('/cloth/colliders', MarkerArray(markers=crowd))
     cloth.step()

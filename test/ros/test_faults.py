@@ -69,7 +69,7 @@ def test_a_stop_of_ten_seconds_is_not_made_up_for(cloth):
 
 
 @pytest.mark.slow
-def test_a_subscriber_that_never_reads_holds_nobody_up(cloth, context):
+def test_a_subscriber_that_never_reads_blocks_no_other(cloth, context):
     from rclpy.node import Node
     deaf = Node('deaf', context=context, start_parameter_services=False)
     try:

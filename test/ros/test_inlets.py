@@ -135,8 +135,8 @@ def test_one_message_each_in_one_frame_is_enough(cloth, senders):
 
 def test_a_message_acts_whole_or_not_at_all(cloth):
     before = at_rest(cloth)
-    cloth.peer.say('/heard/pin_targets', targets(left=(-0.2, -0.2, 0.3), nobody=(0, 0, 0)))
-    cloth.node.wait_for('/heard/pin_targets: refused', "pin 'nobody' holds nothing (holding: "
+    cloth.peer.say('/heard/pin_targets', targets(left=(-0.2, -0.2, 0.3), missing=(0, 0, 0)))
+    cloth.node.wait_for('/heard/pin_targets: refused', "pin 'missing' holds nothing (holding: "
                         'left, right); nothing of it was done')
     assert at_rest(cloth) == before
 
@@ -145,7 +145,7 @@ def test_what_is_refused_within_a_second_is_said_a_second_later(cloth):
     cloth.peer.spin(1.2)
     begin = len(cloth.node.said('/heard/pin_targets: refused: … and '))
     for _ in range(38):
-        cloth.peer.say('/heard/pin_targets', targets(nobody=(0, 0, 0)))
+        cloth.peer.say('/heard/pin_targets', targets(missing=(0, 0, 0)))
         cloth.peer.spin(0.02)
     cloth.peer.spin(1.5)
     lines = cloth.node.said('/heard/pin_targets: refused: … and ')[begin:]

@@ -301,10 +301,10 @@ def test_the_last_target_of_each_name_waits_whoever_says_it(box):
 
 
 def test_a_newer_target_does_not_make_an_older_message_something_else(box):
-    """``nobody`` is refused with its message, and the newer target stands on its own."""
-    take(box, targets(left=(1, 0, 0), nobody=(0, 0, 0)))
+    """``missing`` is refused with its message, and the newer target stands on its own."""
+    take(box, targets(left=(1, 0, 0), missing=(0, 0, 0)))
     take(box, targets(left=(2, 0, 0)))
-    assert [[c.pin for c in group] for group in box.drain()] == [['left', 'nobody'], ['left']]
+    assert [[c.pin for c in group] for group in box.drain()] == [['left', 'missing'], ['left']]
 
 
 def test_of_a_stream_with_stamps_the_latest_are_kept(box):

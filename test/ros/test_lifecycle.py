@@ -154,7 +154,7 @@ def test_what_cannot_start_ends_with_2_and_one_clear_line(failed, name):
     assert reason in bad[0]
 
 
-def test_parameters_that_nobody_has_are_said(start, towel):
+def test_unknown_parameters_are_reported(start, towel):
     node = start('-r', '__node:=strange', scene=towel, mode='lockstep', solver__subteps=99,
                  solver__substeps=9)
     assert "did you mean 'solver.substeps'?" in node.wait_for('parameter solver.subteps: ')

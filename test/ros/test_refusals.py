@@ -60,11 +60,11 @@ BAD = {
     'colliders': [
         (markers(collider('a', size=(0.1, 0.0, 0.1))), 'marker a/0: scale [0.1, 0.0, 0.1] must'),
         (markers(collider('a'), collider('a', (0, 0, nan))), 'marker a/0: position or'),
-        (markers(collider('nobody', action=Marker.DELETE)), "unknown collider 'nobody' (known: "),
+        (markers(collider('absent', action=Marker.DELETE)), "unknown collider 'absent' (known: "),
         (markers(*[Marker()] * 66), '66 entries, and there is room for 65'),
     ],
     'collider_states': [
-        (targets(nobody=(0, 0, 0)), "unknown collider 'nobody' (known: table, ball)"),
+        (targets(absent=(0, 0, 0)), "unknown collider 'absent' (known: table, ball)"),
         (targets(ball=(0, nan, 0)), 'ball: position or orientation is not finite'),
         (serialize_message(String(data='not at all ' * 9)), 'cannot be unpacked'),
     ],

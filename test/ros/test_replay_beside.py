@@ -73,7 +73,7 @@ def test_a_node_is_driven_only_if_asked_for_and_that_is_said(lockstep, run):
 def test_an_input_that_is_named_is_published(run):
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'replay', run, '--topics', '/cloth/pins', '--json',
-         '-', '--rate', '10', '--remap', '/cloth/pins:=/nobody'], env=child_environment(),
+         '-', '--rate', '10', '--remap', '/cloth/pins:=/missing'], env=child_environment(),
         capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, '')
     assert '"/cloth/pins": 60' in done.stdout

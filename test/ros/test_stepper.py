@@ -144,7 +144,7 @@ def test_does_not_do_what_was_given_up(rig):
         given_up.result(0.0)
 
 
-def test_leaves_nobody_waiting_when_it_breaks(rig):
+def test_an_error_cancels_pending_requests(rig):
     begun, gate = threading.Event(), threading.Event()
 
     def break_down(late_ns):
@@ -165,7 +165,7 @@ def test_leaves_nobody_waiting_when_it_breaks(rig):
         one.stepper.ask(lambda: None).result(10.0)
 
 
-def test_leaves_nobody_waiting_when_it_ends(rig):
+def test_stopping_cancels_pending_requests(rig):
     one = rig('lockstep')
     gate = threading.Event()
     one.stepper.ask(gate.wait)

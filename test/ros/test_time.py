@@ -185,7 +185,7 @@ def test_a_clock_that_is_set_is_followed(start, peer, towel, tmp_path):
     reader = LogReader(run)
     assert reader.whole
     times = [message.time_ns for message in reader.messages()]
-    assert times == sorted(times), 'simulation time, which nobody sets'
+    assert times == sorted(times), 'simulation time, which no clock jump changes'
     assert '/diagnostics' in reader.topics, 'and how far stamps moved from it'
     assert cloth.node.end() == 0
     peer.company.clear()

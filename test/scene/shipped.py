@@ -8,7 +8,7 @@ from xpbd_ros.share import share_folder
 
 NAMES = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
 WITH_MESHIO = pytest.mark.skipif(find_spec('meshio') is None,
-                                 reason='the extra mesh is not installed')
+                                 reason="meshio is missing: pip install '.[mesh]'")
 """Whole files take it as ``pytestmark``: where launch_testing is about, which imports files of
 tests to look into them, one that skips itself at its import skips all."""
 

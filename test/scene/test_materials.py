@@ -222,8 +222,7 @@ def test_effects_are_checked_as_without_a_material(effects, text):
     assert refusal('denim', effects).startswith(f'f.yaml: {text}')
 
 
-def test_a_sheet_is_no_material_for_a_body(tmp_path):
-    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_a_sheet_is_no_material_for_a_body(tmp_path, meshio):
     meshio.write_points_cells(tmp_path / 'b.vtk', np.eye(4, 3), [('tetra', [[0, 1, 2, 3]])])
     scene = scene_from_mapping({'cloths': {'c': {
         'mesh': {'file': 'b.vtk'}, 'material': 'denim'}}}, where='f.yaml', name='f',

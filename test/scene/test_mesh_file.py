@@ -49,8 +49,7 @@ def test_a_line_that_is_not_obj_is_told(line, tmp_path):
 
 @pytest.mark.parametrize('name', ['disc.stl', 'disc.ply', 'disc.off', 'disc.vtk', 'disc.vtu',
                                   'disc.msh'])
-def test_other_formats_hold_the_same_surface(name, tmp_path):
-    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_other_formats_hold_the_same_surface(name, tmp_path, meshio):
     vertices, triangles = disc(2)
     meshio.write_points_cells(tmp_path / name, vertices, [('triangle', triangles)])
     found, corners, tetrahedra = read_mesh_file(tmp_path / name)
@@ -61,8 +60,7 @@ def test_other_formats_hold_the_same_surface(name, tmp_path):
 
 
 @pytest.mark.parametrize('name', ['box.vtk', 'box.msh'])
-def test_tetrahedra(name, tmp_path):
-    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_tetrahedra(name, tmp_path, meshio):
     vertices, tetrahedra = box()
     meshio.write_points_cells(tmp_path / name, vertices, [('tetra', tetrahedra)])
     found = read_mesh_file(tmp_path / name)
@@ -75,8 +73,7 @@ def test_tetrahedra(name, tmp_path):
     ('m.stl', 'hello', 'cannot be read as a mesh (could not convert'),
     ('m.xyz', 'hello', 'cannot be read as a mesh (Could not deduce file format'),
     ('m.vtk', '', 'cannot be read as a mesh (')])
-def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, capfd):
-    pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, capfd, meshio):
     path = written(tmp_path, text, name)
     with pytest.raises(InputError) as error:
         read_mesh_file(path)
@@ -85,8 +82,7 @@ def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, ca
     assert capfd.readouterr() == ('', '')
 
 
-def test_cells_that_cannot_be_simulated_are_refused(tmp_path):
-    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_cells_that_cannot_be_simulated_are_refused(tmp_path, meshio):
     meshio.write_points_cells(tmp_path / 'm.vtk', np.random.default_rng(1).normal(size=(8, 3)),
                               [('hexahedron', np.arange(8)[None])])
     with pytest.raises(InputError, match="cells of the kind 'hexahedron'; only triangles"):

@@ -88,8 +88,7 @@ def test_a_mesh_falls_on_a_table_and_is_held_by_pins(scene):
     assert (simulation.state.x[:, padding] == 0.0).all()
 
 
-def test_a_body_falls_like_a_cloth(scene, tmp_path):
-    meshio = pytest.importorskip('meshio', reason='the extra mesh is not installed')
+def test_a_body_falls_like_a_cloth(scene, tmp_path, meshio):
     vertices, tetrahedra = box()
     meshio.write_points_cells(tmp_path / 'box.vtk', vertices, [('tetra', tetrahedra)])
     simulation = compile_scene(scene({'file': 'box.vtk'}, effects=EFFECTS, colliders=TABLE,

@@ -119,7 +119,7 @@ def file_of(vertices, cells) -> str:
         atexit.register(shutil.rmtree, _FOLDER[0], ignore_errors=True)
     solid = len(cells[0]) == 4
     if solid:
-        pytest.importorskip('meshio', reason='the extra mesh is not installed')
+        pytest.importorskip('meshio', reason="meshio is missing: pip install '.[mesh]'")
     text = (vtk_text if solid else obj_text)(vertices, cells)
     file = _FOLDER[0] / f'{len(list(_FOLDER[0].iterdir()))}.{"vtk" if solid else "obj"}'
     file.write_text(text)

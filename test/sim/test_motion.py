@@ -66,7 +66,7 @@ def test_a_twist_gives_the_speed_of_what_comes_once():
 
 
 def test_a_target_after_a_pause_is_not_part_of_a_stream():
-    """Else the pin would creep for as long as nobody spoke."""
+    """Else the pin would creep while no target arrives."""
     motion = Motion(Pose(), 5.0)
     motion.aim(Pose(), None, 0, 0)
     motion.aim(Pose((0.01, 0.0, 0.0)), None, 0, 10**10)

@@ -110,7 +110,7 @@ def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect
 def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids):
     simulation = cloths(grids)
     slots = simulation.state.x.shape[1]
-    assert all(batch.force is None for batch in batches(simulation, effect))    # nobody asks
+    assert all(batch.force is None for batch in batches(simulation, effect))    # none requested
     keeping = cloths(grids, iterations=2)
     lists = keeping.effects[effect].by_part
     for batch, these in zip(batches(keeping, effect), lists, strict=True):

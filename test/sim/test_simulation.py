@@ -41,7 +41,7 @@ COMMANDS = {
     6: [MovePin('hand', Pose((1.0, 0.8, 0.3), (0.0, 0.6, 0.0, 0.8)), None, 0)],
     20: [MoveCollider('block', Pose((0.4, 0.5, 0.05)), Twist((0.1, 0.0, 0.0)), 0)],
     25: [SetKey('cloths.c.effects.stretch.warp', 90.0), SetKey('solver.substeps', 7)],
-    30: [Release('hand'), Release('nobody')],
+    30: [Release('hand'), Release('missing')],
 }
 
 

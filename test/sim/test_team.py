@@ -1,4 +1,4 @@
-"""Threads: the same bits however many there are, and nobody is left waiting."""
+"""Threads: the same bits for any number of them, and no deadlock."""
 
 from numba import njit
 import numpy as np
@@ -61,7 +61,7 @@ def _in_step(team, seen, rounds):
     return wrong
 
 
-def test_nobody_goes_on_before_all_are_here():
+def test_the_barrier_holds_until_all_threads_are_there():
     crew, seen, wrong = ThreadPool(3), np.zeros(24, np.int64), []
 
     def step(effects, state):
@@ -84,7 +84,7 @@ class _Stub:
 
 
 @pytest.mark.parametrize('worker', [0, 1])
-def test_what_is_broken_off_leaves_nobody_waiting(worker):
+def test_an_exception_in_a_thread_causes_no_deadlock(worker):
     crew, seen = ThreadPool(3), np.zeros(24, np.int64)
 
     def broken(effects, state):
