@@ -106,6 +106,29 @@ def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, t
     assert capsys.readouterr().err == ''
 
 
+def test_frames_whose_hash_a_damaged_log_has_lost_are_counted(scene, tmp_path, capsys,
+                                                              monkeypatch):
+    monkeypatch.setattr('xpbd_ros.log.writer.CHUNK_SIZE', 800)
+    assert main(['run', str(scene), '-o', str(tmp_path / 'out')]) == 0
+    whole, = (tmp_path / 'out').glob('*.mcap')
+    with open(whole, 'rb') as file:
+        chunks = make_reader(file).get_summary().chunk_indexes
+    data = bytearray(whole.read_bytes())
+    middle = chunks[len(chunks) // 2]
+    start = middle.chunk_start_offset + middle.chunk_length - middle.compressed_size
+    data[start:start + middle.compressed_size] = bytes(middle.compressed_size)
+    whole.write_bytes(data)
+    lost = set(range(16)) - {message.frame for message in LogReader(whole).messages(
+        {'/cloth/state_hash'})}
+    assert lost
+    capsys.readouterr()
+    file = tmp_path / 'run.json'
+    assert main(['run', str(scene), '-o', str(tmp_path / 'again'), '--commands', str(whole),
+                 '--json', str(file)]) == 1
+    assert f'{len(lost)} of 16 frames have no state hash in the log' in capsys.readouterr().err
+    assert json.loads(file.read_text())['commands']['frames_without_hash'] == len(lost)
+
+
 def test_json_on_stdout_is_all_that_is_printed_there(done, scene):
     numbers = json.loads(done[0].stdout)
     assert done[0].stderr == ''
@@ -265,6 +288,7 @@ def test_a_repeated_run_is_compared_with_its_log_for_as_long_as_that_goes(log, s
     code, found, said = repeated(log, scene, capsys=capsys)
     assert (code, said) == (0, [])
     assert found == {'log': str(log / 'log_0.mcap'), 'identical': True, 'frames': 13,
+                     'frames_without_hash': 0,
                      'first_difference': None, 'max_deviation_m': 0.0, 'scene': [],
                      'refused': [], 'notes': []}
     told = log.parent / 'told'
@@ -351,7 +375,7 @@ def test_a_study_says_what_differs_from_the_log_whose_inputs_it_takes(log, scene
 BAD = {
     'no such scene': (['run', 'swinng'], "swinng: unknown scene; did you mean 'swing'?"),
     'no such file': (['run', 'none.yaml'], 'none.yaml: no such file'),
-    'a folder': (['run', 'full'], 'full: unknown scene; '),
+    'a folder': (['run', 'full'], 'full: unknown scene (known: '),
     'bad YAML': (['run', 'bad.yaml'], 'bad.yaml: line 3, column 1: '),
     'not UTF-8': (['run', 'latin.yaml'], 'latin.yaml: not UTF-8 text'),
     'unknown key': (['run', 'SCENE', '--set', 'cloths.sheet.densty=1'],

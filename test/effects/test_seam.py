@@ -171,7 +171,7 @@ def test_cloth_that_keeps_off_itself_lets_its_seams_be():
      "seams.hem.between[1].cloth: unknown cloth 'c' (known: a, b)"),
     ({'hem': {'between': 2 * [{'cloth': 'a', 'at': 'edge_x1'}]}},
      'seams.hem: sews a particle to itself'),
-    ({'hem': {'from': 'a'}}, 'seams.hem.from: unknown key; (known: between, compliance)'),
+    ({'hem': {'from': 'a'}}, 'seams.hem.from: unknown key (known: between, compliance)'),
     ({'hem': {}}, 'seams.hem.between: missing'),
 ])
 def test_what_cannot_be_sewn_is_refused(seams, message):

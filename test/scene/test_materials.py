@@ -204,7 +204,7 @@ def test_the_scene_as_it_runs_says_the_values(material):
 
 @pytest.mark.parametrize('material, text', [
     ('denin', "cloths.c.material: unknown material; did you mean 'denim'? (known: denim, "),
-    (3, 'cloths.c.material: unknown material; (known: denim, '),
+    (3, 'cloths.c.material: unknown material (known: denim, '),
     ({**SOLID, 'poisson': 0.6}, 'cloths.c.material.poisson: must be at most 0.5 (got 0.6)'),
     ({**SOLID, 'poisson': -1}, 'cloths.c.material.poisson: must be > -1 (got -1)'),
     ({**SOLID, 'thickness': 0}, 'cloths.c.material.thickness: must be > 0 m (got 0)'),

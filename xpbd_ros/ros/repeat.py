@@ -29,6 +29,8 @@ class Repeat:
         self.differences = differences(with_solver(scene, simulation.solver), recording.scene)
         self.compared = 0
         """frames, the start among them"""
+        self.missing = 0
+        """frames whose hash a damaged log has lost"""
         self.first: int | None = None
         """frame from which on they differ"""
         self.particle: int | None = None
@@ -53,6 +55,7 @@ class Repeat:
                          for command, reason in frame.refused]
         expected = self._recording.hashes.get(frame.index)
         if expected is None:
+            self.missing += frame.index < self._recording.last
             return
         self.compared += 1
         if self._simulation.hash() == expected:
@@ -111,12 +114,16 @@ class Repeat:
                 + (f', by up to {self.deviation:.3g} m' if self.deviation else ''))
         elif not self.compared:
             found.append('no frame could be compared')
+        elif self.missing:
+            found.append(f'{self.missing} of {self.missing + self.compared} frames have no state '
+                         'hash in the log and are not compared')
         return found + first_of(self.refused, 'inputs are refused')
 
     def numbers(self) -> dict:
         """Return the same for a program."""
         return {
             'log': self._recording.path, 'identical': self.identical, 'frames': self.compared,
+            'frames_without_hash': self.missing,
             'first_difference': None if self.first is None else {
                 'frame': self.first, 'particle': self.particle},
             'max_deviation_m': self.deviation,

@@ -20,8 +20,8 @@ def unknown(key: Any, known, what: str) -> str:
     """Say that a name is unknown, with the nearest right one."""
     known = list(known)
     near = get_close_matches(str(key), known, n=1)
-    hint = f"did you mean '{near[0]}'? " if near else ''
-    return f'unknown {what}; {hint}(known: {", ".join(known)})'
+    hint = f"; did you mean '{near[0]}'?" if near else ''
+    return f'unknown {what}{hint} (known: {", ".join(known)})'
 
 
 def mapping(value: Any, path: str) -> dict:
