@@ -3,7 +3,10 @@
 import fcntl
 import gc
 from importlib import import_module
+import os
 from pkgutil import walk_packages
+import subprocess
+import sys
 from threading import Thread
 
 from numba import config, types, TypingError
@@ -13,7 +16,7 @@ import numpy as np
 import pytest
 from sim.small import hang
 
-from xpbd_ros.sim.backend import jit, linking
+from xpbd_ros.sim.backend import disk_cache, jit, linking, locked_cache
 from xpbd_ros.sim.constraints import mesh_batches
 from xpbd_ros.sim.particles.integration import begin
 from xpbd_ros.sim.particles.state import Substep
@@ -29,32 +32,33 @@ def nowhere(tmp_path):
 def test_the_cache_is_where_the_user_says_and_changes_with_the_sources(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'xdg'))
     monkeypatch.delenv('NUMBA_CACHE_DIR', raising=False)
-    folder = jit._cache_folder()
+    folder = disk_cache.cache_folder()
     assert folder.parent == tmp_path / 'xdg' / 'xpbd_ros'
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'numba'))
-    assert jit._cache_folder() == tmp_path / 'numba' / 'xpbd_ros' / folder.name
-    assert jit._cache_folder().is_dir()
-    monkeypatch.setattr(jit, '__file__', str(tmp_path / 'package' / 'sim' / 'backend' / 'jit.py'))
-    other = jit._sources_hash()
+    assert disk_cache.cache_folder() == tmp_path / 'numba' / 'xpbd_ros' / folder.name
+    assert disk_cache.cache_folder().is_dir()
+    monkeypatch.setattr(disk_cache, '__file__',
+                        str(tmp_path / 'package' / 'sim' / 'backend' / 'disk_cache.py'))
+    other = disk_cache.sources_hash()
     assert other != folder.name
     (tmp_path / 'package' / 'effects').mkdir(parents=True)
     (tmp_path / 'package' / 'effects' / 'new.py').write_text('x = 1')
-    another = jit._sources_hash()
+    another = disk_cache.sources_hash()
     assert another not in (other, folder.name)
-    monkeypatch.setattr(jit, 'BITS', 2 * jit.BITS)    # the layout of all arrays depends on it
-    wider = jit._sources_hash()
+    monkeypatch.setattr(disk_cache, 'BITS', 2 * disk_cache.BITS)    # arrays are laid out by it
+    wider = disk_cache.sources_hash()
     assert wider not in (another, other, folder.name)
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)    # Numba keeps both under one name
-    assert jit._sources_hash() not in (wider, another, other, folder.name)
+    assert disk_cache.sources_hash() not in (wider, another, other, folder.name)
 
 
 def test_without_a_place_to_write_it_is_a_temporary_one(nowhere, monkeypatch, tmp_path):
     monkeypatch.setenv('NUMBA_CACHE_DIR', nowhere)
-    monkeypatch.setattr(jit.tempfile, 'gettempdir', lambda: str(tmp_path))
-    assert jit._cache_folder().parent == tmp_path / 'xpbd_ros'
-    monkeypatch.setattr(jit.tempfile, 'gettempdir', lambda: nowhere)
-    monkeypatch.setattr(jit.tempfile, 'mkdtemp', lambda prefix: str(tmp_path / prefix))
-    assert jit._cache_folder() == tmp_path / 'xpbd_ros_'
+    monkeypatch.setattr(disk_cache.tempfile, 'gettempdir', lambda: str(tmp_path))
+    assert disk_cache.cache_folder().parent == tmp_path / 'xpbd_ros'
+    monkeypatch.setattr(disk_cache.tempfile, 'gettempdir', lambda: nowhere)
+    monkeypatch.setattr(disk_cache.tempfile, 'mkdtemp', lambda prefix: str(tmp_path / prefix))
+    assert disk_cache.cache_folder() == tmp_path / 'xpbd_ros_'
 
 
 def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
@@ -66,6 +70,7 @@ def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
 
 def test_variants_are_written_by_one_process_at_a_time(tmp_path, monkeypatch):
     monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
+    monkeypatch.setattr(locked_cache, 'CACHE_FOLDER', tmp_path)
 
     @jit.jit
     def half(x):
@@ -174,3 +179,39 @@ def test_a_part_of_a_step_can_be_called_from_python():
         change = np.where(state.inv_mass > 0.0, 0.125 * state.gravity[:, None], 0.0)
         assert np.allclose(state.v - v, change, atol=1e-12)
         simulation.step()
+
+
+HASH = """
+from sim.small import hang, run
+from xpbd_ros.sim.backend.jit import WHY_PLAIN
+simulation = hang(method='line', integrator='bdf2')
+run(simulation, 20)
+print(f'{simulation.hash():016x}', WHY_PLAIN)
+"""
+
+
+def python(code: str, **environment) -> str:
+    """Return what code prints in a process of its own."""
+    done = subprocess.run(
+        [sys.executable, '-c', code], text=True, capture_output=True, check=False,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path)), **environment})
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+def test_plain_njit_gives_the_same_bits(tmp_path):
+    linked, plain = python(HASH), python(HASH, XPBD_ROS_PLAIN_NJIT='1')
+    assert plain == f'{linked} XPBD_ROS_PLAIN_NJIT is set'
+
+
+@pytest.mark.parametrize(('change', 'reason'), [
+    ('import numba.core.codegen as c; del c.JITCodeLibrary', 'lacks internals'),
+    ('import numba; numba.__version__ = "0.99.0"', 'is newer than 0.68, the newest tested')])
+def test_another_numba_compiles_through_plain_njit(change, reason):
+    assert reason in python(f"""
+{change}
+from xpbd_ros.sim.backend.jit import WHY_PLAIN
+from xpbd_ros.sim.geometry.quaternion import rotate
+assert rotate(0.0, 0.0, 1.0, 0.0, 1.0, 2.0, 3.0) == (-1.0, -2.0, 3.0)
+print(WHY_PLAIN)
+""")

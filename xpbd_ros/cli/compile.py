@@ -23,7 +23,8 @@ def run(arguments) -> int:
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene
     from xpbd_ros.share import share_folder
-    from xpbd_ros.sim.backend.jit import CACHE_FOLDER
+    from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
+    from xpbd_ros.sim.backend.jit import WHY_PLAIN
     names = arguments.scenes or sorted(
         file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
     scenes = [load_scene(name) for name in names]    # so that a mistake costs no time
@@ -32,4 +33,6 @@ def run(arguments) -> int:
         compile_scene(scene).compile()
         print(f'{name}: {time.perf_counter() - begin:.1f} s', flush=True)
     print(f'kernels are in {CACHE_FOLDER}')
+    if WHY_PLAIN:
+        print(f'note: compiled without linking, which takes longer: {WHY_PLAIN}')
     return 0

@@ -1,87 +1,60 @@
 """
 The one decorator: compile flags and the disk cache in a single place.
 
-IEEE arithmetic throughout (no fast-math), so that a scene gives the same bits on every CPU. Numba
-sees neither edits in other files nor that a type came from another scene, so the cache lives in a
-folder named by a hash of the package's own kernels. Numba keeps code with bounds checks
-(NUMBA_BOUNDSCHECK=1) and code without under the same name, so the hash tells them apart.
+IEEE arithmetic throughout (no fast-math), so that a scene gives the same bits on every CPU.
+
+Kernels that others call are linked into their callers before optimisation (``linking``), which
+saves most of the time to compile. That builds on Numba's internals. Where a Numba release lacks
+them, is newer than those tested, or XPBD_ROS_PLAIN_NJIT=1 asks for it, the same kernels compile
+through plain ``njit``, to the same bits. Without Numba's cache class nothing is kept on disk.
 """
 
-from contextlib import contextmanager, suppress
-import fcntl
+from contextlib import contextmanager
 from functools import cache
 import gc
-import hashlib
 import os
 from pathlib import Path
-import tempfile
 
+import numba
 from numba import config, njit
-from numba.core.caching import FunctionCache
 from numba.extending import overload
 
-from xpbd_ros.sim.backend import linking
-from xpbd_ros.sim.backend.simd import BITS
+from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
+
+NEWEST_TESTED = (0, 68)
+"""of Numba's releases; 0.59 is the oldest"""
 
 
-class Cache(FunctionCache):
-    """
-    Numba's cache, for processes that compile at the same time.
-
-    Numba numbers a kernel's variants in an index that it reads, changes and writes back; two
-    processes at once would give two of them the same number, and one would run the other's code.
-    """
-
-    def save_overload(self, signature, data):
-        """Write one variant, under the cache's lock."""
-        with open(CACHE_FOLDER / 'lock', 'ab') as lock:
-            with suppress(OSError):    # a file system without locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
-            super().save_overload(signature, data)
+def _why_plain() -> str:
+    """Return why kernels compile through plain ``njit``; empty if they are linked."""
+    if os.environ.get('XPBD_ROS_PLAIN_NJIT', '0') != '0':
+        return 'XPBD_ROS_PLAIN_NJIT is set'
+    if tuple(map(int, numba.__version__.split('.')[:2])) > NEWEST_TESTED:
+        return (f'Numba {numba.__version__} is newer than '
+                f'{".".join(map(str, NEWEST_TESTED))}, the newest tested')
+    try:
+        from xpbd_ros.sim.backend import linking  # noqa: F401
+    except (AttributeError, ImportError) as error:
+        return f'Numba {numba.__version__} lacks internals: {error}'
+    return ''
 
 
-class PartCache(Cache):
-    """The same for parts."""
-
-    _impl_class = linking.CacheImpl
-
-
+WHY_PLAIN = _why_plain()
 FLAGS = {'nogil': True, 'error_model': 'numpy', '_nrt': False, 'no_cfunc_wrapper': True}
-INNER = {**FLAGS, 'no_cpython_wrapper': True, 'pipeline_class': linking.Compiler}
+INNER = {**FLAGS, 'no_cpython_wrapper': True}
 """for what compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
-
-
-def _sources_hash() -> str:
-    """Hash every source file that may hold a kernel, and the way they are compiled."""
-    digest = hashlib.blake2b(f'{BITS} {config.BOUNDSCHECK}'.encode(), digest_size=8)
-    package = Path(__file__).parents[2]
-    for folder in ('effects', 'sim'):
-        for file in sorted((package / folder).rglob('*.py')):
-            digest.update(file.relative_to(package).as_posix().encode())
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-def _cache_folder() -> Path:
-    """Return a writable cache folder."""
-    base = os.environ.get('NUMBA_CACHE_DIR') or os.environ.get('XDG_CACHE_HOME')
-    for root in (Path(base) if base else Path.home() / '.cache', Path(tempfile.gettempdir())):
-        folder = root / 'xpbd_ros' / _sources_hash()
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(folder, os.W_OK):
-            return folder
-    return Path(tempfile.mkdtemp(prefix='xpbd_ros_'))
-
-
-CACHE_FOLDER = _cache_folder()
+if not WHY_PLAIN:
+    from xpbd_ros.sim.backend import linking
+    INNER['pipeline_class'] = linking.Compiler
+try:
+    from xpbd_ros.sim.backend.locked_cache import LockedCache
+except (AttributeError, ImportError):
+    LockedCache = None
 
 
 @contextmanager
 def _no_collection():
-    """Have the garbage collector wait: else it goes through all that a compiler holds, often."""
+    """Suspend garbage collection, which would walk the compiler's many objects often."""
     on = gc.isenabled()
     gc.disable()
     try:
@@ -91,17 +64,16 @@ def _no_collection():
             gc.enable()
 
 
-def _dispatcher(function, cache: type, folder: Path | None, **flags):
-    if folder is None:
-        return njit(**flags)(function)
-    before = config.CACHE_DIR
-    config.CACHE_DIR = str(folder)
-    try:
-        dispatcher = njit(**flags)(function)
-        dispatcher._cache = cache(function)
-        return dispatcher
-    finally:
-        config.CACHE_DIR = before
+def _dispatcher(function, cache_class: type | None, folder: Path | None, **flags):
+    dispatcher = njit(**flags)(function)
+    if folder is not None and cache_class is not None:
+        before = config.CACHE_DIR
+        config.CACHE_DIR = str(folder)
+        try:
+            dispatcher._cache = cache_class(function)
+        finally:
+            config.CACHE_DIR = before
+    return dispatcher
 
 
 def jit(function=None, *, inline: bool = False, allocates: bool = False,
@@ -109,25 +81,28 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     """
     Compile a module-level kernel, GIL released, cached on disk.
 
-    Arrays that come from outside outlive the call, so references to them are not counted;
-    only a kernel that ``allocates`` arrays must.
+    Python and compiled code call a kernel alike. For each of them it is compiled at its first
+    call; for compiled code as a part of its caller.
 
-    ``inline`` writes the function out where it is called: Numba hands over a NamedTuple by copying
-    all that it holds, which costs more than a small kernel for one particle.
+    Parameters
+    ----------
+    inline : expand the kernel where it is called. Numba passes a NamedTuple by copying all of its
+        fields, which costs more than a small kernel for one particle
+    allocates : whether the kernel makes arrays. Arrays that come from outside outlive the call, so
+        references to them are not counted otherwise
+    cache_name : separates the caches of functions whose signatures hold other scenes' types, since
+        reading such a cache would import effects that this scene does not name; None: not cached
 
-    ``cache_name`` separates the caches of functions whose signatures hold other scenes' types:
-    reading such a cache would import effects that this scene does not name. None: not kept.
-
-    Python and compiled code call a kernel alike; what they call is compiled for each of them when
-    it first does, for compiled code as a part of its caller (``parts``).
     """
     def compile_(function):
+        folder = cache_name and CACHE_FOLDER / ('plain' if WHY_PLAIN else 'linked') / cache_name
         flags = {'forceinline': inline, '_nrt': allocates}
-        folder = CACHE_FOLDER / cache_name if cache_name else None
-        kernel = _dispatcher(function, Cache, folder, **{**FLAGS, **flags})
+        kernel = _dispatcher(function, LockedCache, folder, **{**FLAGS, **flags})
+        if WHY_PLAIN:
+            return kernel
         compile_for = kernel._compile_for_args
-        part = cache(lambda: _dispatcher(function, PartCache, folder and folder / 'parts',
-                                         **{**INNER, **flags}))    # if anyone calls it
+        part = cache(lambda: _dispatcher(function, linking.PartCache, folder and folder / 'parts',
+                                         **{**INNER, **flags}))    # if compiled code calls it
 
         def compile_quietly(*arguments, **keywords):
             with _no_collection():
@@ -142,5 +117,5 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
 
 
 def inline(stub):
-    """Register what a stub compiles to, to be written out where it is called."""
+    """Register the implementation of a stub, expanded where it is called."""
     return overload(stub, jit_options={**INNER, 'forceinline': True})

@@ -9,6 +9,8 @@ from llvmlite import binding
 from numba.core import codegen, compiler
 from numba.core.caching import CompileResultCacheImpl
 
+from xpbd_ros.sim.backend.locked_cache import LockedCache
+
 KERNELS: set[int] = set()
 """addresses of all kernels, as Numba writes them down where one is called, to no use"""
 ADDRESS = 'numba.dynamic.globals.'
@@ -86,3 +88,9 @@ class CacheImpl(CompileResultCacheImpl):
             target_context=target, typing_context=target.typing_context, library=library,
             environment=env, entry_point=target.get_executable(library, fndesc, env),
             fndesc=fndesc, signature=signature, objectmode=False, lifted=(), reload_init=())
+
+
+class PartCache(LockedCache):
+    """The disk cache of parts."""
+
+    _impl_class = CacheImpl

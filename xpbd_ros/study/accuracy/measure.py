@@ -11,7 +11,7 @@ from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.backend.jit import CACHE_FOLDER
+from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
 from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors, errors
