@@ -29,3 +29,18 @@ def test_a_box_holds_what_brute_force_finds(far):
             assert found == set(np.flatnonzero(
                 ((points >= low) & (points <= high)).all(1)).tolist())
         assert found
+
+
+@pytest.mark.parametrize(('low', 'high'), [
+    ((-np.inf, -1.0, -1.0), (1.0, np.inf, 1.0)), ((0.0, 0.0, 0.0), (np.inf, np.inf, np.inf)),
+    ((-1e300, 0.0, -1e300), (1e300, 1e300, 0.0)), ((0.0, 0.0, 0.0), (1e5, 1e5, 1e5))])
+def test_a_box_of_too_many_cells_is_compared_with_every_point(low, high):
+    """Such as that of a triangle with a corner at infinity; cell by cell it would take years."""
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (200, 3))
+    points[::20] = [[np.nan, np.inf, 0.0], [-np.inf, 1e300, -1e300]] * 5
+    cells = new_cells(len(points))
+    fill(cells, points, 0.25)
+    count = look_up(cells, points, 0.25, low, high, 7)
+    assert cells.found[:count].tolist() == [i for i in range(7, 200) if (
+        (points[i] >= low) & (points[i] <= high)).all()]
+    assert count

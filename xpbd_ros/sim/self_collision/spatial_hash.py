@@ -71,22 +71,41 @@ def fill(cells, points, size):
 
 @jit
 def look_up(cells, points, size, low, high, least):
-    """List the points from ``least`` on in a box, in no order; return how many there are."""
+    """
+    List the points from ``least`` on in a box, in no order; return how many there are.
+
+    A box of more cells than the table has places, or with a corner at infinity, is compared with
+    every point instead.
+    """
     places, cell, found, count = len(cells.start) - 1, cells.cell, cells.found, 0
-    for a in range(number(low[0] / size), number(high[0] / size) + 1):
-        for b in range(number(low[1] / size), number(high[1] / size) + 1):
-            for c in range(number(low[2] / size), number(high[2] / size) + 1):
+    first = number(low[0] / size), number(low[1] / size), number(low[2] / size)
+    last = number(high[0] / size), number(high[1] / size), number(high[2] / size)
+    spans = last[0] - first[0] + 1, last[1] - first[1] + 1, last[2] - first[2] + 1
+    if min(spans) <= 0 or float(spans[0]) * float(spans[1]) * float(spans[2]) > places:
+        for i in range(least, len(points)):
+            if is_in_box(points, i, low, high):
+                found[count] = i
+                count += 1
+        return count
+    for a in range(first[0], last[0] + 1):
+        for b in range(first[1], last[1] + 1):
+            for c in range(first[2], last[2] + 1):
                 p = place(a, b, c, places)
                 for n in range(cells.start[p], cells.start[p + 1]):
                     i = cells.point[n]
                     if (i < least or cell[i, 0] != a or cell[i, 1] != b or cell[i, 2] != c
-                            or points[i, 0] < low[0] or points[i, 0] > high[0]
-                            or points[i, 1] < low[1] or points[i, 1] > high[1]
-                            or points[i, 2] < low[2] or points[i, 2] > high[2]):
+                            or not is_in_box(points, i, low, high)):
                         continue
                     found[count] = i
                     count += 1
     return count
+
+
+@jit(inline=True)
+def is_in_box(points, i, low, high):
+    """Tell whether a point is in a box; a point with a NaN is in none."""
+    return (low[0] <= points[i, 0] <= high[0] and low[1] <= points[i, 1] <= high[1]
+            and low[2] <= points[i, 2] <= high[2])
 
 
 @jit
