@@ -48,7 +48,13 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES, table
-from xpbd_ros.sim.contact.colliders import Colliders, new_colliders, write_grid, write_heights
+from xpbd_ros.sim.contact.colliders import (
+    Colliders,
+    new_colliders,
+    steepness,
+    write_grid,
+    write_heights,
+)
 from xpbd_ros.sim.contact.contacts import (
     Contacts,
     count_penetrating,
@@ -257,6 +263,7 @@ class BuiltContact(Built):
                 nodes += placed.field.values.size
             if placed.heights is not None:
                 write_heights(colliders.heights, c, placed.heights, places)
+                colliders.size[c, 2] = steepness(placed.heights, placed.entry.heights.size)
                 places += placed.heights.size
             if self.data.bounce is not None:
                 self.data.bounce.restitution[c] = placed.entry.restitution

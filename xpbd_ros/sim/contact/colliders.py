@@ -53,8 +53,8 @@ class Colliders(NamedTuple):
     shape: np.ndarray
     """PLANE …, shape (capacity,)"""
     size: np.ndarray
-    """[m]: radius, half length along z, –; or half extents of a box or of ground; shape
-    (capacity, 3)"""
+    """[m]: radius, half length along z, –; half extents of a box; half extents of ground and its
+    ``steepness`` [1]; shape (capacity, 3)"""
     reach: np.ndarray
     """radius of a ball around the position that holds the shape [m]; -1 - z: the half space below
     z does"""
@@ -102,6 +102,13 @@ def write_heights(heights: Heights, c: int, values: np.ndarray, first: int) -> N
     """Write the heights of collider c [m], shape (along y, along x), from a place on."""
     heights.values[first:first + values.size] = values.ravel()
     heights.first[c], heights.nodes[c] = first, values.shape[::-1]
+
+
+def steepness(values: np.ndarray, size: tuple[float, float]) -> float:
+    """Return √(1 + S²), S the largest slope of heights over a rectangle of this size."""
+    along_x = np.abs(np.diff(values, axis=1)).max() * (values.shape[1] - 1) / size[0]
+    along_y = np.abs(np.diff(values, axis=0)).max() * (values.shape[0] - 1) / size[1]
+    return float(np.sqrt(1.0 + along_x**2 + along_y**2))
 
 
 @jit

@@ -7,12 +7,13 @@ distance φ to a convex shape is a convex function, so Newton's step from outsid
     t <- t + (φ - r) / -(n · (l1 - l0)),
 
 never goes past the first place where φ = r; where n · (l1 - l0) >= 0 there is none. Towards a mesh
-or ground it goes on by φ - r, but at least half a cell of it and, for ground, at most one.
+it goes on by φ - r, towards ground of slopes up to S by |z - f| / √(1 + S²) - r, which is no more
+than the distance to it (J. C. Hart, "Sphere tracing", 1996), but at least half a cell.
 
 Limits: a turn within the substep is taken as a straight line between its ends.
 """
 
-from math import sqrt
+from math import inf, sqrt
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import BOX, HEIGHTS, to_local, to_world
@@ -47,9 +48,10 @@ def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
             break
         if shape <= BOX:
             t += (phi - gap) / nearer
-        elif length > 0.0:
-            step = max(phi - gap, 0.5 * cell)
-            t += (min(step, cell) if shape == HEIGHTS else step) / length
+        elif 0.0 < length < inf:
+            if shape == HEIGHTS:    # φ = (z - f) n_z; it may also be on its way out
+                phi = abs(phi) / (nz * contacts.colliders.size[c, 2])
+            t += max(phi - gap, 0.5 * cell) / length
         else:
             return
         if not t <= 1.0 or looks == MOST_LOOKS:    # also where t is no number
