@@ -16,9 +16,9 @@ particle, Z = H w D_i and u_i at the velocity that the integrator starts from, a
 
 So cloth that is held feels the whole force, and none is given more than u_i, whatever the step:
 light cloth in a storm takes on the wind's velocity and stays with it, where a force without that
-bound would throw it about (NUMERICS 2.13). A step with trace Z > 1 is too long: the force is less
-by that. ``auto`` gives so many substeps that the scene's wind stays below RESOLVED of it; where
-that is passed BDF2 restarts, since its v̄ would overshoot.
+bound would throw it about (doc/numerics.md 6.2). A step with trace Z > 1 is too long: the force is
+less by that. ``auto`` gives so many substeps that the scene's wind stays below RESOLVED of it;
+where that is passed BDF2 restarts, since its v̄ would overshoot.
 
 Limits: no lift from separated flow, no lee, no added mass of air. Coefficients and normals are
 those of the substep's start: first order in time. A strip of one row has no triangles.

@@ -2,7 +2,7 @@
 Hinge: the dihedral angle of each hinge, kept near the one at rest, so that a shape can be curved.
 
 For the edge (x0, x1) with opposite particles x2, x3, e = x1 - x0, n1 = e × (x2 - x0) and
-n2 = (x3 - x0) × e (``constraints.hinges``; NUMERICS 2.4),
+n2 = (x3 - x0) × e (``constraints.hinges``; doc/numerics.md 5.6),
 
     C = θ - θ0,   θ = atan2((n1 × n2)·e / |e|, n1·n2) = atan2(-|e| n1·(x3 - x0), n1·n2)
     g2 = -|e| n1 / |n1|²,   g3 = -|e| n2 / |n2|²,   g1 = t1 n1 / |n1|² + t2 n2 / |n2|²
@@ -18,7 +18,7 @@ A hinge whose triangle has no height (below 1e-12 of its edge; 5e-4 in float32) 
 left alone until it has one.
 
 Limits: within a substep a fold turns by less than half a turn. On a curved irregular mesh the
-rigidity depends on the triangles, 1.06 to 1.4 of B on a cylinder (NUMERICS 2.5).
+rigidity depends on the triangles, 1.06 to 1.4 of B on a cylinder (doc/numerics.md 5.7).
 """
 
 from dataclasses import dataclass

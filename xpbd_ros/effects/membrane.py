@@ -7,7 +7,8 @@ of columns f1 and f2, each triangle is one constraint of three numbers, Green's 
     C = (E11, E22, γ12) = ((f1·f1 - 1) / 2, (f2·f2 - 1) / 2, f1·f2)
     ∂E11/∂x_i = p_i f1,  ∂E22/∂x_i = q_i f2,  ∂γ12/∂x_i = p_i f2 + q_i f1
 
-(p and q: the columns of D⁻¹ for particles 1 and 2, minus their sum for particle 0; NUMERICS 2.6).
+(p and q: the columns of D⁻¹ for particles 1 and 2, minus their sum for particle 0;
+doc/numerics.md 5.4).
 The energy is A Cᵀ S C / 2 (St. Venant-Kirchhoff in plane stress), so α = S⁻¹ / A:
 
     S⁻¹ = ((1/Y1, -ν/Y1, 0), (-ν/Y1, 1/Y2, 0), (0, 0, 1/G))

@@ -3,7 +3,7 @@ Shear: elastic edges along both diagonals of square cells; the slant of oblong o
 
 Diagonals of square cells: C = |x1 - x2| - L (``constraints.distance``). On cells of dx × dy with
 diagonals of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m], which gives the
-sheet the shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (NUMERICS 2.7).
+sheet the shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (doc/numerics.md 5.2).
 
 On oblong cells such edges would add stiffness (dx/dy)² to C11 and stiffness (dy/dx)² to C22, up to
 many times the warp of a soft knit. There each cell has one constraint instead, the difference of

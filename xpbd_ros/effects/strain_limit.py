@@ -2,7 +2,7 @@
 Strain limit: no edge is longer than a given part more than at rest.
 
 C = |x1 - x2| - L (1 + max) ≤ 0, gradient n = (x1 - x2) / |x1 - x2| at x1 and -n at x2, α = 0, and
-a force f ≤ 0 that only pulls (Provot 1995; NUMERICS 2.12):
+a force f ≤ 0 that only pulls (Provot 1995; doc/numerics.md 7.3):
 
     Δf = min(-C / (m1 + m2), -f),   x1 += m1 n Δf,   x2 -= m2 n Δf
 

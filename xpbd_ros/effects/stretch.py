@@ -6,8 +6,8 @@ C = |x1 - x2| - L (``constraints.distance``); the method ``line`` solves whole l
 
 On a grid of cells dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along
 weft k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for
-whatever its resolution (Van Gelder 1998 for lattices; NUMERICS 2.7). With ``shear`` the lattice
-has C11 = warp + shear on square cells. On any other mesh each triangle of area A adds to its edge
+whatever its resolution (doc/numerics.md 5.2). With ``shear`` the lattice has C11 = warp + shear on
+square cells. On any other mesh each triangle of area A adds to its edge
 of length l, at an angle θ from warp, k = (warp cos²θ + weft sin²θ) A / l² (Van Gelder 1998, whose
 isotropic lattice it is where warp = weft). Instead of moduli, ``compliance`` [m/N] sets every edge
 alike; 0 is rigid.
