@@ -53,7 +53,7 @@ class Parameters:
     """The area modulus."""
 
     stiffness: float = quantity(unit='N/m', above=0.0, live=True,
-                                doc='tension per relative change of area')
+                                doc='area modulus: tension per relative change of area')
 
 
 class Area(NamedTuple):

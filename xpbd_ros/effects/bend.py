@@ -65,9 +65,9 @@ class Parameters:
     stiffness: float | None = quantity(None, unit='N m', above=0.0, live=True,
                                        doc='bending rigidity B')
     warp: float | None = quantity(None, unit='N m', above=0.0, live=True,
-                                  doc='of what bends warp')
+                                  doc='bending rigidity of rows, which run along warp')
     weft: float | None = quantity(None, unit='N m', above=0.0, live=True,
-                                  doc='of what bends weft')
+                                  doc='bending rigidity of columns, which run along weft')
 
     def __post_init__(self):
         """Require exactly one of the two forms."""

@@ -83,8 +83,8 @@ class Parameters:
     thickness: float = quantity(unit='m', above=0.0, live=True,
                                 doc='distance kept between particles and surfaces')
     when: str = quantity('sweep', choices=('sweep', 'after'),
-                         doc='in every iteration, or once, after the last')
-    max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
+                         doc='contact in every iteration, or in the last only')
+    max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='most colliders at a time')
     mesh_nodes: int = quantity(0, minimum=0, maximum=100_000_000, doc=(
         'room for the grids of meshes that come while it runs (4 bytes each)'))
 

@@ -38,7 +38,7 @@ class Parameters:
     """The bending rigidity."""
 
     stiffness: float = quantity(unit='N m', above=0.0, live=True,
-                                doc='bending rigidity B, met at a fold of 90°')
+                                doc='bending rigidity B, exact at a fold of 90°')
 
 
 class CrossBend(NamedTuple):

@@ -28,7 +28,7 @@ from xpbd_ros.sim.stepping.stages import force, stage
 class Parameters:
     """The rate."""
 
-    rate: float = quantity(unit='1/s', minimum=0.0, live=True, doc='rate of decay')
+    rate: float = quantity(unit='1/s', minimum=0.0, live=True, doc='decay rate of velocities')
 
 
 class Damping(NamedTuple):

@@ -50,10 +50,10 @@ RESOLVED = 0.5
 class Parameters:
     """The density of the air, and the drag coefficients of the cloth."""
 
-    density: float = quantity(1.2, unit='kg/m³', minimum=0.0, live=True, doc='of the air')
-    normal: float = quantity(1.2, minimum=0.0, live=True, doc='coefficient across the cloth')
+    density: float = quantity(1.2, unit='kg/m³', minimum=0.0, live=True, doc='density of the air')
+    normal: float = quantity(1.2, minimum=0.0, live=True, doc='drag coefficient across the cloth')
     tangential: float = quantity(0.01, minimum=0.0, live=True,
-                                 doc='coefficient along it, of each side')
+                                 doc='drag coefficient along the cloth, of each side')
 
 
 class Drag(NamedTuple):

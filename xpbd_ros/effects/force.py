@@ -31,9 +31,9 @@ Vector = tuple[float, float, float]
 class Parameters:
     """One of three measures, and the particles that it acts on."""
 
-    per_particle: Vector | None = quantity(None, unit='N', live=True, doc='on each particle')
-    per_mass: Vector | None = quantity(None, unit='N/kg', live=True, doc='on each kilogram')
-    total: Vector | None = quantity(None, unit='N', live=True, doc='shared out by mass')
+    per_particle: Vector | None = quantity(None, unit='N', live=True, doc='force on each particle')
+    per_mass: Vector | None = quantity(None, unit='N/kg', live=True, doc='force per mass')
+    total: Vector | None = quantity(None, unit='N', live=True, doc='total force, shared by mass')
     cloth: str | None = quantity(None, doc='the cloth that it acts on; all unless given')
     at: str | tuple[int, ...] | None = quantity(
         None, doc='corner_00 …, edge_0x …, or indices; all particles unless given')

@@ -38,8 +38,9 @@ from xpbd_ros.sim.stepping.stages import project_inequalities, stage
 class Pair:
     """Friction between one cloth and one collider."""
 
-    friction: float = quantity(minimum=0.0, doc='coefficient while it slides')
-    static_friction: float | None = quantity(None, minimum=0.0, doc='while it sticks')
+    friction: float = quantity(minimum=0.0, doc='kinetic coefficient')
+    static_friction: float | None = quantity(
+        None, minimum=0.0, doc='static coefficient; the kinetic one unless given')
 
     def __post_init__(self):
         """Require μ_s ≥ μ_k."""

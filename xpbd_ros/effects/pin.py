@@ -56,9 +56,9 @@ from xpbd_ros.sim.target_motion import check_motion, delays, monotone_cubic, Mot
 class Parameters:
     """The capacity, and defaults for pins without keys of their own."""
 
-    max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='capacity')
-    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='how far they give way')
-    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which they let go')
+    max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='most pins at a time')
+    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='default compliance')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='default release force')
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,15 @@ class Entry:
 
     cloth: str = quantity(doc='the cloth that it holds')
     at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
-    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='a point')
-    radius: float = quantity(0.01, unit='m', above=0.0, doc='what is this near to it is held')
-    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it goes')
+    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='point to hold around')
+    radius: float = quantity(0.01, unit='m', above=0.0, doc='radius around that point')
+    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
-    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='largest speed of the pin')
     compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
-                                        doc='how far it gives way; 0 is rigid')
-    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it lets go')
+                                        doc='compliance of the whole pin; 0 is rigid')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it releases')
 
     def __post_init__(self):
         """Require one of ``at`` and ``near``, and at most one of ``target`` and ``motion``."""

@@ -63,7 +63,7 @@ class Parameters:
     """The gas, and the pressure outside."""
 
     amount: float = quantity(1.0, above=0.0, live=True,
-                             doc='gas inside, over what fills the rest volume')
+                             doc='gas inside, relative to what fills the rest volume')
     outside: float = quantity(AIR, unit='Pa', above=0.0, live=True, doc='pressure outside')
     kappa: float = quantity(1.4, minimum=1.0, live=True,
                             doc='adiabatic exponent; 1 at constant temperature')

@@ -50,7 +50,7 @@ class Parameters:
 class Side:
     """One side of a seam."""
 
-    cloth: str = quantity(doc='the cloth that it is of')
+    cloth: str = quantity(doc='cloth of this side')
     at: str | tuple[int, ...] = quantity(doc='corner_00 …, edge_0x …, or indices in order')
 
     def __post_init__(self):
@@ -64,7 +64,7 @@ class Entry:
 
     between: tuple[Side, Side] = quantity(doc='the two sides')
     compliance: float = quantity(0.0, unit='m/N', minimum=0.0, live=True,
-                                 doc='how far the whole of it opens; 0 is rigid')
+                                 doc='compliance of the whole seam; 0 is rigid')
 
 
 class Seam(NamedTuple):

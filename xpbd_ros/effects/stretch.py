@@ -50,7 +50,7 @@ class Parameters:
     weft: float | None = quantity(None, unit='N/m', above=0.0, live=True,
                                   doc='modulus along weft')
     compliance: float | None = quantity(None, unit='m/N', minimum=0.0, live=True,
-                                        doc='of every edge alike; 0 is rigid')
+                                        doc='compliance of every edge; 0 is rigid')
 
     def __post_init__(self):
         """Require exactly one of the two forms."""

@@ -44,7 +44,7 @@ class Parameters:
     """The slack of the tethers."""
 
     slack: float = quantity(0.05, minimum=0.0, live=True,
-                            doc='part of the way that it may be further off')
+                            doc='slack, relative to the length of the way')
 
 
 class Tether(NamedTuple):

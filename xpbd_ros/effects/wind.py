@@ -32,11 +32,11 @@ class Parameters:
     """The mean velocity and the gusts."""
 
     velocity: tuple[float, float, float] = quantity(
-        unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True, doc='of the air')
+        unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True, doc='mean velocity of the air')
     gust: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True,
-        doc='amplitude that swells about it')
-    period: float = quantity(2.0, unit='s', above=0.0, live=True, doc='of the gusts')
+        doc='amplitude of the gusts')
+    period: float = quantity(2.0, unit='s', above=0.0, live=True, doc='period of the gusts')
 
 
 class Wind(NamedTuple):
