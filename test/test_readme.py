@@ -166,6 +166,34 @@ def test_the_readme_is_short_and_names_every_page():
         assert f'(doc/{page.name})' in text()
 
 
+CITATION = r'doc/numerics\.md\s+(\d+(?:\.\d+)?)\b'
+CODE = sorted(file for folder in ('xpbd_ros', 'test') for file in (
+    README.parent / folder).rglob('*.py') if file != Path(__file__))
+
+
+def test_every_section_of_numerics_that_is_cited_exists():
+    """A citation without a number, which the pattern would not see, is an error as well."""
+    there = set(re.findall(r'^##+ (\d+(?:\.\d+)?)[. ]', text('numerics'), re.M))
+    cited = {}
+    for file in CODE:
+        source = file.read_text(encoding='utf-8')
+        found = re.findall(CITATION, source)
+        assert len(found) == source.count('numerics.md'), file
+        cited.update(dict.fromkeys(found, file))
+    assert len(cited) > 20
+    assert not {number: file for number, file in cited.items() if number not in there}
+
+
+def test_sections_of_numerics_follow_one_another_and_name_only_those_that_exist():
+    there = re.findall(r'^##+ (\d+(?:\.\d+)?)[. ]', text('numerics'), re.M)
+    assert there == sorted(there, key=lambda number: [int(part) for part in number.split('.')])
+    assert len(set(there)) == len(there)
+    named = re.findall(r'\((\d+(?:\.\d+)?(?:, \d+(?:\.\d+)?)*)\)', text('numerics'))
+    assert len(named) > 10
+    for number in ', '.join(named).split(', '):
+        assert number in there, number
+
+
 def test_the_page_of_the_node_has_its_topics_services_and_parameters():
     pytest.importorskip('rclpy', reason='ROS is not installed')
     from xpbd_ros.ros.inputs import INPUTS

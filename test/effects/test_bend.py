@@ -100,7 +100,11 @@ def test_a_fold_stores_energy_without_a_wrap(angle):
 
 
 def test_hinges_of_an_irregular_mesh_are_not_softer_than_asked_and_half_too_stiff_at_most():
-    """Rolled, within the table of NUMERICS 2.5; the disc's triangles are nearly equilateral."""
+    """
+    Rolled, within the table of doc/numerics.md 5.7.
+
+    The disc's triangles are nearly equilateral.
+    """
     simulation = simulate(mesh=True, effects={'bend': {'stiffness': B}})
     mesh = simulation.cloths[0].mesh
     for degrees in (0.0, 30.0, 75.0):

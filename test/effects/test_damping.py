@@ -63,7 +63,8 @@ def test_constraints_may_move_what_is_damped_by_less():
     """
     The mobility is w h² / (1 + h rate): seen in what one pass leaves undone.
 
-    Two edges, the upper one first: C = α T_1 - A_12 T_2, with A_12 = -mobility (NUMERICS 0.2).
+    Two edges, the upper one first: C = α T_1 - A_12 T_2, with A_12 = -mobility
+    (doc/numerics.md 4.1).
     """
     rate, alpha = 40.0, 1e-3
     simulation = hang(3, damping=rate, effects={'stretch': {'compliance': alpha}})

@@ -45,7 +45,7 @@ def test_stretch_alone_has_the_moduli_asked_for_and_no_more(grid, size):
 
 
 def test_with_shear_a_sheet_of_square_cells_is_the_lattice_of_the_book():
-    """NUMERICS 2.7: C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear."""
+    """doc/numerics.md 5.2: C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear."""
     grid, size = (5, 4), (0.8, 0.6)
     c11, c22 = (energy(grid, size, strain) for strain in ((1, 0, 0), (0, 1, 0)))
     assert c11 == pytest.approx(WARP + G, rel=1e-6)

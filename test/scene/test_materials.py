@@ -59,7 +59,11 @@ def test_what_is_given_stays_as_given():
 @NAMES
 @pytest.mark.parametrize('shears', [True, False])
 def test_a_strip_of_the_lattice_pulls_like_the_material(name, shears):
-    """C11 = warp + C66, C22 = weft + C66, C12 = C66 (NUMERICS 2.7); a strip is free aside."""
+    """
+    C11 = warp + C66, C22 = weft + C66, C12 = C66 (doc/numerics.md 5.2).
+
+    The sides of a strip are free.
+    """
     sheet, found = MATERIALS[name], lattice(MATERIALS[name], shears=shears)
     c66 = found['shear']['stiffness'] if shears else 0.0
     c = np.array([[found['stretch']['warp'] + c66, c66], [c66, found['stretch']['weft'] + c66]])

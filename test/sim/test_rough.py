@@ -1,5 +1,5 @@
 """
-Rough starts: 720 of them, after NUMERICS 5.8. Sweeps from states far from any solution.
+Rough starts, 720 of them: sweeps (doc/numerics.md 3) from states far from any solution.
 
 Particles with velocities of 3 m/s each, jittered by 5 % of an edge, crumpled to half the size, or
 anywhere in a box; a pin that teleports; pins let go. The energy that a run reaches is compared

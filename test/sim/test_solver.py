@@ -118,7 +118,7 @@ def test_palindromic_sweep_keeps_a_symmetric_sheet_symmetric_enough(method):
 
 
 def test_stiff_swing_is_right_with_far_fewer_substeps():
-    """At 32 × 1 lines with BDF2 beat plain XPBD at 128 × 1 by far (NUMERICS 5.5)."""
+    """At 16 × 1 lines with BDF2 beat plain XPBD at 128 × 1 by far (doc/numerics.md 3.2)."""
     def at_half_a_second(method, integrator, substeps):
         sheet = simulation(method, integrator, substeps)
         for _ in range(30):

@@ -1,8 +1,8 @@
 """
-The effects, in projection order: this order is physics, so it is readable in one place.
+The effects of the package, in projection order.
 
-Soft before stiff, contact and friction last: what is projected last holds best. An effect's module
-is imported only when a scene names it.
+The order is part of the physics: soft before stiff, contact and friction last, since the last
+projection holds best. An effect's module is imported only if a scene names the effect.
 """
 
 import importlib
@@ -33,14 +33,14 @@ EFFECTS = {
     'contact': 'scene',
     'friction': 'scene',
 }
-"""name: what it belongs to"""
+"""name: the section that it stands in, each cloth or the scene"""
 
 SECTIONS = {'pins': 'pin', 'colliders': 'contact', 'seams': 'seam'}
-"""sections of a scene, and the effect that each belongs to"""
+"""sections of a scene file, and the effect that reads each of them"""
 
 
 def load(name: str) -> Effect:
-    """Import one effect's module and return what it registers."""
+    """Import one effect's module and return its ``EFFECT``."""
     try:
         return importlib.import_module(f'xpbd_ros.effects.{name}').EFFECT
     except ModuleNotFoundError as error:

@@ -1,16 +1,16 @@
 """
-Area: triangles that keep their area, whatever their shape.
+Area: triangles resist changes of their area, but not of their shape.
 
 C = A - A0 with 2 A n = (x1-x0) × (x2-x0), |n| = 1, so
 
     ∇1 = (x2-x0) × n / 2,   ∇2 = n × (x1-x0) / 2,   ∇0 = -∇1 - ∇2.
 
-The energy of a triangle is stiffness C² / (2 A0), so α = A0 / stiffness [m³/N], and ``stiffness``
-is the tension that a sheet has when its area is doubled. For flat bodies and skins, beside what
-resists shear; of a body of tetrahedra it is the skin.
+The energy of a triangle is stiffness C² / (2 A0), so α = A0 / stiffness [m³/N]: ``stiffness`` is
+the tension of a sheet whose area has doubled. It serves flat bodies and skins, together with an
+effect that resists shear; on a body of tetrahedra it acts on the skin.
 
-Limits: a triangle whose corners lie in line has no normal and is not moved. Alone it lets a
-triangle shear without end.
+Limits: a triangle whose corners are collinear has no normal and does not move. Alone, the effect
+lets a triangle shear without bound.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Parameters:
     """The area modulus."""
 
     stiffness: float = quantity(unit='N/m', above=0.0, live=True,
-                                doc='tension per relative change of area')
+                                doc='area modulus: tension per relative change of area')
 
 
 class Area(NamedTuple):
@@ -73,7 +73,7 @@ class Area(NamedTuple):
     """f, multiplier over H² [N/m], negative in tension, shape (triangles,); None if
     multipliers are not kept"""
     packs: Packs | None
-    """those at pinned particles; None in a scene without pins"""
+    """triangles at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Area)
@@ -93,7 +93,7 @@ def project_area(area, state, substep):
 @stage(project_back, Area)
 @jit
 def project_area_back(area, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     _project(area, state, substep, True)
 
 
@@ -142,7 +142,7 @@ def _project_packs(records, apart, particles, rest_area, compliance, force, begi
 
 @jit
 def _note(packs, first, last, x, apart, force):
-    """Note ∇C of the triangles of a pack; without an area no multiplier changes."""
+    """Note ∇C of the triangles of a pack; those without an area keep their multiplier."""
     if packs is not None:
         remember(packs, first, last, apart, force)
         for k in range(first, last):
@@ -162,7 +162,7 @@ def _note(packs, first, last, x, apart, force):
 
 
 class Triangles:
-    """The same triangles one by one, in sweep order, as people and NumPy want them."""
+    """The triangles one by one, in sweep order: the definition in NumPy."""
 
     def __init__(self, particles, index, rest_area, compliance):
         self.particles = particles
@@ -182,7 +182,7 @@ class Triangles:
         return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [m²], shape (triangles,), straight from the definition; x is (3, slots)."""
+        """Return C [m²], shape (triangles,), from the definition; x is (3, slots)."""
         return 0.5 * length(cross(*self._sides(x))) - self.rest_area
 
     def energy(self, x: np.ndarray) -> float:
@@ -192,7 +192,7 @@ class Triangles:
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return Σ |∇i| Σ |∇j| / α at each particle [N/m], shape (slots, 3, 3)."""
         a, b = self._sides(x)
-        slopes = 0.5 * length(np.stack([a - b, b, a], 1))    # each half its opposite side
+        slopes = 0.5 * length(np.stack([a - b, b, a], 1))    # |∇| is half the opposite side
         total = np.zeros(x.shape[1])
         np.add.at(total, self.particles,
                   slopes * slopes.sum(1, keepdims=True) / self.compliance[:, None])
@@ -200,7 +200,7 @@ class Triangles:
 
 
 class BuiltArea(Built):
-    """The triangles of every cloth that keeps its area."""
+    """The triangles of all cloths with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

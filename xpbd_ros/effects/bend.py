@@ -1,5 +1,5 @@
 """
-Bend: the curvature of rows and columns, the twist of cells; isometric hinges on other meshes.
+Bend: bending stiffness by linear constraints: curvature and twist on grids, hinges on meshes.
 
 On a grid of spacing d along a row and rows w apart (half of it at the rim), every three particles
 in a row, and every cell dx × dy, have a linear vector constraint in R³:
@@ -16,18 +16,19 @@ On any other mesh a hinge (x0, x1) with opposite particles x2, x3 and rest areas
     C = Σ K_i x_i / sqrt(A0 + A1),   K = (c03+c04, c01+c02, -c01-c03, -c02-c04),   α = 1 / b
 
 with c01 = cot(e, x2-x0), c02 = cot(e, x3-x0), c03 = cot(-e, x2-x1), c04 = cot(-e, x3-x1) at rest
-(Bergou et al. 2006; K x = 2 |e| sin(θ/2) for a hinge of dihedral angle θ). Each hinge of a flat
-mesh has a b of its own, so that the sheet bends as a plate (``constraints.plate_rigidity``). The
-hinges of a regular grid see the curvature of every other particle only, so a sheet free to relax
-would be a quarter too soft; hence the stencils above.
+(isometric bending, Bergou et al. 2006; |Σ K_i x_i| = 2 |e| sin(θ/2) at the dihedral angle θ). Each
+hinge of a flat mesh has its own b, fitted so that the sheet bends as a plate
+(``constraints.plate_rigidity``). The hinges of a regular grid see the curvature of every other
+particle only, so a sheet free to relax would be a quarter too soft; hence the stencils above.
 
-All gradients are constant weights k_i: no singularity, no wrap at 180°. In force form, with
-mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / H²,
+All gradients are constant weights k_i: no singularity, no wrap at 180° (doc/numerics.md 5.5). In
+force form, with mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / H²,
 
     Δf = -(C + α f) / (W + α),   x_i += m_i k_i Δf.
 
-Limits: a flat rest shape, deformations that keep lengths. Where warp and weft differ by much more
-than tenfold the hinges of most meshes cannot follow; a note says what they give instead.
+Limits: a flat rest shape, and deformations that keep lengths. Where warp and weft differ by much
+more than a factor of ten, the hinges of most meshes cannot represent both; a note says which
+rigidities they give.
 """
 
 from dataclasses import dataclass
@@ -59,17 +60,17 @@ from xpbd_ros.sim.stepping.stages import (
 
 @dataclass(frozen=True)
 class Parameters:
-    """One bending rigidity, or two."""
+    """One bending rigidity, or one each along warp and weft."""
 
     stiffness: float | None = quantity(None, unit='N m', above=0.0, live=True,
                                        doc='bending rigidity B')
     warp: float | None = quantity(None, unit='N m', above=0.0, live=True,
-                                  doc='of what bends warp')
+                                  doc='bending rigidity of rows, which run along warp')
     weft: float | None = quantity(None, unit='N m', above=0.0, live=True,
-                                  doc='of what bends weft')
+                                  doc='bending rigidity of columns, which run along weft')
 
     def __post_init__(self):
-        """Refuse both and neither."""
+        """Require exactly one of the two forms."""
         need_one_or_two(self.stiffness, (self.warp, self.weft), both='warp and weft (N m)',
                         either='stiffness (N m) or warp and weft (N m)')
 
@@ -80,14 +81,14 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The constraints at pinned particles, whose reaction forces are requested."""
+    """The constraints at pinned particles, whose reaction forces are summed up."""
 
     count: np.ndarray
     """shape (1,)"""
     particles: np.ndarray
     """slots, shape (room, particles of a constraint)"""
     index: np.ndarray
-    """where each keeps its force, shape (room,)"""
+    """index of each one's force, shape (room,)"""
     weight: np.ndarray
     """k_i, shape (room, particles of a constraint)"""
 
@@ -97,7 +98,7 @@ class Curvature(NamedTuple):
 
     runs: Runs
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     held: Held | None
@@ -109,7 +110,7 @@ class Twist(NamedTuple):
 
     runs: Runs
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     held: Held | None
@@ -131,7 +132,7 @@ class MeshBend(NamedTuple):
     weight: np.ndarray
     """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
     compliance: np.ndarray
-    """1 / B [1/(N m)], shape (hinges,)"""
+    """1 / b [1/(N m)], shape (hinges,)"""
     force: np.ndarray | None
     """f [N m], shape (3, hinges); None if multipliers are not kept"""
     held: Held | None
@@ -157,7 +158,7 @@ def project_curvature(bend, state, substep):
 @stage(project_back, Curvature, shared=True)
 @jit
 def project_curvature_back(bend, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     straighten(bend, state, True)
 
 
@@ -171,7 +172,7 @@ def project_twist(bend, state, substep):
 @stage(project_back, Twist, shared=True)
 @jit
 def project_twist_back(bend, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     untwist(bend, state, True)
 
 
@@ -185,7 +186,7 @@ def project_mesh_bend(bend, state, substep):
 @stage(project_back, MeshBend)
 @jit
 def project_mesh_bend_back(bend, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     _project_mesh(bend, state, True)
 
 
@@ -213,7 +214,7 @@ def react_bend(bend, state, substep):
 
 
 class Linear:
-    """The same constraints one by one, in sweep order, as people and NumPy want them."""
+    """The constraints one by one, in sweep order: the definition in NumPy."""
 
     def __init__(self, particles, index, weight, compliance):
         self.particles = particles
@@ -235,10 +236,10 @@ class Linear:
     @staticmethod
     def joined(lists: list['Linear']) -> 'Linear':
         """
-        Return the constraints of several batches as ones of four particles.
+        Return the constraints of several batches with four particles each.
 
-        Where there are three, the one in the middle comes first too, with no weight. ``index``
-        counts within each batch.
+        Those of three particles list the middle one first as well, with weight 0. ``index`` counts
+        within each batch.
         """
         wide = [each if each.particles.shape[1] == 4 else Linear(
             each.particles[:, [1, 0, 1, 2]], each.index,
@@ -285,7 +286,7 @@ def _on_grids(cloths, world) -> list[Curvature | Twist]:
 
 
 def _curvature_compliance(cloth, warp: float, weft: float) -> np.ndarray:
-    """Return d³ / (B w) of the shapes [m/N], by place in a row; w is half at the rim."""
+    """Return d³ / (B w) of each shape [m/N], by place in a row; w is half at the rim."""
     block, (dx, dy) = cloth.block, cloth.mesh.spacing
     found = np.zeros((3, block.row_stride))
     found[0] = dx**3 / (warp * dy)
@@ -304,7 +305,7 @@ def _twist_compliance(cloth, warp: float, weft: float) -> np.ndarray:
 
 
 def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
-    """Return the hinges of meshes, and what they cannot do."""
+    """Return the hinges of meshes, and notes on rigidities that they cannot represent."""
     dtype, notes, compliance = world.state.x.dtype, [], []
     particles = np.concatenate([cloth.slots[cloth.mesh.hinges] for cloth, _ in cloths])
     weight = np.concatenate([isometric_weights(cloth.mesh.positions[cloth.mesh.hinges])
@@ -333,7 +334,7 @@ def _room(count: int, width: int) -> Held:
 
 
 class BuiltBend(Built):
-    """The curvatures and twists of grids that bend, and the hinges of other meshes."""
+    """The curvatures and twists of grids, and the hinges of other meshes."""
 
     def __init__(self, parameters, world):
         super().__init__()

@@ -1,34 +1,34 @@
 """
-Contact: particles stay outside moving colliders: planes, round shapes, boxes, meshes, ground.
+Contact: particles stay outside moving colliders: planes, solids, meshes, height fields.
 
 C = φ(x) - r ≥ 0, with φ the signed distance to the shape.
 
-Once per substep, when the constraints have first moved the particles, pairs that might touch
-become candidates. Then, in each iteration, a candidate that is too deep is pushed out along the
-normal n (Müller et al. 2006, 3.4):
+Once per substep, after the constraints have first moved the particles, pairs in reach become
+candidates. Then, in each iteration, a candidate that is too deep is pushed out along the normal n
+(Müller et al. 2006, 3.4):
 
     Δd = max(-C, -d),   d += Δd,   x += n Δd        (d ≥ 0: the push so far, never a pull)
 
-``when: after`` leaves it, and friction with it, to the last iteration: cheaper, and what is
-elastic does not learn of it within the substep.
+``when: after`` moves contact and friction to the last iteration: cheaper, but elastic constraints
+then do not respond to contact within the substep.
 
-r is the thickness. A particle that begins the substep already too deep (a collider teleported into
-the cloth) comes out at no more than DEPENETRATION, and what velocity that part of the push gave
-away from the surface is taken back at the substep's end (the aim of pre-stabilisation, Macklin et
-al. 2014; moving x_prev instead leaves a velocity where another collider pushes back). Colliders
-move through the frame from pose to pose and carry the cloth along.
+r is the thickness. A particle that begins the substep too deep (a collider teleported into the
+cloth) comes out at no more than DEPENETRATION, and the velocity that this part of the push caused
+is removed at the substep's end (the aim of pre-stabilisation, Macklin et al. 2014; moving x_prev
+instead leaves a velocity where another collider pushes back). Colliders move through the frame
+from pose to pose and carry the cloth along.
 
-A collider's restitution e turns the velocity with which a particle came into -e times that, along
-the normal, at the substep's end (Müller et al. 2020); slower than 2 g h nothing bounces.
+A collider's restitution e changes the normal velocity of an approaching particle to -e times that
+at the substep's end (Müller et al. 2020), unless the approach is slower than 2 g h.
 
-A particle that moves, relative to a collider, more than a quarter of the collider's thickness in a
-substep is followed on its way (``contact.continuous_detection``): where that first comes within r,
-the surface's tangent plane is what it stays in front of. So it ends on the side that it came from,
-however fast either is and however thin the collider.
+A particle that moves, relative to a collider, by more than a quarter of the collider's thickness
+in a substep is followed along its way (``contact.continuous_detection``): from the first point
+within r on, it stays in front of the surface's tangent plane there. So it ends on the side that it
+came from, at any speed and for any thickness (doc/numerics.md 7.4 and 7.5).
 
-Limits: particles are tested, not triangles, so what is thinner than the spacing of particles can
-slip between them. A mesh is as sharp as its grid (``contact.distance_field``). The distance to
-ground is that to the plane that touches it right below.
+Limits: particles are tested, not triangles, so colliders thinner than the particle spacing can
+slip between them. A mesh is as sharp as its grid (``contact.distance_field``). The distance to a
+height field is that to the tangent plane right below.
 """
 
 from collections.abc import Iterable
@@ -79,18 +79,18 @@ from xpbd_ros.sim.target_motion import delays
 CANDIDATES = 16
 """room for candidates, per particle"""
 NOT_SOUGHT = -1
-"""count of candidates before the first iteration of a substep"""
+"""value of the count of candidates before the first iteration of a substep"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """The gap kept, and the room for colliders."""
+    """The thickness, and the capacity for colliders."""
 
     thickness: float = quantity(unit='m', above=0.0, live=True,
                                 doc='distance kept between particles and surfaces')
     when: str = quantity('sweep', choices=('sweep', 'after'),
-                         doc='in every iteration, or once, after the last')
-    max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='capacity')
+                         doc='contact in every iteration, or in the last only')
+    max_colliders: int = quantity(32, minimum=1, maximum=100_000, doc='most colliders at a time')
     mesh_nodes: int = quantity(0, minimum=0, maximum=100_000_000, doc=(
         'room for the grids of meshes that come while it runs (4 bytes each)'))
 
@@ -100,15 +100,15 @@ class Contact(NamedTuple):
 
     contacts: Contacts
     bounce: Bounce | None
-    """None in a scene where no collider bounces"""
+    """None in a scene without restitution"""
     wait: np.ndarray | None
-    """iterations done in this substep, and how many there are; None where it comes in each"""
+    """iterations done in this substep, and their number; None with ``when: sweep``"""
 
 
 @stage(prepare, Contact)
 @jit
 def forget_contacts(contact, state, substep):
-    """Move the colliders, and leave the pairs of the substep before."""
+    """Move the colliders, and discard the pairs of the last substep."""
     begin_waiting(contact.wait)
     if substep.begin == 0.0:
         contact.contacts.count[1] = contact.contacts.count[4] = 0
@@ -118,14 +118,14 @@ def forget_contacts(contact, state, substep):
 
 @jit
 def begin_waiting(wait):
-    """Forget the iterations of the substep before."""
+    """Reset the count of iterations."""
     if wait is not None:
         wait[0] = 0
 
 
 @jit(inline=True)
 def waits(wait):
-    """Tell whether there is an iteration to come."""
+    """Tell whether contact waits for a later iteration."""
     if wait is None:
         return False
     else:    # Numba prunes the branch that is not taken
@@ -136,7 +136,7 @@ def waits(wait):
 @stage(project_inequalities, Contact)
 @jit
 def push_out(contact, state, substep):
-    """Push every candidate that is too deep out along the normal; between two, more than once."""
+    """Push every candidate that is too deep out along the normal; repeat between two colliders."""
     if waits(contact.wait):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
@@ -147,7 +147,7 @@ def push_out(contact, state, substep):
 @stage(finish, Contact)
 @jit
 def calm(contact, state, substep):
-    """Take back the velocity that came from undoing an old overlap; let bounce what bounces."""
+    """Remove the velocity that came from separating old overlaps; apply restitution."""
     contacts, h = contact.contacts, substep.h
     if contacts.count[3]:
         contacts.count[4] += count_penetrating(contacts, state)
@@ -163,7 +163,7 @@ def calm(contact, state, substep):
 @stage(add_explicit_forces, Contact)
 @jit
 def rest_on_colliders(contact, state, substep):
-    """What touches goes on as it does: the push is an impulse in every substep."""
+    """Particles in contact keep their velocity: pushes are impulses in every substep."""
     contacts = contact.contacts
     for k in range(contacts.count[0]):
         if contacts.push[k] > 0.0:
@@ -171,7 +171,7 @@ def rest_on_colliders(contact, state, substep):
 
 
 class BuiltContact(Built):
-    """All colliders of a scene: those that it names, and room for those to come."""
+    """All colliders of a scene, with room for more."""
 
     ns_per_particle = 30.0
     pulls_taut = True
@@ -187,7 +187,7 @@ class BuiltContact(Built):
         self.thickness = parameters.thickness
         self.shapes = (self._shapes(world) if 'contact' not in world.before
                        else world.before['contact'].shapes)
-        """the distance fields and heights of the scene's entries, by name"""
+        """distance fields and heights of the scene's entries, by name"""
         nodes = parameters.mesh_nodes + sum(
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
@@ -206,12 +206,12 @@ class BuiltContact(Built):
         self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
                          RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
         self.placed: dict[str, Placed] = {}
-        self._fields: dict[tuple, Field] = {}    # of meshes that are to be placed
+        self._fields: dict[tuple, Field] = {}    # of meshes about to be placed
         self.changes = 0
-        """how often it has become another set of colliders"""
+        """number of changes of the set of colliders"""
 
     def _shapes(self, world) -> dict[str, Field | np.ndarray]:
-        """Return the distance fields and heights that the scene's entries are of."""
+        """Return the distance fields and heights of the scene's entries, by name."""
         found = {}
         for name, entry in self.entries.items():
             keys = entry.mesh or entry.heights
@@ -252,7 +252,7 @@ class BuiltContact(Built):
         self._changed()
 
     def _changed(self) -> None:
-        """Write the colliders where the kernels find them."""
+        """Write the colliders into the kernels' arrays."""
         colliders, nodes, places = self.colliders, 0, 0
         for c, placed in enumerate(self.placed.values()):
             colliders.shape[c] = SHAPES[placed.entry.shape]
@@ -306,13 +306,13 @@ class BuiltContact(Built):
         return None
 
     def _has_shape(self, command) -> bool:
-        """Tell whether the collider that a command places is there with that very shape."""
+        """Tell whether the collider of a command exists with the same shape."""
         placed = self.placed.get(command.collider)
         return placed is not None and getattr(placed.entry, command.shape) == shape_of(
             command.shape, command.size)
 
     def move(self, command, clock, state) -> None:
-        """Set where a collider goes, and the velocity of its surface where that is given."""
+        """Set a collider's target, and the velocity of its surface if given."""
         placed, twist = self.placed[command.collider], command.twist
         placed.renew(clock.begin_ns)
         placed.motion.aim(command.pose, None, command.stamp_ns, clock.begin_ns)
@@ -321,7 +321,7 @@ class BuiltContact(Built):
         self._write_twist(list(self.placed).index(command.collider), placed)
 
     def place(self, command, clock, state) -> None:
-        """Add a collider; or, if it is there already, let it have this shape and go there."""
+        """Add a collider; an existing one takes this shape and moves to this pose."""
         name, placed = command.collider, self.placed.get(command.collider)
         shape, same = shape_of(command.shape, command.size), self._has_shape(command)
         if placed is None:
@@ -340,7 +340,7 @@ class BuiltContact(Built):
             self._changed()
 
     def _field(self, corners: tuple[float, ...], taken: int) -> Field:
-        """Return the distances to a mesh that has come, if there is room for them."""
+        """Return the distance field of a new mesh; raise InputError without room for it."""
         grids = self.colliders.grids
         room = 0 if grids is None else grids.values.size - taken
         vertices = np.array(corners).reshape(-1, 3)
@@ -355,11 +355,11 @@ class BuiltContact(Built):
                              f'{error.nodes - room}') from None
 
     def remove(self, command, clock, state) -> None:
-        """Take a collider away."""
+        """Remove a collider."""
         self._remove([command.collider])
 
     def remove_all(self, command, clock, state) -> None:
-        """Take all colliders away."""
+        """Remove all colliders."""
         self._remove(list(self.placed))
 
     def _remove(self, names: Iterable[str]) -> None:
@@ -381,7 +381,7 @@ class BuiltContact(Built):
             self.colliders.moving[c] = start != pose
 
     def states(self, dt: float) -> dict[str, ColliderState]:
-        """Return where the colliders are now."""
+        """Return the present states of the colliders."""
         return {name: ColliderState(
             placed.entry, placed.motion.pose,
             np.subtract(placed.motion.pose.position, placed.motion.start.position) / dt)

@@ -1,14 +1,14 @@
 """
 Cross bend: elastic edges between the opposite particles of each hinge, the cheapest bending.
 
-C = |x2 - x3| - L (``constraints.distance``), L the distance at rest. Folded by θ, triangles of
-heights h2, h3 over the shared edge, their feet p apart, have their tips sqrt(p² + h2² + h3² + 2 h2
-h3 cos θ) apart. Each edge has the k that stores, 90° from rest, what a hinge of rigidity B would
-(``constraints.hinges``): k C² = B |e|² (π/2)² / (A0 + A1).
+C = |x2 - x3| - L (``constraints.distance``), L the distance at rest. Folded by θ, two triangles of
+heights h2, h3 over the shared edge, with feet p apart, have their tips sqrt(p² + h2² + h3² + 2 h2
+h3 cos θ) apart. Each edge has the k with which it stores, 90° from rest, the energy of a hinge of
+rigidity B (``constraints.hinges``): k C² = B |e|² (π/2)² / (A0 + A1).
 
-Limits: a flat hinge gives way to small folds (C grows with θ², so at 10° it stores 1 % of what a
-hinge would) and folds either way; a curved one resists at once. The edges also resist stretch and
-shear, by about 7 B over the square of the mesh width [N/m].
+Limits: a flat hinge hardly resists small folds (C grows with θ², so at 10° it stores 1 % of a
+hinge's energy) and may fold either way; a curved one resists from the start. The edges also resist
+stretch and shear, by about 7 B over the square of the mesh width [N/m].
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,7 @@ class Parameters:
     """The bending rigidity."""
 
     stiffness: float = quantity(unit='N m', above=0.0, live=True,
-                                doc='bending rigidity B, met at a fold of 90°')
+                                doc='bending rigidity B, exact at a fold of 90°')
 
 
 class CrossBend(NamedTuple):
@@ -64,7 +64,7 @@ def project_cross_bend(bend, state, substep):
 @stage(project_back, CrossBend)
 @jit
 def project_cross_bend_back(bend, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     distance.project_packs(bend.edges, state, substep, True)
 
 
@@ -81,8 +81,8 @@ def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     Returns
     -------
-    particles (edges, 2), rest lengths [m] and stiffnesses [1/m²], shape (edges,); a pair that is
-    opposite in two hinges is one edge
+    particles (edges, 2), rest lengths [m] and stiffnesses [1/m²], shape (edges,); a pair of
+    particles opposite in two hinges makes one edge
 
     """
     particles, share = all_hinges(mesh)
@@ -106,7 +106,7 @@ def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class BuiltCrossBend(Built):
-    """The edges of every cloth that has this effect."""
+    """The edges of all cloths with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

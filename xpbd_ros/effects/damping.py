@@ -1,13 +1,14 @@
 """
-Damping: a drag on every particle in proportion to its mass and velocity, as in a resisting medium.
+Damping: viscous drag on every particle, in proportion to its mass and velocity.
 
-The force -rate m v is taken at the substep's end, in closed form: from v = v̄ + H (g - rate v),
+The force -rate m v is evaluated at the substep's end, in closed form: from v = v̄ + H (g - rate v),
 
     v <- (v̄ + H g) / (1 + H rate),   mobility <- mobility / (1 + H rate),
 
-so it is of the integrator's own order, stable at any rate, and a cloth falls at most at g / rate.
+so it has the integrator's order and is stable at any rate. A falling cloth reaches the terminal
+speed g / rate.
 
-Limits: it also damps the motion as a whole.
+Limits: it also damps the motion of the cloth as a whole.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from xpbd_ros.sim.stepping.stages import force, stage
 class Parameters:
     """The rate."""
 
-    rate: float = quantity(unit='1/s', minimum=0.0, live=True, doc='rate of decay')
+    rate: float = quantity(unit='1/s', minimum=0.0, live=True, doc='decay rate of velocities')
 
 
 class Damping(NamedTuple):
@@ -40,7 +41,7 @@ class Damping(NamedTuple):
 @stage(force, Damping)
 @jit
 def damp(damping, state, substep):
-    """Slow every free particle, and what constraints may do to it."""
+    """Scale the velocity and the mobility of every free particle."""
     v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
     for q in range(0, slots, lanes(w)):
         step = step_of(state.history, w, q, substep.h)
@@ -54,7 +55,7 @@ def damp(damping, state, substep):
 
 
 class BuiltDamping(Built):
-    """Knows the rate."""
+    """The rate, for all particles of the scene."""
 
     def __init__(self, parameters, world):
         super().__init__()

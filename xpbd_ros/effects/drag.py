@@ -1,24 +1,25 @@
 """
-Drag: the force of the air on each triangle, still air or that of ``wind``.
+Drag: aerodynamic force of still air or ``wind`` on each triangle, normal and tangential.
 
-A triangle of area A and unit normal n that the air passes at u, the air's velocity less the mean
-of its particles', is pushed by
+A triangle of area A and unit normal n, with u the velocity of the air relative to the mean of its
+particles', receives
 
     F = ½ ρ A (normal |u·n| (u·n) n + 2 tangential |u_t| u_t),   u_t = u - (u·n) n,
 
-which is c_n (u·n) n + c_t u_t; both sides of the cloth are in it. Each of its particles i
-takes a third of c_n n nᵀ + c_t (1 - n nᵀ), times the u_i that it feels itself: together F, and no
-sawtooth is free of drag. (On a grid, where diagonals alternate, it takes the part that makes its
-area that of its mass, so that a flat sheet stays flat.) With D_i, the sum of these matrices at a
-particle, Z = H w D_i and u_i at the velocity that the integrator starts from, a substep adds
+which is c_n (u·n) n + c_t u_t and includes both sides of the cloth. Each of its particles i takes
+a third of c_n n nᵀ + c_t (1 - n nᵀ), times its own relative velocity u_i: together F, and sawtooth
+motion has drag as well. (On a grid, where diagonals alternate, the third is replaced by the
+fraction that makes its area that of its mass, so that a flat sheet stays flat.) With D_i, the sum
+of these matrices at a particle, Z = H w D_i and u_i at the velocity that the integrator starts
+from, a substep adds
 
     Δv = Z u_i / max(1, trace Z).
 
-So cloth that is held feels the whole force, and none is given more than u_i, whatever the step:
-light cloth in a storm takes on the wind's velocity and stays with it, where a force without that
-bound would throw it about (NUMERICS 2.13). A step with trace Z > 1 is too long: the force is less
-by that. ``auto`` gives so many substeps that the scene's wind stays below RESOLVED of it; where
-that is passed BDF2 restarts, since its v̄ would overshoot.
+So cloth that is held feels the whole force, and no particle gains more than u_i, whatever the
+step: light cloth in a storm takes on the wind's velocity and keeps it, where an explicit force
+would overshoot (doc/numerics.md 6.2). A step with trace Z > 1 is too long, and its force too small
+by that factor. ``auto`` chooses the substeps so that trace Z stays below RESOLVED in the scene's
+wind; particles above it continue with backward Euler, since the v̄ of BDF2 would overshoot.
 
 Limits: no lift from separated flow, no lee, no added mass of air. Coefficients and normals are
 those of the substep's start: first order in time. A strip of one row has no triangles.
@@ -42,24 +43,24 @@ from xpbd_ros.sim.particles.records import new_records
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, force, stage
 
 RESOLVED = 0.5
-"""largest trace of Z that ``auto`` allows the scene's wind, and with which BDF2 goes on"""
+"""largest trace Z that ``auto`` allows in the scene's wind; beyond it a particle's history ends"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """The air, and how it grips."""
+    """The density of the air, and the drag coefficients of the cloth."""
 
-    density: float = quantity(1.2, unit='kg/m³', minimum=0.0, live=True, doc='of the air')
-    normal: float = quantity(1.2, minimum=0.0, live=True, doc='coefficient across the cloth')
+    density: float = quantity(1.2, unit='kg/m³', minimum=0.0, live=True, doc='density of the air')
+    normal: float = quantity(1.2, minimum=0.0, live=True, doc='drag coefficient across the cloth')
     tangential: float = quantity(0.01, minimum=0.0, live=True,
-                                 doc='coefficient along it, of each side')
+                                 doc='drag coefficient along the cloth, of each side')
 
 
 class Drag(NamedTuple):
     """Data of the kernels."""
 
     wind: np.ndarray | None
-    """velocity of the air [m/s], shape (3,); None where it is still"""
+    """velocity of the air [m/s], shape (3,); None in still air"""
     coefficient: np.ndarray
     """ρ normal / 4 and ρ tangential / 2 [kg/m³], shape (2,)"""
     slots: np.ndarray
@@ -67,11 +68,11 @@ class Drag(NamedTuple):
     particles: np.ndarray
     """slots of the corners, shape (3, triangles)"""
     share: np.ndarray
-    """what each particle takes of its triangles, shape (slots,)"""
+    """fraction of its triangles' force that each particle takes, shape (slots,)"""
     x: np.ndarray
     """positions as records, shape (slots, 4)"""
     u: np.ndarray
-    """velocities of the air past the particles as records [m/s], shape (slots, 4)"""
+    """velocities of the air relative to the particles as records [m/s], shape (slots, 4)"""
     along: np.ndarray
     """xx, yy, zz of Σ D as records [kg/s], shape (slots, 4)"""
     across: np.ndarray
@@ -88,7 +89,7 @@ def _air(wind, k):    # Numba prunes a branch on None where that is an argument
 @stage(force, Drag)
 @jit
 def drag_triangles(drag, state, substep):
-    """Add up the matrices of the triangles, then slow or carry along each particle."""
+    """Sum the matrices of the triangles, then change the velocity of each particle."""
     first, last = drag.slots[0], drag.slots[1]
     x, v, gravity = state.x, state.v, state.gravity
     wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
@@ -150,7 +151,7 @@ def _add(records, index, start, a, b, c):
 
 @jit(inline=True)
 def _times(z, x, y, w):
-    """Return Z (x, y, w) for a symmetric Z: xx, yy, zz, yz, zx, xy."""
+    """Return Z (x, y, w) of a symmetric matrix Z, given as xx, yy, zz, yz, zx, xy."""
     return (z[0] * x + z[5] * y + z[4] * w, z[5] * x + z[1] * y + z[3] * w,
             z[4] * x + z[3] * y + z[2] * w)
 
@@ -191,7 +192,7 @@ def areas(mesh) -> np.ndarray:
 
 
 def shares(mesh) -> np.ndarray:
-    """Return what each particle takes of its triangles at rest, shape (particles,)."""
+    """Return the fraction that each particle takes of its triangles, shape (particles,)."""
     total = areas(mesh)
     if mesh.grid is None:
         return np.full(len(total), 1.0 / 3.0)
@@ -218,7 +219,7 @@ class BuiltDrag(Built):
             *(new_records(world.slots, dtype) for _ in range(4)))
         self._parameters, self._cloths, self._mass = parameters, world.cloths, world.state.mass
         self._speed = 0.0
-        """of the scene's wind, at most [m/s]"""
+        """largest speed of the scene's wind [m/s]"""
         if wind is not None:
             self._speed = sum(float(np.linalg.norm(velocity)) for velocity in (
                 wind.parameters.velocity, wind.parameters.gust))
@@ -226,7 +227,7 @@ class BuiltDrag(Built):
         self.pulls_taut = self._speed > 0.0
 
     def least_substeps(self, frame_dt):
-        """So many that no particle at rest has trace Z > RESOLVED in the scene's wind."""
+        """Return the substeps for trace Z ≤ RESOLVED at rest in the scene's wind."""
         keys, most = self._parameters, 0.0
         grip = keys.density * self._speed * (0.5 * keys.normal + 2.0 * keys.tangential)
         for cloth in self._cloths:

@@ -1,13 +1,13 @@
 """
-Force: a constant force on particles, whatever they do.
+Force: a constant force on particles, given per particle, per mass or as a total.
 
     v <- v + H w f,   x <- x + H² w f
 
 with f [N] of each particle: ``per_particle`` itself, ``per_mass`` times its mass (a field such as
-gravity), or its share by mass of the ``total`` over all that are named. It acts on one cloth or
-all, or on some particles of a cloth; what is pinned hands it to its pin.
+gravity), or its part by mass of ``total``, the sum over all named particles. It acts on one cloth
+or all, or on some particles of a cloth. Pinned particles pass it on to their pin.
 
-Limits: one force in a scene, constant in space and time but for live changes.
+Limits: one force per scene, constant in space, and in time except for live changes.
 """
 
 from dataclasses import dataclass
@@ -29,17 +29,17 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Parameters:
-    """One of three measures, and where it acts."""
+    """One of three measures, and the particles that it acts on."""
 
-    per_particle: Vector | None = quantity(None, unit='N', live=True, doc='on each particle')
-    per_mass: Vector | None = quantity(None, unit='N/kg', live=True, doc='on each kilogram')
-    total: Vector | None = quantity(None, unit='N', live=True, doc='shared out by mass')
+    per_particle: Vector | None = quantity(None, unit='N', live=True, doc='force on each particle')
+    per_mass: Vector | None = quantity(None, unit='N/kg', live=True, doc='force per mass')
+    total: Vector | None = quantity(None, unit='N', live=True, doc='total force, shared by mass')
     cloth: str | None = quantity(None, doc='the cloth that it acts on; all unless given')
     at: str | tuple[int, ...] | None = quantity(
         None, doc='corner_00 …, edge_0x …, or indices; all particles unless given')
 
     def __post_init__(self):
-        """Refuse what has no meaning."""
+        """Require exactly one measure, and a cloth for particles named by index."""
         if sum(f is not None for f in (self.per_particle, self.per_mass, self.total)) != 1:
             raise InputError('needs per_particle (N), per_mass (N/kg) or total (N), and only one '
                              'of them')
@@ -58,7 +58,7 @@ class Force(NamedTuple):
 @stage(force, Force)
 @jit
 def push(data, state, substep):
-    """Move every free particle on."""
+    """Add the force to the velocity of every free particle."""
     v, w, f, slots = state.v, state.inv_mass, data.f, len(state.inv_mass)
     for q in range(0, slots, lanes(w)):
         step = step_of(state.history, w, q, substep.h)
@@ -82,7 +82,7 @@ def kick_force(data, state, substep):
 @stage(accumulate_reactions, Force)
 @jit
 def react_force(data, state, substep):
-    """Hand the force on pinned particles to their pins."""
+    """Add the force on pinned particles to the load of their pins."""
     r, w, f, slots = state.reaction, state.inv_mass, data.f, len(state.inv_mass)
     part = substep.end - substep.begin
     for q in range(0, slots, lanes(w)):

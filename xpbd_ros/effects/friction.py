@@ -1,21 +1,22 @@
 """
-Friction: Coulomb's law in position form, for every contact of this substep.
+Friction: Coulomb friction in position form, kinetic and static, for all contacts.
 
 With Δp = (x - x_prev) - (motion of the collider's surface), its tangential part Δp_t and the
-contact's push d along the normal (Macklin et al. 2014, eq 24; without what only undoes an old
-overlap),
+contact's push d along the normal (Macklin et al. 2014, eq 24; without the part that separates an
+old overlap),
 
     s <- s - Δp_t, if |s| > μ_s d shortened to μ_k d,   x += change of s
 
-stick where |Δp_t| ≤ μ_s d, else slide with the friction μ_k d. In rest on a slope d = g cos(θ) h²,
-so sticking is exact and a sliding particle slows by exactly μ_k g cos(θ). ``friction`` of a
-surface is its μ_k, and its μ_s too unless it has a ``static_friction``. μ of a pair is the
-geometric mean of the two coefficients unless one is given for the pair. Where the scene has
-self_collision, cloths rub against one another by the same law (``self_collision.pair_contacts``).
+so a contact sticks where |Δp_t| ≤ μ_s d, and slides against the friction μ_k d elsewhere. At rest
+on a slope d = g cos(θ) h²: sticking is exact, and a sliding particle decelerates by exactly
+μ_k g cos(θ). ``friction`` of a surface is its μ_k, and its μ_s too unless it has a
+``static_friction``. μ of a pair is the geometric mean of the two surfaces' unless ``pairs`` gives
+one. With ``self_collision`` in the scene, cloths have the same friction against one another
+(``self_collision.pair_contacts``).
 
-Limits: what slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity changes where
-frames meet, at once, so cloth on one that speeds up slips a little where smooth motion would carry
-it along.
+Limits: a contact that slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity is
+constant within a frame and jumps between frames, so cloth on an accelerating collider slips a
+little where smooth motion would carry it along.
 """
 
 from dataclasses import dataclass
@@ -35,13 +36,14 @@ from xpbd_ros.sim.stepping.stages import project_inequalities, stage
 
 @dataclass(frozen=True)
 class Pair:
-    """What a cloth and a collider have in common."""
+    """Friction between one cloth and one collider."""
 
-    friction: float = quantity(minimum=0.0, doc='coefficient while it slides')
-    static_friction: float | None = quantity(None, minimum=0.0, doc='while it sticks')
+    friction: float = quantity(minimum=0.0, doc='kinetic coefficient')
+    static_friction: float | None = quantity(
+        None, minimum=0.0, doc='static coefficient; the kinetic one unless given')
 
     def __post_init__(self):
-        """Refuse what slides harder than it sticks."""
+        """Require μ_s ≥ μ_k."""
         check_static(self.static_friction, self.friction)
 
 
@@ -77,7 +79,7 @@ def holds(static, a, c, kinetic):
 @stage(project_inequalities, Friction)
 @jit
 def resist(friction, state, substep):
-    """Take back tangential motion, within the cone |s| ≤ μ d."""
+    """Undo tangential motion, within the cone |s| ≤ μ d."""
     contacts, x, before = friction.contacts, state.x, state.x_prev
     n, s = contacts.normal, contacts.slip
     for k in range(contacts.count[0]):
@@ -98,13 +100,13 @@ def resist(friction, state, substep):
         x[1, i] += sy - s[k, 1]
         x[2, i] += sz - s[k, 2]
         s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
-    if contacts.count[2]:    # at such speeds friction too moves a particle far
+    if contacts.count[2]:    # fast particles: friction too moves them far
         push_once(contacts, state)
     leave_corners(contacts, state)
 
 
 class BuiltFriction(Built):
-    """The coefficients of all pairs that there are."""
+    """The coefficients of all pairs of a cloth and a collider, and of two cloths."""
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -135,7 +137,7 @@ class BuiltFriction(Built):
         self.data = Friction(contact.contacts, cloth_of, np.zeros(shape),
                              np.zeros(shape) if sticks else None)
         self.changes = None
-        """the set of colliders that the coefficients are for"""
+        """``changes`` of the contact effect when the coefficients were written"""
 
     def _between_cloths(self) -> tuple[np.ndarray, np.ndarray]:
         """Return μ_k and μ_s by cloth and cloth: geometric means."""

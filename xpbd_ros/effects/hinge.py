@@ -1,24 +1,24 @@
 """
-Hinge: the dihedral angle of each hinge, kept near the one at rest, so that a shape can be curved.
+Hinge: bending stiffness by dihedral angles, for flat and for curved rest shapes.
 
 For the edge (x0, x1) with opposite particles x2, x3, e = x1 - x0, n1 = e × (x2 - x0) and
-n2 = (x3 - x0) × e (``constraints.hinges``; NUMERICS 2.4),
+n2 = (x3 - x0) × e (``constraints.hinges``; doc/numerics.md 5.6),
 
     C = θ - θ0,   θ = atan2((n1 × n2)·e / |e|, n1·n2) = atan2(-|e| n1·(x3 - x0), n1·n2)
     g2 = -|e| n1 / |n1|²,   g3 = -|e| n2 / |n2|²,   g1 = t1 n1 / |n1|² + t2 n2 / |n2|²
     g0 = -g1 - g2 - g3,   t1 = (x2 - x0)·e / |e|,   t2 = (x3 - x0)·e / |e|
 
 with the energy B |e|² C² / (2 (A0 + A1)) of the rest shape, so α = (A0 + A1) / (B |e|²) [1/(N m)].
-In force form Δf = -(C + α f) / (W + α), x_i += m_i g_i Δf, with W = Σ m_i |g_i|². The angle goes
-on beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last. On a
-flat mesh each hinge has a B of its own, so that the sheet bends as a plate
+In force form Δf = -(C + α f) / (W + α), x_i += m_i g_i Δf, with W = Σ m_i |g_i|². The angle
+continues beyond ±180°: of the angles that differ by whole turns it is the one nearest to the last.
+On a flat mesh each hinge has its own B, fitted so that the sheet bends as a plate
 (``constraints.plate_rigidity``).
 
-A hinge whose triangle has no height (below 1e-12 of its edge; 5e-4 in float32) has no angle: it is
-left alone until it has one.
+A hinge with a triangle without height (below 1e-12 of its edge; 5e-4 in float32) has no angle: it
+is not projected until it has one again.
 
-Limits: within a substep a fold turns by less than half a turn. On a curved irregular mesh the
-rigidity depends on the triangles, 1.06 to 1.4 of B on a cylinder (NUMERICS 2.5).
+Limits: a fold turns by less than half a turn per substep. On a curved irregular mesh the rigidity
+depends on the triangles: on a cylinder 1.04 to 1.43 of B (doc/numerics.md 5.7).
 """
 
 from dataclasses import dataclass
@@ -63,7 +63,7 @@ from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
 
 @dataclass(frozen=True)
 class Parameters:
-    """Either one bending rigidity, or two."""
+    """One bending rigidity, or one each along warp and weft."""
 
     stiffness: float | None = quantity(None, unit='N m', above=0.0, live=True,
                                        doc='bending rigidity B, alike in all directions')
@@ -73,13 +73,13 @@ class Parameters:
                                   doc='bending rigidity of a strip along weft')
 
     def __post_init__(self):
-        """Refuse both and neither."""
+        """Require exactly one of the two forms."""
         need_one_or_two(self.stiffness, (self.warp, self.weft), both='warp and weft (N m)',
                         either='stiffness, or warp and weft (N m)')
 
     @property
     def rigidities(self) -> tuple[float, float]:
-        """Along warp and along weft [N m]."""
+        """B along warp and along weft [N m]."""
         return (self.warp, self.weft) if self.stiffness is None else (self.stiffness,) * 2
 
 
@@ -97,11 +97,11 @@ class Hinge(NamedTuple):
     compliance: np.ndarray
     """[1/(N m)], shape (hinges,)"""
     angle: np.ndarray
-    """as seen last [rad], whole turns included; shape (hinges,)"""
+    """last angle [rad], with whole turns; shape (hinges,)"""
     force: np.ndarray | None
     """f [N m], shape (hinges,); None if multipliers are not kept"""
     packs: Packs | None
-    """those at pinned particles; None in a scene without pins"""
+    """hinges at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Hinge)
@@ -121,7 +121,7 @@ def project_hinge(hinge, state, substep):
 @stage(project_back, Hinge)
 @jit
 def project_hinge_back(hinge, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     _project(hinge, state, substep, True)
 
 
@@ -193,13 +193,13 @@ def _project_packs(records, apart, particles, rest_angle, compliance, angle, for
 
 @jit(inline=True)
 def way(x, i, j):
-    """Return the vector from one record to another."""
+    """Return the vector from record i to record j."""
     return x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
 
 
 @jit
 def _note(packs, first, last, records, apart, force):
-    """Note g_i of the hinges of a pack; without an angle no multiplier changes."""
+    """Note g_i of the hinges of a pack; those without an angle keep their multiplier."""
     if packs is not None:
         remember(packs, first, last, apart, force)
         for h in range(first, last):
@@ -217,7 +217,7 @@ def _note(packs, first, last, records, apart, force):
 
 
 class Angles:
-    """The same hinges one by one, in sweep order, as people and NumPy want them."""
+    """The hinges one by one, in sweep order: the definition in NumPy."""
 
     def __init__(self, particles, index, rest_angle, compliance, angle):
         self.particles = particles
@@ -234,7 +234,7 @@ class Angles:
                       data.rest_angle[index], data.compliance[index], data.angle)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [rad], shape (hinges,), from the definition, in turns nearest to the last."""
+        """Return C [rad], shape (hinges,), from the definition, nearest to the last angle."""
         angle = dihedral(x.T.astype(float)[self.particles])
         turns = np.round((self._angle[self.index] - angle) / (2.0 * pi))
         return angle + 2.0 * pi * turns - self.rest_angle
@@ -259,7 +259,7 @@ class Angles:
 
 
 class BuiltHinge(Built):
-    """The hinges of every cloth that has this effect."""
+    """The hinges of all cloths with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

@@ -1,14 +1,15 @@
 """
-Membrane: finite-element triangles with moduli along warp and weft and a true Poisson's ratio.
+Membrane: finite-element triangles with moduli along warp and weft and a free Poisson's ratio.
 
 With rest edges D = (X1 - X0, X2 - X0) in axes along warp and weft and F = (x1 - x0, x2 - x0) D⁻¹,
-of columns f1 and f2, each triangle is one constraint of three numbers, Green's strain:
+of columns f1 and f2, each triangle is one constraint with three components, Green's strain:
 
     C = (E11, E22, γ12) = ((f1·f1 - 1) / 2, (f2·f2 - 1) / 2, f1·f2)
     ∂E11/∂x_i = p_i f1,  ∂E22/∂x_i = q_i f2,  ∂γ12/∂x_i = p_i f2 + q_i f1
 
-(p and q: the columns of D⁻¹ for particles 1 and 2, minus their sum for particle 0; NUMERICS 2.6).
-The energy is A Cᵀ S C / 2 (St. Venant-Kirchhoff in plane stress), so α = S⁻¹ / A:
+(p and q: the columns of D⁻¹ for particles 1 and 2, minus their sum for particle 0;
+doc/numerics.md 5.4). The energy is A Cᵀ S C / 2 (St. Venant-Kirchhoff in plane stress), so
+α = S⁻¹ / A:
 
     S⁻¹ = ((1/Y1, -ν/Y1, 0), (-ν/Y1, 1/Y2, 0), (0, 0, 1/G))
 
@@ -18,13 +19,13 @@ mobilities m = w H², P = Σ m p², Q = Σ m q², R = Σ m p q and s_ab = f_a·f
     (J M Jᵀ + α) Δf = -(C + α f),   J M Jᵀ = ((P s11, R s12, P s12 + R s11), (…, Q s22,
     R s22 + Q s12), (…, …, P s22 + 2 R s12 + Q s11))
 
-Green's strain hardly sees a triangle that is squeezed flat: a full step from a length σ would end
-at 1 / (2 σ). Where the smallest stretch is below 1/2, J M Jᵀ takes s + (σ/2 - σ²) on its diagonal
-instead, which ends near the rest length and changes no state of rest.
+Green's strain hardly changes when a triangle is squeezed flat: a full step from the stretch σ
+would end at 1 / (2 σ). Where the smallest stretch is below 1/2, J M Jᵀ has s11 + (σ/2 - σ²) and
+s22 + (σ/2 - σ²) instead; the step ends near the rest length, and states of rest are unchanged.
 
-Limits: in compression the force fades, and at no length at all there is none. Stretched by a
-fifth it is a third stiffer than Hooke's law. The warp of a curved mesh is its one direction, laid
-into each triangle.
+Limits: in compression the force fades, and at zero length it vanishes. Stretched by a fifth, the
+triangle is a third stiffer than Hooke's law. The warp of a curved mesh is its one direction,
+projected onto each triangle.
 """
 
 from dataclasses import dataclass
@@ -67,7 +68,7 @@ from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
 
 @dataclass(frozen=True)
 class Parameters:
-    """Either warp, weft and shear, or young."""
+    """Either moduli along warp and weft and of shear, or Young's modulus."""
 
     warp: float | None = quantity(None, unit='N/m', above=0.0, live=True,
                                   doc='modulus of a strip pulled along warp')
@@ -80,7 +81,7 @@ class Parameters:
                               doc='contraction along weft per stretch along warp')
 
     def __post_init__(self):
-        """Refuse both and neither, and what would gain energy by being stretched."""
+        """Require exactly one of the two forms, and a positive definite S."""
         threads = (self.warp, self.weft, self.shear)
         if self.young is None and None in threads or (
                 self.young is not None and threads != (None, None, None)):
@@ -110,14 +111,14 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The triangles at pinned particles, whose reaction forces are requested."""
+    """The triangles at pinned particles, whose reaction forces are summed up."""
 
     count: np.ndarray
     """shape (1,)"""
     particles: np.ndarray
     """slots, shape (room, 3)"""
     index: np.ndarray
-    """where each keeps its force, shape (room,)"""
+    """index of each one's force, shape (room,)"""
     inverse: np.ndarray
     """D⁻¹, shape (room, 4)"""
 
@@ -138,7 +139,7 @@ class Membrane(NamedTuple):
     force: np.ndarray | None
     """f [N m], shape (3, triangles); None if multipliers are not kept"""
     packs: Packs | None
-    """those at pinned particles; None in a scene without pins"""
+    """triangles at pinned particles; None in a scene without pins"""
 
 
 @stage(prepare, Membrane)
@@ -158,7 +159,7 @@ def project_membrane(membrane, state, substep):
 @stage(project_back, Membrane)
 @jit
 def project_membrane_back(membrane, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     _project(membrane, state, substep, True)
 
 
@@ -221,7 +222,7 @@ def _project_packs(records, apart, particles, inverse, compliance, force1, force
         b23 = denominator(apart, fma(pq, s22, qq * s12), 0.0)
         b33 = denominator(apart, fma(pp, s22, fma(2.0 * pq, s12, qq * s11)), a33)
 
-        l12, l13 = b12 / b11, b13 / b11    # symmetric and positive: no pivots to look for
+        l12, l13 = b12 / b11, b13 / b11    # symmetric and positive definite: no pivoting
         c22 = larger(b22 - l12 * b12, least * b22)
         c23 = b23 - l12 * b13
         l23 = c23 / c22
@@ -247,7 +248,7 @@ def _project_packs(records, apart, particles, inverse, compliance, force1, force
 
 @jit
 def _note(packs, first, last, x, apart, force):
-    """Note the rows of J of the triangles of a pack."""
+    """Note the rows of J of a pack's triangles."""
     if packs is not None:
         remember(packs, first, last, apart, force)
         for h in range(first, last):
@@ -262,7 +263,7 @@ def _note(packs, first, last, x, apart, force):
 
 
 class Triangles:
-    """The same triangles one by one, in sweep order, as people and NumPy want them."""
+    """The triangles one by one, in sweep order: the definition in NumPy."""
 
     def __init__(self, particles, index, inverse, block):
         self.particles = particles
@@ -284,7 +285,7 @@ class Triangles:
 
     @property
     def compliance(self) -> np.ndarray:
-        """Of the strain that each resists most [1/(N m)], shape (triangles,)."""
+        """Smallest eigenvalue of α [1/(N m)], shape (triangles,)."""
         return np.linalg.eigvalsh(self.block)[:, 0]
 
     @property
@@ -298,7 +299,7 @@ class Triangles:
         return np.einsum('tik,tia->tka', x.T.astype(float)[self.particles], self.shares)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return Green's strain, shape (triangles, 3), straight from the definition."""
+        """Return Green's strain, shape (triangles, 3), from the definition."""
         f = self.columns(x)
         s = np.einsum('tka,tkb->tab', f, f)
         return np.stack([0.5 * (s[:, 0, 0] - 1.0), 0.5 * (s[:, 1, 1] - 1.0), s[:, 0, 1]], 1)
@@ -310,7 +311,7 @@ class Triangles:
         return float(0.5 * (strain * stress).sum())
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Return ∂C/∂x [1/m], shape (triangles, 3 numbers, 3 particles, 3)."""
+        """Return ∂C/∂x [1/m], shape (triangles, 3 components, 3 particles, 3)."""
         f, share = self.columns(x), self.shares
         one, two = (share[:, :, a, None] * f[:, None, :, a] for a in (0, 1))
         mixed = share[:, :, 0, None] * f[:, None, :, 1] + share[:, :, 1, None] * f[:, None, :, 0]
@@ -330,8 +331,8 @@ def inverse_rest_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """
     Return D⁻¹ of each triangle [1/m] and its area [m²].
 
-    The first axis is the warp, laid into the triangle; where it stands upright on it, the first
-    edge.
+    The first axis is the warp, projected onto the triangle; where the warp is normal to it, the
+    first edge.
 
     Returns
     -------
@@ -354,7 +355,7 @@ def inverse_rest_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 class BuiltMembrane(Built):
-    """The triangles of every cloth that is a membrane."""
+    """The triangles of all cloths with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

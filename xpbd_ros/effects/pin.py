@@ -1,34 +1,35 @@
 """
 Pin: a named set of particles held at a moving target, as a gripper holds cloth.
 
-A pinned particle has inv_mass 0, so no constraint moves it. Each substep it is put at
+A pinned particle has inv_mass 0, so no constraint moves it. Each substep it is placed at
 x = p + R q, where p, R is the pin's pose, interpolated between the frame's start and end, and q
-its offset in the pin's axes, kept from the grasp. So it has a velocity, and turning the pin turns
-what it holds. A release gives the mass back.
+its offset in the pin's axes, kept from the grasp. So it has a velocity, and rotating the pin
+rotates the cloth that it holds. A release restores the particles' inverse mass.
 
 A pin with a compliance α holds each of its n particles by a spring of compliance n α to that
-place, so that all together give way by α for each newton. The spring is taken into the particle's
-own implicit step: with mobility m = w H², before any constraint moves it,
+place, so the whole pin gives way by α per newton. The spring is part of the particle's own
+implicit step: with mobility m = w H², before any constraint moves it,
 
     x += m / (m + n α) (p + R q - x),   m <- m n α / (m + n α),
 
-which is the exact minimum of both energies, and a rigid pin's m = 0 as α goes to 0.
+the exact minimum of both energies; α → 0 gives m = 0, a rigid pin.
 
-A pin with a slip force lets go at the end of a frame in which the cloth pulled harder than that.
+A pin with a slip force releases at the end of a frame in which the cloth pulled harder than that.
 
-The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, f being the
-constraint forces (mean over the frame) and a the acceleration that the pin forces on them; the
-torque is about the pin's pose, world axes. On a spring it is Σ f, the particles' weight in it.
-An integrator with a history lets a force act on velocities over several substeps: with its weights
-a and b (``multistep``), the impulse of a force f in substep n is
+The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, with f the
+constraint forces (mean over the frame) and a the acceleration that the pin imposes; the torque is
+about the pin's pose, in world axes. With springs it is Σ f, which includes the particles' weight.
+Under an integrator with a history, a force acts on velocities over several substeps: with its
+weights a and b (``particles.history``), the impulse of a force f in substep n is
 
     J_n = H f + a J_{n-1} - b J_{n-2}.
 
-So f is the mean of J / h, and with it pins and weight give the cloth all of its momentum.
+So f is the mean of J / h, and the impulses of pins and weight add up to the cloth's momentum
+(doc/numerics.md 6.3).
 
-Limits: nothing stops a pin, neither cloth nor collider; its velocity changes where frames meet.
-What a pin with a compliance holds counts as free: colliders push it and tethers do not start
-there. Cloth does not slide in a pin: it is held or let go.
+Limits: no cloth and no collider stops a pin, and its velocity jumps between frames. Particles on
+the springs of a compliant pin count as free: colliders push them, and tethers do not start there.
+Cloth does not slide within a pin: it is held or released.
 """
 
 from collections.abc import Iterable
@@ -53,31 +54,31 @@ from xpbd_ros.sim.target_motion import check_motion, delays, monotone_cubic, Mot
 
 @dataclass(frozen=True)
 class Parameters:
-    """How many pins there may be at a time, and what those are like that do not say it."""
+    """The capacity, and defaults for pins without keys of their own."""
 
-    max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='capacity')
-    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='how far they give way')
-    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which they let go')
+    max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='most pins at a time')
+    compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='default compliance')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='default release force')
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the scene's ``pins``: a pin that holds from the start."""
+    """One entry of the scene's ``pins``: a pin that holds cloth from the start."""
 
     cloth: str = quantity(doc='the cloth that it holds')
     at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
-    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='a point')
-    radius: float = quantity(0.01, unit='m', above=0.0, doc='what is this near to it is held')
-    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it goes')
+    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='point to hold around')
+    radius: float = quantity(0.01, unit='m', above=0.0, doc='radius around that point')
+    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
-    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='largest speed of the pin')
     compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
-                                        doc='how far it gives way; 0 is rigid')
-    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it lets go')
+                                        doc='compliance of the whole pin; 0 is rigid')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it releases')
 
     def __post_init__(self):
-        """Refuse what has no meaning."""
+        """Require one of ``at`` and ``near``, and at most one of ``target`` and ``motion``."""
         if (self.at is None) == (self.near is None):
             raise InputError("needs either 'at' or 'near', and only one of them")
         check_place(self.at)
@@ -94,7 +95,7 @@ class Pin(NamedTuple):
     particle: np.ndarray
     """slots, shape (slots,)"""
     slot: np.ndarray
-    """which pin holds it, shape (particles,)"""
+    """index of the pin that holds it, shape (particles,)"""
     offset: np.ndarray
     """in the pin's axes [m], shape (particles, 3)"""
     start: np.ndarray
@@ -102,7 +103,7 @@ class Pin(NamedTuple):
     goal: np.ndarray
     """pose at the frame's end, shape (max_pins, 7)"""
     force: np.ndarray
-    """of the constraints on each, mean over the frame [N], shape (particles, 3)"""
+    """constraint force on each, mean over the frame [N], shape (particles, 3)"""
     last: np.ndarray
     """J_{n-1} / h by slot [N], shape (slots, 3)"""
     older: np.ndarray
@@ -110,14 +111,14 @@ class Pin(NamedTuple):
 
 
 class Spring(NamedTuple):
-    """What pins hold by springs."""
+    """The particles that pins hold by springs."""
 
     pin: Pin
-    """the particles, apart from those that are pinned"""
+    """the list of these particles; rigidly pinned ones have their own"""
     compliance: np.ndarray
     """n α of each particle's spring [m/N], shape (particles,)"""
     place: np.ndarray
-    """where the pin wants it at the substep's end [m], shape (particles, 3)"""
+    """p + R q at the substep's end [m], shape (particles, 3)"""
 
 
 @jit(inline=True)
@@ -134,7 +135,7 @@ def place_of(pin, k, s):
 @stage(prepare, Pin)
 @jit
 def move_pinned(pin, state, substep):
-    """Put every pinned particle where its pin is at the substep's end."""
+    """Place every pinned particle at its pin's pose at the substep's end."""
     for k in range(pin.count[0]):
         i = pin.particle[k]
         state.x[0, i], state.x[1, i], state.x[2, i] = place_of(pin, k, substep.end)
@@ -143,7 +144,7 @@ def move_pinned(pin, state, substep):
 @stage(prepare, Spring)
 @jit
 def pull_to_pins(spring, state, substep):
-    """Let the springs act within each particle's own step."""
+    """Minimise each particle's inertia and spring together."""
     pin, x = spring.pin, state.x
     for k in range(pin.count[0]):
         i, alpha = pin.particle[k], spring.compliance[k]
@@ -153,7 +154,7 @@ def pull_to_pins(spring, state, substep):
         for a in range(3):
             spring.place[k, a] = goal[a]
             x[a, i] += share * (goal[a] - x[a, i])
-        state.mobility[i] = m / (1.0 + m / alpha)    # also where α is infinite
+        state.mobility[i] = m / (1.0 + m / alpha)    # also for infinite α
 
 
 @stage(add_explicit_forces, Spring)
@@ -170,7 +171,7 @@ def kick_springs(spring, state, substep):
 
 @jit(inline=True)
 def deliver(pin, k, axis, f, part, a, b, share):
-    """Add the impulse J of a force f on a held particle as ``part`` of the mean over the frame."""
+    """Add the impulse J of a force f on a held particle, ``part`` of the mean over the frame."""
     i = pin.particle[k]
     now = share * f + a * pin.last[i, axis] - b * pin.older[i, axis]
     pin.older[i, axis], pin.last[i, axis] = pin.last[i, axis], now
@@ -180,7 +181,7 @@ def deliver(pin, k, axis, f, part, a, b, share):
 @stage(accumulate_reactions, Pin)
 @jit
 def take_reactions(pin, state, substep):
-    """Add up what the constraints exerted on pinned particles in this substep."""
+    """Add the constraint forces on pinned particles in this substep."""
     part = substep.end - substep.begin
     for k in range(pin.count[0]):
         i = pin.particle[k]
@@ -193,7 +194,7 @@ def take_reactions(pin, state, substep):
 @stage(accumulate_reactions, Spring)
 @jit
 def stretch_springs(spring, state, substep):
-    """Add up what the springs are pulled with: (x - p - R q) / (n α)."""
+    """Add the forces on the springs: (x - p - R q) / (n α)."""
     pin, part = spring.pin, substep.end - substep.begin
     for k in range(pin.count[0]):
         i = pin.particle[k]
@@ -205,7 +206,7 @@ def stretch_springs(spring, state, substep):
 
 @jit
 def weigh_pinned(pin, state, v_before, dt, wrench):
-    """Add Σ f + Σ m (g - a) and its torque for each pin, of shape (max_pins, 6) [N, N m]."""
+    """Add Σ f + Σ m (g - a) and its torque to each pin's wrench, (max_pins, 6) [N, N m]."""
     m, v, g = state.mass, state.v, state.gravity
     for k in range(pin.count[0]):
         i, f = pin.particle[k], pin.force[k]
@@ -217,7 +218,7 @@ def weigh_pinned(pin, state, v_before, dt, wrench):
 
 @jit
 def weigh_springs(spring, state, wrench):
-    """Add the forces of the springs and their torque for each pin."""
+    """Add the forces of the springs and their torque to each pin's wrench."""
     for k in range(spring.pin.count[0]):
         f = spring.pin.force[k]
         add_wrench(spring.pin, state.x, k, (f[0], f[1], f[2]), wrench)
@@ -237,7 +238,7 @@ def add_wrench(pin, x, k, f, wrench):
 
 
 class BuiltPin(Built):
-    """All pins of a scene: those that hold, and room for those to come."""
+    """All pins of a scene, with room for more."""
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -264,9 +265,9 @@ class BuiltPin(Built):
         self._wrench = np.zeros((slots, 6))
         self.states = self._states(np.inf)
         self.changed = True
-        """whether the pinned set has changed since it was last read"""
+        """whether the set of pinned particles has changed since it was last read"""
         self.slipped = 0
-        """how many pins have let go by themselves since the start"""
+        """pins that have slipped since the start"""
         self._v_before = np.zeros((3, 0))
         self._news: list[str] = []
         self.commands = self._commands()
@@ -297,7 +298,7 @@ class BuiltPin(Built):
         self.states = self._states(np.inf)
 
     def _taken(self, state) -> np.ndarray:
-        """Return which slots hold a particle that a pin holds, or none."""
+        """Return which slots hold a held particle or padding."""
         taken = state.inv_mass == 0.0
         for spring in self.also:
             taken[spring.pin.particle[:spring.pin.count[0]]] = True
@@ -329,7 +330,7 @@ class BuiltPin(Built):
         return held
 
     def _changed(self) -> None:
-        """Write the held particles where the kernels find them."""
+        """Write the held particles into the kernels' arrays."""
         _write(self.data, self._pinned)
         for spring in self.also:
             _write(spring.pin, self._sprung)
@@ -354,7 +355,7 @@ class BuiltPin(Built):
 
     def refusal(self, commands, state):
         if all(isinstance(command, MovePin) and command.pin in self.held for command in commands):
-            return None    # without a copy of all pins for each of a hundred targets
+            return None    # no copy of all pins for each of a hundred targets
         holds = {name: held.particles for name, held in self.held.items()}
         taken = self._taken(state) if any(isinstance(c, Grasp) for c in commands) else None
         for command in commands:
@@ -382,13 +383,13 @@ class BuiltPin(Built):
         return None
 
     def _near(self, command, taken, state) -> tuple[np.ndarray, float]:
-        """Return the slots of what a grasp takes, and how far the nearest free particle is [m]."""
+        """Return the slots that a grasp takes, and the distance to the nearest free one [m]."""
         distance = length(places(state.x) - command.pose.position)
         distance[taken] = np.inf
         return np.flatnonzero(distance <= command.radius), float(distance.min())
 
     def grasp(self, command, clock, state) -> None:
-        """Hold the free particles near a point, or, if the pin holds already, go there."""
+        """Hold the free particles near a point; a pin that holds already moves there instead."""
         held = self.held.get(command.pin)
         if held is None:
             near, _ = self._near(command, self._taken(state), state)
@@ -399,11 +400,11 @@ class BuiltPin(Built):
         held.renew(clock.begin_ns)
 
     def release(self, command, clock, state) -> None:
-        """Let go."""
+        """Release a pin's particles."""
         self._let_go(command.pin, state)
 
     def release_all(self, command, clock, state) -> None:
-        """Let go of everything."""
+        """Release the particles of all pins."""
         for name in list(self.held):
             self._let_go(name, state)
 
@@ -415,7 +416,7 @@ class BuiltPin(Built):
         self._changed()
 
     def move(self, command, clock, state) -> None:
-        """Set where a pin goes."""
+        """Set the target of a pin."""
         held = self.held[command.pin]
         held.renew(clock.begin_ns)
         held.motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
@@ -433,7 +434,7 @@ class BuiltPin(Built):
             self.data.goal[slots] = rows(motion.pose for motion in motions)
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
-        self._v_before = state.v.take(pinned, axis=1)    # of one layout, even if it is empty
+        self._v_before = state.v.take(pinned, axis=1)    # the same layout even if empty
         for pin in self._lists:
             pin.force[:] = 0.0
 
@@ -463,7 +464,7 @@ class BuiltPin(Built):
                                   f'and it holds {slip:g} N')
 
     def _states(self, dt: float) -> PinStates:
-        """Return how all pins are after a frame."""
+        """Return the states of all pins after a frame."""
         slots = [held.slot for held in self.held.values()]
         return PinStates(list(self.held.values()), self.data.start[slots], self.data.goal[slots],
                          self._wrench[slots], self.number, dt)
@@ -491,14 +492,14 @@ def rows(poses: Iterable[Pose]) -> list[tuple[float, ...]]:
 
 
 def _room(count: int, slots: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:
-    """Return a list for so many particles, none of them held."""
+    """Return an empty list with room for ``count`` particles."""
     return Pin(np.zeros(1, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64),
                np.zeros((count, 3)), *poses, np.zeros((count, 3)), np.zeros((slots, 3)),
                np.zeros((slots, 3)))
 
 
 def _write(pin: Pin, held: list[Held]) -> None:
-    """List what some pins hold."""
+    """Write the particles of some pins into a list."""
     k = 0
     for one in held:
         end = k + len(one.particles)

@@ -1,21 +1,21 @@
 """
-Pressure: gas in a closed surface, one constraint for the whole of it.
+Pressure: gas in a closed surface, one volume constraint per surface.
 
 C = V - V*,   V = Σ x_i·(x_j×x_k) / 6 over the triangles,   ∇_i = Σ x_j×x_k / 6
 
-(Müller et al. 2007, eq 14). V* is the volume at which the gas has the pressure outside, and the
-gas law there, p ~ V^-κ, gives α = V* / (κ outside) [m³/Pa]. ``amount`` of gas is counted in what
-fills the rest volume V0 at the outside pressure, so V* = V0 amount^(1/κ). The multiplier f is the
-overpressure [Pa], f ∇C the force. κ is 1.4 for air that keeps its heat, 1 for one that has time to
-give it away. Corners are taken from the first particle, and sums over triangles go by sixteens, in
-the same order whatever the width of a vector.
+(Müller et al. 2006, eq 14). V* is the volume at which the gas has the pressure outside, and the
+gas law there, p ~ V^-κ, gives α = V* / (κ outside) [m³/Pa]. ``amount`` of gas is relative to the
+amount that fills the rest volume V0 at the outside pressure, so V* = V0 amount^(1/κ). The
+multiplier f is the overpressure [Pa], f ∇C the force. κ is 1.4 for air without heat exchange, 1 at
+constant temperature. Corners are taken relative to the first particle, and sums over triangles run
+in groups of sixteen, in the same order whatever the width of a vector.
 
-A surface that floats and is taut would begin to turn, since the gas and what holds it are solved
-one after another; that turn is taken back (``constraints.spin_correction``).
+A taut surface that floats would begin to rotate, since gas and skin are solved one after the
+other; that rotation is undone (``constraints.spin_correction``; doc/numerics.md 5.10).
 
-Limits: the gas law's tangent at V*, so the overpressure is right within itself over the outside
-pressure (2 % at 2 kPa). The surface must be closed and in one piece. All particles move at once: a
-surface with little else to hold it may fold through itself.
+Limits: the tangent of the gas law at V*: the relative error of the overpressure is about the
+overpressure over the outside pressure (2 % at 2 kPa). The surface must be closed and in one piece.
+All particles move at once: a surface with little other stiffness may fold through itself.
 """
 
 from dataclasses import dataclass
@@ -60,10 +60,10 @@ AIR = 101325.0
 
 @dataclass(frozen=True)
 class Parameters:
-    """The gas, and what is outside."""
+    """The gas, and the pressure outside."""
 
     amount: float = quantity(1.0, above=0.0, live=True,
-                             doc='gas inside, over what fills the rest volume')
+                             doc='gas inside, relative to what fills the rest volume')
     outside: float = quantity(AIR, unit='Pa', above=0.0, live=True, doc='pressure outside')
     kappa: float = quantity(1.4, minimum=1.0, live=True,
                             doc='adiabatic exponent; 1 at constant temperature')
@@ -93,7 +93,7 @@ class Pressure(NamedTuple):
     sums: np.ndarray
     """of 6 V, by lane, shape (PACK,)"""
     before: np.ndarray
-    """where particles were before the constraints moved them [m], shape (3, slots)"""
+    """positions before the constraints moved the particles [m], shape (3, slots)"""
 
 
 @stage(prepare, Pressure)
@@ -107,7 +107,7 @@ def prepare_pressure(pressure, state, substep):
 @stage(project_inequalities, Pressure)
 @jit
 def turn_surface_back(pressure, state, substep):
-    """Take back the turn that the constraints made."""
+    """Undo the rotation that the constraints made."""
     if at_the_end(state.apart):
         turn_back(state.x, state.mobility, state.mass, pressure.slots[0], pressure.slots[1],
                   pressure.before)
@@ -116,13 +116,13 @@ def turn_surface_back(pressure, state, substep):
 @stage(limit_motion, Pressure)
 @jit
 def begin_iteration(pressure, state, substep):
-    """Note where the next iteration begins."""
+    """Note the positions at the start of the next iteration."""
     keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
 
 
 @jit
 def differentiate(pressure, state):
-    """Fill in ∇C of all particles, and return V."""
+    """Compute ∇C of all particles, and return V."""
     first, last = pressure.slots[0], pressure.slots[1]
     here, slope, sums, origin = pressure.here, pressure.slope, pressure.sums, pressure.origin[0]
     for i in range(first, last):
@@ -164,7 +164,7 @@ def _sum_packs(here, slope, sums, particles):
 @stage(project_back, Pressure)
 @jit
 def project_pressure(pressure, state, substep):
-    """Project the one constraint."""
+    """Project the constraint of the surface."""
     first, last, gradient = pressure.slots[0], pressure.slots[1], pressure.gradient
     mobility, force = state.mobility, pressure.force
     residual = differentiate(pressure, state) - pressure.rest_volume[0]
@@ -201,14 +201,14 @@ def _press(pressure, inv_mass, df, reaction):
 
 
 class Gas:
-    """The same constraints one by one, in sweep order, as people and NumPy want them."""
+    """The constraints one by one, in sweep order: the definition in NumPy."""
 
     stretch = True
-    """what the substeps have to resolve, unlike bending"""
+    """the substeps must resolve it, unlike bending"""
 
     def __init__(self, particles, index, triangles, rest_volume, compliance):
         self.particles = particles
-        """slots of each surface, those of small ones filled up with the last, which is empty"""
+        """slots of each surface; rows of small ones end in the last slot, which is empty"""
         self.index = index
         self.triangles = triangles
         self.rest_volume = rest_volume
@@ -223,7 +223,7 @@ class Gas:
         return np.array(found)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [m³], shape (surfaces,), straight from the definition."""
+        """Return C [m³], shape (surfaces,), from the definition."""
         return self.volumes(x) - self.rest_volume
 
     def energy(self, x: np.ndarray) -> float:
@@ -245,7 +245,7 @@ class Gas:
 
 
 def rest_volume(name: str, mesh) -> float:
-    """Return the volume of a closed surface [m³], or say why it is none."""
+    """Return the volume of a closed surface [m³]; raise InputError if it is not closed."""
     def refuse(why):
         raise InputError(f'cloths.{name}.effects.pressure: needs a closed surface, and {why}')
 
@@ -273,7 +273,7 @@ def rest_volume(name: str, mesh) -> float:
 
 
 class BuiltPressure(Built):
-    """The gas in every cloth that is a closed surface."""
+    """The gas in all cloths with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

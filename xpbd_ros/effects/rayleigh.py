@@ -1,13 +1,13 @@
 """
-Rayleigh: stretch and shear lose energy as they are strained, by one relaxation time.
+Rayleigh: stiffness-proportional damping of stretch and shear, with one relaxation time.
 
 Beside each edge of stiffness k acts a damper β = k time (Kelvin and Voigt), which is γ = time / H
-for every constraint (``constraints.damping``; Macklin et al. 2016, eq 26). So a mode of frequency
-ω decays at the rate ω² time / 2, fast ones before slow ones, and motion as a whole goes on
-unhindered.
+for every constraint (``constraints.damping``; Macklin et al. 2016, eq 26; doc/numerics.md 5.11).
+So a mode of frequency ω decays at the rate ω² time / 2: fast modes before slow ones, and motion of
+the cloth as a whole not at all.
 
-Limits: it acts on ``stretch`` and ``shear``; rigid edges (compliance 0) have nothing to damp. The
-methods ``line`` and ``explicit`` do without it and are refused; ``auto`` takes
+Limits: it acts on ``stretch`` and ``shear``; rigid edges (compliance 0) have no damper. The
+methods ``line`` and ``explicit`` have no such damping and are refused; ``auto`` takes
 ``gauss_seidel_symmetric``. In a substep without a history it is stronger, by h / H.
 """
 
@@ -41,7 +41,7 @@ class Rayleigh(NamedTuple):
 @stage(prepare, Rayleigh)
 @jit
 def keep_past(rayleigh, state, substep):
-    """Write x̄; what is pinned has the velocity that its pin gives it."""
+    """Write x̄; for pinned particles that of their pin's velocity."""
     past, h = rayleigh.past, substep.h
     usual = usual_step(state.history, h)
     past.per_step[0] = 1.0 / usual
@@ -55,7 +55,7 @@ def keep_past(rayleigh, state, substep):
 
 
 class BuiltRayleigh(Built):
-    """The relaxation time of each cloth; the constraints ask for it as they are built."""
+    """The relaxation time of each cloth, which its constraints ask for when they are built."""
 
     incompatible_with = ('line', 'explicit')
 
@@ -68,7 +68,7 @@ class BuiltRayleigh(Built):
         self._time = {cloth.name: chosen.time for cloth, chosen in parameters.items()}
 
     def time(self, cloth) -> float:
-        """Return the relaxation time of a cloth [s]; 0 where it has none."""
+        """Return the relaxation time of a cloth [s]; 0 for cloths without the effect."""
         return self._time.get(cloth.name, 0.0)
 
 

@@ -1,21 +1,21 @@
 """
-Seam: pairs of particles, of two cloths or of one, sewn together, rigidly or with give.
+Seam: pairs of particles of two cloths, or of one, sewn together rigidly or elastically.
 
 C = x1 - x2 in R³, gradients 1 and -1, so with mobilities m = w H² and a 3-vector f = λ / H²
 
     Δf = -(C + α f) / (m1 + m2 + α),   x1 += m1 Δf,   x2 -= m2 Δf.
 
-The two sides are matched particle by particle, in their order. A seam of n pairs with a
-``compliance`` opens by that for each newton that pulls at all of it evenly: each pair has α = n
-times as much. Seams come last in each iteration, after all that is elastic and before contact, so
-they are closed, or stretched by their force, when a substep ends.
+The two sides are matched particle by particle, in their order. ``compliance`` is that of the whole
+seam under an even pull: each of its n pairs has α = n times as much. Seams follow all elastic
+constraints in each iteration and precede contact, so a substep ends with them closed, or open by
+their force.
 
-A rigid seam whose sides start apart is drawn together by CLOSING: until then C is only what |C|
-exceeds a gap by that shrinks so fast.
+A rigid seam whose sides start apart closes at the speed CLOSING: until then C is only the part of
+|C| that exceeds a gap shrinking at that speed.
 
-Limits: points are sewn, not surfaces, so sides of different lengths gather. Sides have as many
-particles each. A pass mends a pair after another, so a heavy cloth that hangs on one pair wants
-substeps.
+Limits: particles are sewn, not surfaces, so sides of different lengths gather. Both sides need the
+same number of particles. A pass closes one pair after the other, so a heavy cloth that hangs on a
+single pair needs more substeps.
 """
 
 from dataclasses import dataclass
@@ -38,23 +38,23 @@ from xpbd_ros.sim.stepping.stages import (
 )
 
 CLOSING = 1.0
-"""how fast a rigid seam that is open closes [m/s]"""
+"""speed at which an open rigid seam closes [m/s]"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Nothing: what is sewn says the scene's ``seams``."""
+    """None; the section ``seams`` of the scene lists the seams."""
 
 
 @dataclass(frozen=True)
 class Side:
     """One side of a seam."""
 
-    cloth: str = quantity(doc='the cloth that it is of')
+    cloth: str = quantity(doc='cloth of this side')
     at: str | tuple[int, ...] = quantity(doc='corner_00 …, edge_0x …, or indices in order')
 
     def __post_init__(self):
-        """Refuse a place that no cloth has."""
+        """Check the place."""
         check_place(self.at)
 
 
@@ -64,7 +64,7 @@ class Entry:
 
     between: tuple[Side, Side] = quantity(doc='the two sides')
     compliance: float = quantity(0.0, unit='m/N', minimum=0.0, live=True,
-                                 doc='how far the whole of it opens; 0 is rigid')
+                                 doc='compliance of the whole seam; 0 is rigid')
 
 
 class Seam(NamedTuple):
@@ -90,7 +90,7 @@ def prepare_seams(seam, state, substep):
 @stage(project_inequalities, Seam)
 @jit
 def sew(seam, state, substep):
-    """Draw each pair together, one after another."""
+    """Project each pair, one after the other."""
     x, before, f = state.x, state.x_prev, seam.force
     for p in range(len(seam.first)):
         i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
@@ -114,7 +114,7 @@ def sew(seam, state, substep):
 @stage(add_explicit_forces, Seam)
 @jit
 def kick_seams(seam, state, substep):
-    """H² w f, of the substep before."""
+    """H² w f, with the forces of the last substep."""
     move, m = state.apart.move, state.mobility
     for p in range(len(seam.first)):
         i, j = seam.first[p], seam.second[p]

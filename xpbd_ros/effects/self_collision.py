@@ -1,27 +1,27 @@
 """
-Self-collision: cloth stays a thickness away from itself and from the other cloths of the scene.
+Self-collision: contact of cloth with itself and with other cloths, at a given thickness.
 
 C = n · Σ b x - r ≥ 0,   ∇C = b n,   for two points of cloths that are near each other.
 
-With ``mode: surface`` the points are the closest ones of a particle and a triangle or of two edges
-that share no particle, with ``particles`` the particles themselves. n points from the one to the
-other and stays through the substep (``self_collision.narrow_phase``); r is the thickness, but at
-most half of their distance at rest, so that nothing pushes against the cloth's own make. Such
-pairs are found by ``self_collision.neighbour_list`` once per frame, again where something moves
-further, and kept apart as unilateral constraints with friction by
-``self_collision.pair_contacts``; an overlap that was there before comes apart at no more than
-DEPENETRATION, which leaves no velocity.
+With ``mode: surface`` these are the closest points of a particle and a triangle, or of two edges
+without a common particle; with ``particles`` they are the particles themselves. n points from one
+to the other and is fixed through the substep (``self_collision.narrow_phase``); r is the
+thickness, but at most half of the pair's distance at rest, so that the rest shape has no contacts.
+``self_collision.neighbour_list`` finds the pairs once per frame, and again after large motions.
+``self_collision.pair_contacts`` projects them as unilateral constraints with friction; an overlap
+from before the substep separates at no more than DEPENETRATION, which leaves no velocity.
 
-Surfaces do not pass through one another: each pair that could must part along one direction
-through the whole substep (``self_collision.separating_planes``). What would not is pushed apart,
-in turn with what colliders push, until both are content; where that does not come to an end, what
-is left is held back (``self_collision.motion_limit``).
+Surfaces do not pass through one another: the two sides of each pair in reach must be separated by
+one direction through the whole substep (``self_collision.separating_planes``). Pairs that are not
+are pushed apart, in turn with colliders, until both hold; where this does not converge, the
+remaining particles are held back (``self_collision.motion_limit``; doc/numerics.md 8.2).
 
-Limits: particles alone are tight only from a thickness of about their spacing on, and pass through
-faster than half of it per substep. What crosses at the start stays as it is or comes apart by
-itself. Across a seam only what shares a particle is let be. A strip of one row has no surface.
-What pins or colliders leave no room for gets through, and is counted. Holding back takes momentum.
-The cost is linear in particles while edges are of like length.
+Limits: ``particles`` is tight only from a thickness of about the particle spacing on, and
+particles pass through when faster than half of it per substep. Cloth that crosses at the start
+stays so or separates by itself. Across a seam only pairs with a common particle are excluded. A
+strip of one row has no surface. Where pins or colliders leave no room, cloth passes through and is
+counted. Holding back takes momentum. The cost is linear in the particles while edges have similar
+lengths.
 """
 
 from dataclasses import dataclass
@@ -76,20 +76,20 @@ from xpbd_ros.sim.stepping.stages import (
 )
 
 NOT_SOUGHT = -1
-"""count of pairs before the first iteration of a substep"""
+"""value of the count of pairs before the first iteration of a substep"""
 SLACK = 0.25
-"""of the thickness: how far pushes may move what does not move by itself"""
+"""distance that pushes may move a particle at rest, relative to the thickness"""
 ROUNDS = 24
-"""in which pushes that keep momentum must part all pairs"""
+"""most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
-"""in which what is left is held back, as seen from what gets in the way"""
+"""most repetitions of holding back"""
 LISTED = 4
-"""pairs listed in a search, per pair that may touch"""
+"""room for pairs of the neighbour list, per pair that may touch"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """What is kept apart, and by how much."""
+    """The thickness, and the kind of pairs."""
 
     thickness: float = quantity(unit='m', above=0.0, live=True,
                                 doc='distance kept between surfaces')
@@ -106,15 +106,15 @@ class SelfCollision(NamedTuple):
     near: NeighbourList
     touches: PairContacts
     planes: Planes | None
-    """None where only particles are looked at"""
+    """None with ``mode: particles``"""
     contacts: Contacts | None
-    """with colliders; None in a scene without"""
+    """those with colliders; None in a scene without colliders"""
 
 
 @stage(prepare, SelfCollision)
 @jit
 def forget_touches(effect, state, substep):
-    """Leave the pairs of the substep before; in a new frame the list too."""
+    """Discard the pairs of the last substep, and in a new frame the neighbour list."""
     if substep.begin == 0.0:
         effect.near.margin[0] = 0.0
         effect.near.count[:] = 0
@@ -125,7 +125,7 @@ def forget_touches(effect, state, substep):
 @stage(project_inequalities, SelfCollision)
 @jit
 def keep_apart(effect, state, substep):
-    """Push apart what is too near, and let it rub."""
+    """Push pairs apart that are too near, and apply their friction."""
     if effect.touches.count[0] == NOT_SOUGHT or strays(effect.near, state):
         common_step(effect.near, state)
         stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
@@ -135,14 +135,14 @@ def keep_apart(effect, state, substep):
 
 @jit
 def stir_contacts(contacts, most):
-    """Let contacts reckon with what pushes between cloths can still do."""
+    """Tell the contacts how far pushes between cloths can still move particles."""
     if contacts is not None:
         contacts.stir[0] = most
 
 
 @jit
 def strays(near, state):
-    """Tell whether a particle got further than the pairs were sought for."""
+    """Tell whether a particle has left the range for which pairs were sought."""
     for i in range(len(near.slot)):
         if gone(state.x, near.x, near.step, near.slot[i], i) > near.travel[i]:
             return True
@@ -151,7 +151,7 @@ def strays(near, state):
 
 @jit
 def find_pairs(effect, state, substep, both):
-    """Find what can get near in this substep; return the furthest that a particle may get."""
+    """Find the pairs in reach in this substep; return the longest way of a particle [m]."""
     near, touches, thickness = effect.near, effect.touches, effect.thickness[0]
     most, side = track_motion(near, state.x, SLACK * thickness)
     if near.margin[0] == 0.0 or side > 0.5 * near.margin[0]:
@@ -164,14 +164,14 @@ def find_pairs(effect, state, substep, both):
 @stage(limit_motion, SelfCollision)
 @jit
 def stop(effect, state, substep):
-    """Let nothing through: push apart what would get there, in turn with what colliders push."""
+    """Separate pairs that would pass through one another, in turn with colliders."""
     near, planes = effect.near, effect.planes
     leave(effect.contacts, state)
     for turn in range(ROUNDS):
         if strays(near, state):
             common_step(near, state)
             find_pairs(effect, state, substep, False)
-            if strays(near, state):    # there is no room for all pairs
+            if strays(near, state):    # no room for all pairs
                 break
         if part_sides(planes, near, state) == 0:
             return
@@ -181,21 +181,21 @@ def stop(effect, state, substep):
 
 @jit
 def leave(contacts, state):
-    """Lead out what cloths have pushed into a corner between colliders."""
+    """Move particles out of corners between colliders into which cloths pushed them."""
     if contacts is not None:
         leave_corners(contacts, state)
 
 
 @jit
 def push_again(contacts, state, eased):
-    """Let colliders push out what was pushed into them; at last only so far that it is out."""
+    """Let colliders push particles out; when ``eased``, only as far as their surface."""
     if contacts is not None:
         push_all(contacts, state, eased)
 
 
 @jit
 def give_way(effect, near, planes, contacts, state, substep):
-    """Hold back what pushes cannot part, as seen from what it rests on."""
+    """Hold back the particles of pairs that pushes cannot separate (``motion_limit``)."""
     if planes is None:
         for i in range(len(near.slot)):
             go_share(near, state, i, 1.0)
@@ -219,7 +219,7 @@ def give_way(effect, near, planes, contacts, state, substep):
 
 @jit
 def mark_all(planes, near, contacts, state, again):
-    """Mark what does not part; and, if that has been tried before, what is behind a collider."""
+    """Mark particles of pairs that cross; when repeated, also those behind a collider."""
     planes.held[:] = False
     planes.stays[:] = False
     if again:
@@ -232,7 +232,7 @@ def mark_all(planes, near, contacts, state, again):
 @stage(finish, SelfCollision)
 @jit
 def settle(effect, state, substep):
-    """Take back velocities of old overlaps; move on with all particles."""
+    """Remove velocities from old overlaps, and advance the common motion."""
     remove_depenetration_velocity(effect.touches, state, substep)
     for a in range(3):
         effect.near.drift[a] += effect.near.step[a]
@@ -241,7 +241,7 @@ def settle(effect, state, substep):
 @stage(add_explicit_forces, SelfCollision)
 @jit
 def rest_on_cloth(effect, state, substep):
-    """What touches goes on as it does: the push is an impulse in every substep."""
+    """Particles in contact keep their velocity: pushes are impulses in every substep."""
     touches = effect.touches
     for k in range(touches.count[0]):
         if touches.push[k] > 0.0:
@@ -279,11 +279,11 @@ class BuiltSelfCollision(Built):
             world.built['strain_limit'].take_turns()
 
     def heed(self, contacts: Contacts) -> None:
-        """Let nothing through colliders either."""
+        """Take the contacts with colliders into account."""
         self.data = self.data._replace(contacts=contacts)
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
-        """Have friction, with μ_k and μ_s by cloth and cloth."""
+        """Add friction, with μ_k and μ_s by pair of cloths."""
         near, touches = self.data.near, self.data.touches
         cloth_of = np.zeros(near.slot.max() + 1, np.int64)
         cloth_of[near.slot] = near.cloth
@@ -308,7 +308,7 @@ class BuiltSelfCollision(Built):
 
 
 def kin(world) -> np.ndarray | None:
-    """Number particles in natural order, those that are sewn together alike."""
+    """Return a number for each particle in natural order, equal for those sewn together."""
     seam = world.built.get('seam')
     if seam is None or seam.data is None:
         return None

@@ -1,18 +1,19 @@
 """
-Shear: elastic edges along both diagonals of square cells; the slant of oblong ones.
+Shear: in-plane shear stiffness of grids, by the diagonals of their cells.
 
-Diagonals of square cells: C = |x1 - x2| - L (``constraints.distance``). On cells of dx × dy with
-diagonals of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m], which gives the
-sheet the shear modulus C66 = stiffness and adds as much to C11, C22 and C12 (NUMERICS 2.7).
+Square cells have elastic diagonals: C = |x1 - x2| - L (``constraints.distance``). On cells of
+dx × dy with diagonals of length l, each has the stiffness k = stiffness l² / (2 dx dy) [N/m]. This
+gives the sheet the shear modulus C66 = stiffness and adds the same to C11, C22 and C12
+(doc/numerics.md 5.2).
 
 On oblong cells such edges would add stiffness (dx/dy)² to C11 and stiffness (dy/dx)² to C22, up to
-many times the warp of a soft knit. There each cell has one constraint instead, the difference of
-its diagonals (``constraints.shear_cells``), with α = 4 dx dy / (stiffness l²). It gives C66 =
-stiffness whatever the cell, and adds nothing to C11, C22 and C12. A cell is square where its sides
-differ by no more than a thousandth (``geometry.mesh``).
+many times the warp modulus of a soft knit. There each cell has one constraint instead, the
+difference of its diagonals (``constraints.shear_cells``), with α = 4 dx dy / (stiffness l²). It
+gives C66 = stiffness for any cell, and adds nothing to C11, C22 and C12. A cell is square if its
+sides differ by no more than a thousandth (``geometry.mesh``).
 
-Limits: Poisson's ratio is what comes of C12: stiffness / (weft + stiffness) on square cells, 0 on
-oblong ones.
+Limits: Poisson's ratio follows from C12: stiffness / (weft + stiffness) on square cells, 0 on
+oblong ones. Meshes have no diagonals; their edges resist shear as they stretch.
 """
 
 from dataclasses import dataclass
@@ -47,7 +48,7 @@ class Parameters:
 
 
 class Shear(NamedTuple):
-    """Data of the kernels: square cells."""
+    """Data of the kernels for square cells."""
 
     edges: distance.GridEdges
 
@@ -69,7 +70,7 @@ def project_shear(shear, state, substep):
 @stage(project_back, Shear, shared=True)
 @jit
 def project_shear_back(shear, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     distance.project_edges(shear.edges, state, substep, True)
 
 
@@ -97,7 +98,7 @@ def project_slant(slants, state, substep):
 @stage(project_back, Slant, shared=True)
 @jit
 def project_slant_back(slants, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     shear_cells.project_slants(slants, state, substep, True)
 
 
@@ -109,7 +110,7 @@ def react_slant(slants, state, substep):
 
 
 def _on_square_cells(cloths, world) -> Shear:
-    """Return the rising and the falling diagonals."""
+    """Return the rising and the falling diagonals of square cells."""
     runs, rest, alpha, time = [], [], [], []
     for number, (cloth, chosen) in enumerate(cloths):
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
@@ -127,7 +128,7 @@ def _on_square_cells(cloths, world) -> Shear:
 
 
 def _on_oblong_cells(cloths, world) -> Slant:
-    """Return the cells."""
+    """Return the oblong cells."""
     runs, alpha, time = [], [], []
     for number, (cloth, chosen) in enumerate(cloths):
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
@@ -142,7 +143,7 @@ def _on_oblong_cells(cloths, world) -> Slant:
 
 
 class BuiltShear(Built):
-    """The cells of every cloth that shears: square ones and oblong ones."""
+    """The cells of all cloths with this effect, square and oblong."""
 
     def __init__(self, parameters, world):
         super().__init__()

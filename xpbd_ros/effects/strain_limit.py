@@ -1,24 +1,24 @@
 """
-Strain limit: no edge is longer than a given part more than at rest.
+Strain limit: an upper bound on the strain of edges.
 
 C = |x1 - x2| - L (1 + max) ≤ 0, gradient n = (x1 - x2) / |x1 - x2| at x1 and -n at x2, α = 0, and
-a force f ≤ 0 that only pulls (Provot 1995; NUMERICS 2.12):
+a force f ≤ 0 that only pulls (Provot 1995; doc/numerics.md 7.3):
 
     Δf = min(-C / (m1 + m2), -f),   x1 += m1 n Δf,   x2 -= m2 n Δf
 
-with mobilities m = w H². Where all edges keep to it is a convex set, so what is sought is the
-point of it that is nearest to where the elastic forces left the particles, weighed by mass. On a
-grid whole lines are solved at once (``constraints.inextensible_lines``), warp and weft in turn,
-until no edge is longer than it may be by more than EASE. Edges of other meshes take accelerated
-passes (``constraints.inextensible_edges``). Where nothing is too long one pass finds so. It comes
-last in each iteration, after all that is elastic and before seams, contact and friction. Where
-these pull an edge beyond the limit again, they and the limit are repeated in turn until they
-agree. Edges are those along warp and weft of a grid, and all of any other mesh.
+with mobilities m = w H². The sought positions are the feasible ones nearest to those that the
+elastic forces left, in the metric of the masses. On a grid whole lines are solved at once
+(``constraints.inextensible_lines``), warp and weft in turn, until no edge exceeds its limit by
+more than EASE. Edges of other meshes take accelerated passes (``constraints.inextensible_edges``).
+One pass suffices where no edge is too long. The limit comes last in each iteration, after all
+elastic constraints and before seams, contact and friction. Where these pull an edge beyond the
+limit again, they and the limit are repeated in turn until they agree. The edges are those along
+warp and weft of a grid, and all edges of any other mesh.
 
-Limits: it takes energy away, as an inelastic stop does; what it holds takes steps of backward
-Euler, since an integrator that remembers would throw it back. Pins and colliders that leave the
-cloth no room have their way: ``strain_over_limit`` says how far an edge is beyond the limit. Shear
-of a grid's cells is not limited.
+Limits: it dissipates energy, as an inelastic stop does. Its particles take steps of backward
+Euler, since a history would make them rebound. Where pins and colliders leave the cloth no room,
+edges stay longer: ``strain_over_limit`` is the largest excess. Shear of a grid's cells is not
+limited.
 """
 
 from dataclasses import dataclass
@@ -52,18 +52,18 @@ from xpbd_ros.sim.stepping.stages import (
 )
 
 NEAR = 3e-3
-"""how much shorter than the limit an edge of a line may be that a first pass takes as pulling"""
+"""in a first pass edges of a line pull from this much below the limit on, relative"""
 PASSES, PASSES_AGAIN = 200, 20
-"""most passes over all lines, or pairs of passes over the edges of meshes, in an iteration; and
-where they are repeated"""
+"""most passes over all lines, or pairs of passes over the edges of meshes, in an iteration; and in
+each repetition"""
 AGREED = 6e-3
-"""what an edge may be longer than the limit after seams, contact and friction, relative"""
+"""largest excess over the limit after seams, contact and friction, relative"""
 TURNS = 400
 """most repetitions in an iteration"""
 PATIENCE = 20
-"""repetitions in which the largest excess must halve; else there is no room"""
+"""repetitions in which the largest excess must halve; otherwise they end"""
 SUBSTEPS = 8
-"""what ``auto`` gives at least: with fewer, passes cost more than substeps"""
+"""least substeps with ``auto``: with fewer, passes cost more than substeps"""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Pulled(NamedTuple):
     particles: np.ndarray
     """slots of both ends, shape (2, edges)"""
     index: np.ndarray
-    """where each keeps its force, shape (edges,)"""
+    """index of each one's force, shape (edges,)"""
     longest: np.ndarray
     """L (1 + max) [m], shape (edges,)"""
 
@@ -89,7 +89,7 @@ class StrainLimit(NamedTuple):
     """Data of the kernels: grids."""
 
     lines: Lines
-    """as long as they may be"""
+    """with their largest lengths"""
     force: np.ndarray
     """f [N], negative in tension, shape (2 grids * slots,)"""
     pulled: Pulled
@@ -98,8 +98,9 @@ class StrainLimit(NamedTuple):
     stops: Stops | None
     """edges at pinned particles; None in a scene without pins"""
     trend: np.ndarray | None
-    """touches in this iteration, the largest excess some touches ago (relative), and 1 where there
-    is no room; shape (3,); None in a scene where nothing comes after"""
+    """repetitions in this iteration, the largest excess PATIENCE repetitions ago (relative), and 1
+    where it has not halved; shape (3,); None in a scene without seams, contact and
+    self_collision"""
 
 
 class MeshStrainLimit(NamedTuple):
@@ -123,11 +124,11 @@ class MeshStrainLimit(NamedTuple):
     packs: Packs | None
     """edges at pinned particles; None in a scene without pins"""
     pull: np.ndarray | None
-    """impulse on each pinned particle in this touch, over h [N], shape (3, slots)"""
+    """impulse on each pinned particle in this repetition, over h [N], shape (3, slots)"""
     pull_before: np.ndarray | None
     """the same after the last pair of passes"""
     trend: np.ndarray | None
-    """as of grids"""
+    """as in ``StrainLimit``"""
 
 
 @stage(prepare, StrainLimit)
@@ -148,7 +149,7 @@ def prepare_edges(limit, state, substep):
 @stage(project_inequalities, StrainLimit)
 @jit
 def limit_lines(limit, state, substep):
-    """Put lines that are too long back, until none is."""
+    """Shorten lines until no edge is too long."""
     found = 0.0
     for k in range(most_passes(limit.trend)):
         most = tighten(limit.lines, limit.force, limit.stops, state, substep,
@@ -164,7 +165,7 @@ def limit_lines(limit, state, substep):
 @stage(project_inequalities, MeshStrainLimit)
 @jit
 def limit_edges(limit, state, substep):
-    """Put edges that are too long back, until none is."""
+    """Shorten edges until none is too long."""
     found = shorten(limit, state, substep, most_passes(limit.trend))
     note_turn(limit.trend, found)
     _stop(limit.pulled, limit.force, state)
@@ -172,7 +173,7 @@ def limit_edges(limit, state, substep):
 
 @jit(inline=True)
 def most_passes(trend):
-    """Return how many passes there may be."""
+    """Return the most passes of this repetition."""
     if trend is None:
         return PASSES
     else:    # Numba prunes the branch that is not taken
@@ -181,7 +182,7 @@ def most_passes(trend):
 
 @jit
 def note_turn(trend, found):
-    """Note what a repetition found; where the excess does not halve in time there is no room."""
+    """Note the largest excess of a repetition; stop them where it does not halve in time."""
     if trend is not None:
         if trend[0] % PATIENCE == 1.0:
             trend[2] = trend[0] > 1.0 and found > 0.5 * trend[1]
@@ -193,13 +194,13 @@ def note_turn(trend, found):
 @stage(limit_motion, MeshStrainLimit)
 @jit
 def end_turns(limit, state, substep):
-    """Get ready for the next iteration."""
+    """Prepare the next iteration."""
     forget_turns(limit.trend)
 
 
 @jit
 def forget_turns(trend):
-    """Count from the first touch again."""
+    """Start counting repetitions again."""
     if trend is not None:
         trend[:] = 0.0
 
@@ -208,7 +209,7 @@ def forget_turns(trend):
 @stage(are_inequalities_unmet, MeshStrainLimit)
 @jit
 def is_unmet(limit, state, turn):
-    """Tell whether what came after has pulled an edge beyond its limit, and may let go of it."""
+    """Tell whether later effects have pulled an edge beyond its limit, and may be repeated."""
     (i, j), longest = limit.pulled.particles, limit.pulled.longest
     if may_turn(limit.trend, turn):
         x, w = state.x, state.inv_mass
@@ -222,7 +223,7 @@ def is_unmet(limit, state, turn):
 
 @jit(inline=True)
 def may_turn(trend, turn):
-    """Tell whether there may be another repetition."""
+    """Tell whether another repetition is allowed."""
     if trend is None:
         return False
     else:    # Numba prunes the branch that is not taken
@@ -231,7 +232,7 @@ def may_turn(trend, turn):
 
 @jit
 def _stop(pulled, force, state):
-    """Let what is held back end the substep with backward Euler."""
+    """Let the particles of taut edges end the substep with backward Euler."""
     for c in range(len(pulled.index)):
         if force[pulled.index[c]] < 0.0:
             invalidate_history(state.history, pulled.particles[0, c])
@@ -241,7 +242,7 @@ def _stop(pulled, force, state):
 @stage(accumulate_reactions, StrainLimit)
 @jit
 def react_limit(limit, state, substep):
-    """Forces of lines between pins too far apart; all others are known by now."""
+    """Add the forces of lines between pins too far apart; the others have been added."""
     react_edges(limit.stops.held, limit.force, state, substep)
 
 
@@ -292,7 +293,7 @@ def _on_meshes(cloths, world) -> MeshStrainLimit:
 
 
 def stops_of(count: int) -> Stops:
-    """Return room to note so many edges at pinned particles."""
+    """Return room for so many edges at pinned particles."""
     return Stops(room(count), np.zeros(0, np.int64), np.zeros((count, 3)), np.zeros(count))
 
 
@@ -302,13 +303,13 @@ class Listed(NamedTuple):
     particles: np.ndarray
     """slots, shape (edges, 2)"""
     index: np.ndarray
-    """where each keeps its force, shape (edges,)"""
+    """index of each one's force, shape (edges,)"""
 
 
 class BuiltStrainLimit(Built):
-    """The edges of every cloth that has a limit: of grids, and of other meshes."""
+    """The edges of all cloths with this effect, of grids and of other meshes."""
 
-    incompatible_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+    incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
     ns_per_particle = 100.0
 
     def __init__(self, parameters, world):
@@ -339,7 +340,7 @@ class BuiltStrainLimit(Built):
                 hold_packs(part.packs, edges, inv_mass, len(part.force))
 
     def take_turns(self) -> None:
-        """Repeat itself where what comes after it pulls it beyond the limit."""
+        """Enable repetitions, because effects that follow may pull edges beyond the limit."""
         self.data, *self.also = (part._replace(trend=np.zeros(3)) for part in self.parts)
 
     def least_substeps(self, frame_dt):

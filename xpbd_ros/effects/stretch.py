@@ -1,22 +1,21 @@
 """
-Stretch: elastic edges along warp and weft.
+Stretch: elastic edges along warp and weft of a grid, or along all edges of a mesh.
 
 C = |x1 - x2| - L (``constraints.distance``); the method ``line`` solves whole lines
 (``constraints.line_solver``).
 
 On a grid of cells dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along
-weft k = weft dx / dy, and half of it at the rim, so that the sheet has the moduli asked for
-whatever its resolution (Van Gelder 1998 for lattices; NUMERICS 2.7). With ``shear`` the lattice
-has C11 = warp + shear on square cells. On any other mesh each triangle of area A adds to its edge
-of length l, at an angle θ from warp, k = (warp cos²θ + weft sin²θ) A / l² (Van Gelder 1998, whose
-isotropic lattice it is where warp = weft). Instead of moduli, ``compliance`` [m/N] sets every edge
-alike; 0 is rigid.
+weft k = weft dx / dy, and half of it at the rim, so that the sheet has the given moduli at any
+resolution (doc/numerics.md 5.2). With ``shear`` the lattice has C11 = warp + shear on square
+cells. On any other mesh each triangle of area A adds k = (warp cos²θ + weft sin²θ) A / l² to its
+edge of length l, at an angle θ from warp (Van Gelder 1998, whose isotropic lattice this is for
+warp = weft). Instead of moduli, ``compliance`` [m/N] gives every edge the same; 0 is rigid.
 
-A rigid line between two pins further apart than it is long is straight and even
-(``constraints.overextended_lines``).
+A rigid line between two pins further apart than its length is placed straight, with edges of equal
+length (``constraints.overextended_lines``).
 
-Limits: a lattice, so Poisson's ratio is not free: 0 on a grid, about 1/3 on other meshes. Fewer
-substeps than the wave needs to cross an edge make it softer than asked.
+Limits: as a lattice it has no free Poisson's ratio: 0 on a grid, about 1/3 on other meshes. With
+fewer substeps than a wave needs to cross an edge it is softer than given (doc/numerics.md 4.1).
 """
 
 from dataclasses import dataclass
@@ -44,23 +43,23 @@ from xpbd_ros.sim.stepping.stages import (
 
 @dataclass(frozen=True)
 class Parameters:
-    """Either the two moduli, or a compliance."""
+    """Either moduli along warp and weft, or one compliance."""
 
     warp: float | None = quantity(None, unit='N/m', above=0.0, live=True,
                                   doc='modulus along warp')
     weft: float | None = quantity(None, unit='N/m', above=0.0, live=True,
                                   doc='modulus along weft')
     compliance: float | None = quantity(None, unit='m/N', minimum=0.0, live=True,
-                                        doc='of every edge alike; 0 is rigid')
+                                        doc='compliance of every edge; 0 is rigid')
 
     def __post_init__(self):
-        """Refuse both and neither."""
+        """Require exactly one of the two forms."""
         need_one_or_two(self.compliance, (self.warp, self.weft), both='warp and weft (N/m)',
                         either='warp and weft (N/m) or compliance (m/N)')
 
 
 class Stretch(NamedTuple):
-    """Data of the kernels: grids."""
+    """Data of the kernels for grids."""
 
     edges: distance.GridEdges
     lines: line_solver.Lines
@@ -69,7 +68,7 @@ class Stretch(NamedTuple):
 
 
 class MeshStretch(NamedTuple):
-    """Data of the kernels: other meshes."""
+    """Data of the kernels for other meshes."""
 
     edges: distance.MeshEdges
 
@@ -106,14 +105,14 @@ def project_mesh_stretch(stretch, state, substep):
 @stage(project_back, Stretch, shared=True)
 @jit
 def project_stretch_back(stretch, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     distance.project_edges(stretch.edges, state, substep, True)
 
 
 @stage(project_back, MeshStretch)
 @jit
 def project_mesh_stretch_back(stretch, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     distance.project_packs(stretch.edges, state, substep, True)
 
 
@@ -139,7 +138,7 @@ def react_mesh_stretch(stretch, state, substep):
 
 
 def _on_grids(cloths, world) -> Stretch:
-    """Return warp and weft edges; those along the rim have half a cell beside them."""
+    """Return warp and weft edges; those along the rim have half of the stiffness."""
     runs, family, rest, alpha, line_alpha, time = [], [], [], [], [], []
     for number, (cloth, chosen) in enumerate(cloths):
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
@@ -203,7 +202,7 @@ def _on_meshes(cloths, world) -> MeshStretch:
 
 
 class BuiltStretch(Built):
-    """The edges of every cloth that stretches: of grids, and of other meshes."""
+    """The edges of all cloths with this effect, of grids and of other meshes."""
 
     def __init__(self, parameters, world):
         super().__init__()

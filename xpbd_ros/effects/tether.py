@@ -1,21 +1,21 @@
 """
-Tether: no particle is further from a pinned one than the cloth reaches (long-range attachments).
+Tether: upper bounds on the distance of particles from pinned ones (long-range attachments).
 
 C = |x - a| - r ≤ 0 for a particle x and a pinned particle a, gradient n = (x - a) / |x - a|,
-α = 0. What is too far comes back,
+α = 0. A particle beyond the bound is moved back onto it,
 
     f = -C / m where C > 0,   x += m f n,
 
 with r = (1 + slack) times the shortest way from a to x over the surface at rest (Kim, Chentanez
 and Müller 2012, algorithm 1): on a grid, which is flat, the straight line; on other meshes the
 shortest path of straight lines across at most ACROSS edges (``geometry.geodesics``). Each group of
-neighbouring pinned particles holds every particle by the nearest of them, up to four groups each;
-paths and groups are recomputed when a pin grasps or releases. So an error of the solver cannot
-grow along the cloth, however few the substeps. It comes last in each iteration, before contact.
+neighbouring pinned particles holds every particle by its nearest member, up to GROUPS groups each;
+paths and groups are recomputed when a pin grasps or releases. So solver error does not accumulate
+along the cloth, even with few substeps. Tethers precede contact in each iteration.
 
-Limits: a bound and no elasticity: it hides real stretch beyond ``slack``, so leave it out where
+Limits: a bound without elasticity: it hides real stretch beyond ``slack``, so leave it out where
 accuracy counts. On meshes ways are up to 8 % too long, more where triangles are slivers; in a body
-of tetrahedra they go along edges. It does nothing for cloth without pins.
+of tetrahedra they follow edges. Cloth without pins has no tethers.
 """
 
 from dataclasses import dataclass
@@ -34,17 +34,17 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import prepare, project_inequalities, stage
 
 GROUPS = 4
-"""pinned groups that hold one particle"""
+"""most pinned groups that hold one particle"""
 ACROSS = 4
-"""edges that a straight line crosses at most"""
+"""most edges that a straight line crosses"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """How taut it is."""
+    """The slack of the tethers."""
 
     slack: float = quantity(0.05, minimum=0.0, live=True,
-                            doc='part of the way that it may be further off')
+                            doc='slack, relative to the length of the way')
 
 
 class Tether(NamedTuple):
@@ -53,9 +53,9 @@ class Tether(NamedTuple):
     count: np.ndarray
     """tethers, shape (1,)"""
     particle: np.ndarray
-    """slot of what each holds, in rising order, shape (room,)"""
+    """slot of the particle of each, in rising order, shape (room,)"""
     pinned: np.ndarray
-    """slot of what holds it, shape (room,)"""
+    """slot of its pinned particle, shape (room,)"""
     longest: np.ndarray
     """r [m], shape (room,)"""
     force: np.ndarray
@@ -72,7 +72,7 @@ def prepare_tethers(tether, state, substep):
 @stage(project_inequalities, Tether)
 @jit
 def pull_back(tether, state, substep):
-    """Put what is too far away back, particle after particle."""
+    """Project each tether, particle after particle."""
     x, part = state.x, substep.end - substep.begin
     for t in range(tether.count[0]):
         i, a, most = tether.particle[t], tether.pinned[t], tether.longest[t]
@@ -91,7 +91,7 @@ def pull_back(tether, state, substep):
 
 @jit(inline=True)
 def _pull_at(reaction, a, f, dx, dy, dz):
-    """Add the force on what is pinned: -f n."""
+    """Add the force on the pinned particle: -f n."""
     if reaction is not None:
         reaction[0, a] -= f * dx
         reaction[1, a] -= f * dy
@@ -100,21 +100,21 @@ def _pull_at(reaction, a, f, dx, dy, dz):
 
 @dataclass
 class Ways:
-    """One cloth: its neighbours, the ways over its surface, and what it is tethered by."""
+    """The neighbours and the ways over the surface of one cloth, and its tethers."""
 
     slots: np.ndarray
     """of its particles, shape (particles,)"""
     edges: coo_array
     """between neighbours"""
     lines: coo_array | None
-    """straight ways at rest [m]; None on a grid, where all are"""
+    """straight ways at rest [m]; None on a grid, where all ways are straight"""
     rest: np.ndarray
     """unstressed positions [m], shape (particles, 3)"""
     slack: float
 
     @staticmethod
     def of(cloth, slack: float) -> 'Ways':
-        """Return the graphs of a cloth; neighbours in a strip of one row are those in the row."""
+        """Return the graphs of a cloth; in a strip of one row, neighbours are those in the row."""
         mesh, lines = cloth.mesh, None
         ends, count = mesh.edges, len(mesh.positions)
         if mesh.grid is not None and not len(ends):
@@ -157,9 +157,9 @@ class Ways:
 
 
 class BuiltTether(Built):
-    """The tethers of every cloth that has them, as long as something is pinned."""
+    """The tethers of all cloths with this effect, while particles are pinned."""
 
-    incompatible_with = ('ndf2',)    # it damps too little for what sets in and lets go at once
+    incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
 
     def __init__(self, parameters, world):
         super().__init__()

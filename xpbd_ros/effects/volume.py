@@ -1,5 +1,5 @@
 """
-Volume: bodies of tetrahedra, stable neo-Hookean, as two coupled constraints of each.
+Volume: elastic bodies of tetrahedra, stable neo-Hookean, two coupled constraints each.
 
 With the deformation gradient F = [f1 f2 f3] = [x1-x0, x2-x0, x3-x0] Dm⁻¹, n = sqrt(tr FᵀF) and
 J = det F, the energy of a rest volume V0 is V0 (μ/2 C_D² + λ/2 C_H²), that is, C_D² / (2 α_D) +
@@ -8,28 +8,28 @@ C_H² / (2 α_H) with
     C_D² = n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3,  α_D = 1 / (μ V0);
     C_H = J - 1,                                               α_H = 1 / (λ V0),
 
-Lamé's λ and μ of the Young's modulus and Poisson's ratio asked for. It is that of Smith et al.
-2018 (stable neo-Hookean) with another barrier: theirs is -log(n² + 1), and here n is kept as the
-length of an edge is. Without one C_D is 0 in a point as well as at rest, and a tetrahedron that is
-crushed to one stays there; with theirs it leaves ever more slowly, the nearer it is. Here
-C_D² > 0 but at rest (by AM-GM n² ≥ 3 |J|^⅔, and the right side falls up to J = 1 and then rises),
-and what is crushed is pushed out with a force that does not vanish. In a point F / n is taken to
-be that of rest, turned as it is in the scene's file: the same in every run.
+Lamé's λ and μ of the given Young's modulus and Poisson's ratio. It is the energy of Smith et al.
+2018 (stable neo-Hookean) with another barrier: theirs is -log(n² + 1), and here n is kept near √3
+like the length of an edge. Without a barrier C_D is 0 in a point as well as at rest, and a
+tetrahedron crushed to a point stays there; with theirs it leaves the more slowly the nearer it is.
+Here C_D² > 0 except at rest (by AM-GM n² ≥ 3 |J|^⅔, and the right side falls up to J = 1 and then
+rises), and a crushed tetrahedron is pushed out by a force that does not vanish. In a point F / n
+is undefined and taken to be that of the rest shape, oriented as in the scene's file: the same in
+every run.
 
 In this split both constraints are 0 at rest. Macklin and Müller 2021 take sqrt(tr FᵀF)
-and J - 1 - μ/(λ+μ), whose forces cancel at rest: a substep of more than about sqrt(ρ / E) times
-the size of a tetrahedron then blows up, which here it does not.
+and J - 1 - μ/(λ+μ), whose forces cancel at rest: with a substep of more than about sqrt(ρ / E)
+times the size of a tetrahedron that is unstable, and the split here is not (doc/numerics.md 5.9).
 The gradients are [∇1 ∇2 ∇3] = P Dm⁻ᵀ, ∇0 = -∇1 - ∇2 - ∇3, with
 
     P_D = (F - cof F + 8/9 (J - 1) cof F + (n - √3)/3 F/n) / C_D,
     P_H = cof F = [f2×f3, f3×f1, f1×f2].
 
 Both are solved together: J M Jᵀ + α, 2 by 2, after C_H's gradient is made orthogonal to C_D's, so
-that nothing cancels however stiff the body. det F is a polynomial: a tetrahedron that is flat or
-inside out goes through and comes back.
+that no digits cancel in stiff bodies. det F is a polynomial: flat and inverted tetrahedra pass
+through and recover.
 
-Limits: poisson from 0 up to, but not, 0.5; linear tetrahedra lock near it, and in bending where
-they are few.
+Limits: 0 ≤ poisson < 0.5; linear tetrahedra lock near 0.5, and in bending where they are few.
 """
 
 from dataclasses import dataclass
@@ -69,7 +69,7 @@ from xpbd_ros.sim.particles.records import from_records, put_records, to_records
 from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
 
 SMALL = 8.0
-"""tr FᵀF below which C_D is taken from the strain: at rest its terms cancel"""
+"""tr FᵀF below which C_D is computed from the strain, since at rest its terms cancel"""
 REST = 3.0**0.5
 """n at rest"""
 
@@ -82,7 +82,7 @@ class Parameters:
     poisson: float = quantity(0.3, minimum=0.0, live=True, doc="Poisson's ratio, below 0.5")
 
     def __post_init__(self):
-        """Refuse what has no finite bulk modulus."""
+        """Require a finite bulk modulus."""
         if self.poisson >= 0.5:
             raise InputError(f'poisson: must be < 0.5 (got {self.poisson:g}); 0.49 or 0.499 keeps '
                              'the volume nearly')
@@ -95,14 +95,14 @@ class Parameters:
 
 
 class Held(NamedTuple):
-    """The tetrahedra at pinned particles, whose reaction forces are requested."""
+    """The tetrahedra at pinned particles, whose reaction forces are summed up."""
 
     count: np.ndarray
     """shape (1,)"""
     particles: np.ndarray
     """slots, shape (room, 4)"""
     index: np.ndarray
-    """where each keeps its forces, shape (room,)"""
+    """index of each one's forces, shape (room,)"""
     inverse: np.ndarray
     """Dm⁻¹ [1/m], shape (room, 3, 3)"""
 
@@ -124,9 +124,9 @@ class Volume(NamedTuple):
     """f of C_D and of C_H, multipliers over H² [J], shape (2, tetrahedra); None if multipliers are
     not kept"""
     packs: Packs | None
-    """those at pinned particles; None in a scene without pins"""
+    """tetrahedra at pinned particles; None in a scene without pins"""
     work: np.ndarray
-    """room for F, cof F and FᵀF - 1 of one tetrahedron, shape (3, 3, 3)"""
+    """scratch for F, cof F and FᵀF - 1 of one tetrahedron, shape (3, 3, 3)"""
 
 
 @stage(prepare, Volume)
@@ -146,7 +146,7 @@ def project_volume(volume, state, substep):
 @stage(project_back, Volume)
 @jit
 def project_volume_back(volume, state, substep):
-    """Do the same pass in reverse."""
+    """The same pass in reverse order."""
     _project(volume, state, substep, True)
 
 
@@ -172,7 +172,7 @@ def mix(a, x, b, y, c, z):
 
 @jit(inline=True)
 def gradients(p, b):
-    """Return ∇0 … ∇3, each x y z, of the columns of P and the rows of Dm⁻¹."""
+    """Return ∇0 … ∇3, each x y z, from the columns of P and the rows of Dm⁻¹."""
     (px, py, pz), (qx, qy, qz), (rx, ry, rz) = p
     b11, b12, b13, b21, b22, b23, b31, b32, b33 = b
     x1, y1, z1 = (mix(px, b11, qx, b12, rx, b13), mix(py, b11, qy, b12, ry, b13),
@@ -237,7 +237,7 @@ def strained(d1, d2, d3, b):
               + (8.0 / 9.0) * j * j + longer * longer / 3.0)
     there = norm > 0.0
     per = longer / (3.0 * select(there, norm, 1.0))
-    alone = select(there, 0.0, per / REST)    # of what is a point
+    alone = select(there, 0.0, per / REST)    # of a point
     more = (8.0 / 9.0) * j
     deviatoric = (
         (fma(more, ux, fma(per, fx, fx - ux)) + alone, fma(more, uy, fma(per, fy, fy - uy)),
@@ -346,10 +346,10 @@ def _differentiate(corners, b, x, work, gradient):
 
 
 class Tetrahedra:
-    """The same tetrahedra one by one, in sweep order, as people and NumPy want them."""
+    """The tetrahedra one by one, in sweep order: the definition in NumPy."""
 
     stretch = True
-    """what the substeps have to resolve, unlike bending"""
+    """the substeps must resolve it, unlike bending"""
 
     def __init__(self, particles, index, inverse, compliance):
         self.particles = particles
@@ -375,7 +375,7 @@ class Tetrahedra:
         return (corners[:, 1:] - corners[:, :1]).swapaxes(1, 2) @ self.inverse
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C_D and C_H, shape (tetrahedra, 2), straight from the definition."""
+        """Return C_D and C_H, shape (tetrahedra, 2), from the definition."""
         f = self.gradient(x)
         growth, square = np.linalg.det(f) - 1.0, (f * f).sum((1, 2))
         square += (8.0 / 9.0 * growth**2 - 3.0 - 2.0 * growth + (np.sqrt(square) - REST)**2 / 3.0)
@@ -389,7 +389,7 @@ class Tetrahedra:
         """
         Return V0 (2 μ + 3 λ) Σ |b_i| Σ |b_j| at each particle [N/m], shape (slots, 3, 3).
 
-        b_i is the gradient of i's shape function: |∇u|² ≤ (Σ |b_i| |u_i|)². About the rest shape.
+        b_i is the gradient of i's shape function, |∇u|² ≤ (Σ |b_i| |u_i|)²; about the rest shape.
         """
         rows = np.concatenate([-self.inverse.sum(1, keepdims=True), self.inverse], 1)
         slopes = length(rows)
@@ -401,7 +401,7 @@ class Tetrahedra:
 
 
 class BuiltVolume(Built):
-    """The tetrahedra of every body that has an elastic volume."""
+    """The tetrahedra of all bodies with this effect."""
 
     def __init__(self, parameters, world):
         super().__init__()

@@ -1,14 +1,14 @@
 """
-Wind: a uniform velocity of the air, which the cloth feels through its drag.
+Wind: uniform velocity of the air, with gusts, which acts on the cloth through ``drag``.
 
     u(t) = velocity + gust sin(2 π t / period)
 
-with t from the scene's start. It moves nothing itself: ``drag`` does, with its usual coefficients
-where the scene does not name it. ``~/wind`` sets the velocity while the scene runs; a reset brings
-back the scene's.
+with t from the scene's start. The force is that of ``drag``, which a scene with wind always has,
+by default with its usual coefficients. ``~/wind`` sets the mean velocity while the scene runs; a
+reset restores the scene's.
 
-Limits: the same everywhere, and the cloth does not slow it; what is in the lee feels it too. A
-gust is joined by straight lines from frame to frame.
+Limits: uniform in space and not slowed by the cloth; cloth in the lee feels it too. Within a frame
+gusts are interpolated linearly.
 """
 
 from dataclasses import dataclass
@@ -24,19 +24,19 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import force, stage
 
 FASTEST = 1e4
-"""what is called wind blows no faster [m/s]"""
+"""largest velocity component that is accepted [m/s]"""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """The velocity, and how it swells."""
+    """The mean velocity and the gusts."""
 
     velocity: tuple[float, float, float] = quantity(
-        unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True, doc='of the air')
+        unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True, doc='mean velocity of the air')
     gust: tuple[float, float, float] = quantity(
         (0.0, 0.0, 0.0), unit='m/s', minimum=-FASTEST, maximum=FASTEST, live=True,
-        doc='amplitude that swells about it')
-    period: float = quantity(2.0, unit='s', above=0.0, live=True, doc='of the gusts')
+        doc='amplitude of the gusts')
+    period: float = quantity(2.0, unit='s', above=0.0, live=True, doc='period of the gusts')
 
 
 class Wind(NamedTuple):
@@ -53,19 +53,19 @@ class Wind(NamedTuple):
 @stage(force, Wind)
 @jit
 def blow(wind, state, substep):
-    """Let the wind have the velocity that it has at the substep's end."""
+    """Interpolate the velocity at the substep's end."""
     for k in range(3):
         wind.now[k] = wind.start[k] + substep.end * (wind.goal[k] - wind.start[k])
 
 
 class BuiltWind(Built):
-    """Knows the velocity; commands may change it."""
+    """The wind of a scene; commands change its mean velocity."""
 
     def __init__(self, parameters, world):
         super().__init__()
         self.parameters = parameters
         self.velocity = np.array(parameters.velocity)
-        """mean, as the scene or the last command has it [m/s]"""
+        """mean velocity of the scene or of the last command [m/s]"""
         self.data = Wind(*(np.zeros(3) for _ in range(3)))
         self.commands = {SetWind: self.set}
         self._start_ns = 0
@@ -75,7 +75,7 @@ class BuiltWind(Built):
                      for command in commands if max(map(abs, command.velocity)) > FASTEST), None)
 
     def set(self, command, clock, state) -> None:
-        """Change the velocity."""
+        """Change the mean velocity."""
         self.velocity = np.array(command.velocity)
 
     def begin(self, clock, state):

@@ -53,9 +53,10 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
 
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
     the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
-    them for a millimetre on a metre (NUMERICS 5.8), with NDF2 a fifth, and where colliders or wind
-    may pull it taut a third; Gauss-Seidel needs all, to be as stiff as asked, also for what lines
-    leave to it. An effect may want some whatever the edges do (``Built.least_substeps``).
+    them for a millimetre on a metre (doc/numerics.md 3.2), with NDF2 a fifth, and where colliders
+    or wind may pull it taut a third; Gauss-Seidel needs all, to be as stiff as asked, also for
+    what lines leave to it. An effect may want some whatever the edges do
+    (``Built.least_substeps``).
     ``explicit`` itself takes the bound of ``stability_limit``. ``budget_ms`` bounds the substeps
     by the cost table above.
     """

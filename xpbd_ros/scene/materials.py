@@ -8,10 +8,10 @@ stretched by a sixth, C11 pulled along warp, C22 along weft, C12 the mean of bot
 modulus at 45° (half of the fourth number, which multiplies the tensor's strain); of bending the
 mean of warp, weft and 45° at the smallest curvature. Of paper the nominal values of ARCSim's file.
 
-A membrane carries all of this. What a lattice cannot carry (NUMERICS 2.7): on square cells it has
-C12 = C66, on oblong ones C12 = 0, so Poisson's ratio is not free. Kept are the moduli of a strip
-pulled along warp and along weft, and the shear modulus. A knit gets softer than this at small
-strains, up to tenfold.
+A membrane carries all of this. What a lattice cannot carry (doc/numerics.md 5.2): on square cells
+it has C12 = C66, on oblong ones C12 = 0, so Poisson's ratio is not free. Kept are the moduli of a
+strip pulled along warp and along weft, and the shear modulus. A knit gets softer than this at
+small strains, up to tenfold.
 """
 
 from dataclasses import dataclass

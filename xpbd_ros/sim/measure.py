@@ -60,8 +60,8 @@ def stiffness_given(simulation) -> tuple[float, float] | None:
     Return how stiff the stretch is, as a share of what was asked, and the residual.
 
     The share is Σ α |f| / Σ -C sign f over the edges: what they give under their forces, which
-    unconverged sweeps make more than α f (NUMERICS 0.2). It is 1 where both are no more than
-    rounding leaves of the lengths. The residual is the RMS of C + α f [m]. None if no
+    unconverged sweeps make more than α f (doc/numerics.md 4.1 and 4.2). It is 1 where both are no
+    more than rounding leaves of the lengths. The residual is the RMS of C + α f [m]. None if no
     multipliers are kept, or nothing is elastic.
     """
     built = simulation.effects.get('stretch')

@@ -72,7 +72,7 @@ class GridEdges(NamedTuple):
     rest_length: np.ndarray
     """[m], by shape; shape (shapes,)"""
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     axis: np.ndarray
     """where two particles coincide, by shape; shape (shapes, 3)"""
     force: np.ndarray | None
@@ -161,7 +161,7 @@ def max_compliance(dtype) -> float:
 
 
 def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
-    """Return the compliances of grids as one table, HOLE where there is no constraint."""
+    """Return the compliances of grids as one table, ABSENT where there is no constraint."""
     table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
     table[:] = ABSENT
     first_ = 0

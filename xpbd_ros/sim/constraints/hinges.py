@@ -1,12 +1,12 @@
 """
 Hinges of a cloth: two triangles that share an edge, their dihedral angle, and what bends them.
 
-A hinge of stiffness B |e|² / (A0 + A1) makes a sheet of bending rigidity B (NUMERICS 2.5; Grinspun
-et al. 2003 up to the factor), with a B of its own on a mesh (``constraints.plate_rigidity``). A
-grid has the hinges of both of its triangulations, the one with alternating diagonals and its
-mirror image, each with half the stiffness: those of one alone bend only about every other
-particle, and a sheet that may choose would come out a third too soft. A cell's diagonals see κxy
-alone and count half of that again.
+A hinge of stiffness B |e|² / (A0 + A1) makes a sheet of bending rigidity B (doc/numerics.md 5.7;
+Grinspun et al. 2003 up to the factor), with a B of its own on a mesh
+(``constraints.plate_rigidity``). A grid has the hinges of both of its triangulations, the one with
+alternating diagonals and its mirror image, each with half the stiffness: those of one alone bend
+only about every other particle, and a sheet that may choose would come out a third too soft. A
+cell's diagonals see κxy alone and count half of that again.
 """
 
 import numpy as np

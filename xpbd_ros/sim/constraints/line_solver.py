@@ -1,5 +1,5 @@
 """
-Whole lines of distance constraints, solved at once (NUMERICS 2.14; Deul et al. 2018).
+Whole lines of distance constraints, solved at once (doc/numerics.md 3.3; Deul et al. 2018).
 
 The edges of a line, linearised where it lies, couple only to their neighbours:
 

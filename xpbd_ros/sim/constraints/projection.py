@@ -6,7 +6,7 @@ positions x as they are and add up moves elsewhere: ``state.apart`` says where, 
 far a constraint goes.
 
     Gauss-Seidel    Δf = -(C + α f) / (W + α)          Macklin et al. 2016, eq 18
-    Jacobi          Δf = -ω (C + α f) / (W + α)        NUMERICS 2.14
+    Jacobi          Δf = -ω (C + α f) / (W + α)        doc/numerics.md 3.4
     explicit        f  = -C / α, from f = 0            the force at x itself
 
 ``None`` for a multiplier: it is not kept, and is 0 before the only pass.

@@ -67,7 +67,7 @@ class Slant(NamedTuple):
 
     runs: Runs
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, HOLE where there is none; shape (shapes, places)"""
+    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     axis: np.ndarray
     """where the ends of each diagonal coincide, shape (2, 3)"""
     force: np.ndarray | None

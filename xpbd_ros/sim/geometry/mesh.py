@@ -67,7 +67,8 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
     resolution : particles along warp and weft, each at least 1
 
     Each cell gives a quarter of its area to each of its corners, so that the rim has half the mass
-    of the inside and a hanging strip stretches exactly as the continuum does (NUMERICS, V6).
+    of the inside and a hanging strip stretches exactly as the continuum does
+    (doc/numerics.md 5.12).
 
     """
     columns, rows = resolution

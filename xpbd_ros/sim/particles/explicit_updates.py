@@ -1,7 +1,7 @@
 """
 Updates of methods that add up moves: Jacobi's sum, and the leapfrog of the explicit method.
 
-The leapfrog keeps velocities half a substep from the positions (NUMERICS 2.14).
+The leapfrog keeps velocities half a substep from the positions (doc/numerics.md 2.3).
 """
 
 from xpbd_ros.sim.backend.jit import jit

@@ -1,7 +1,7 @@
 """
 Time integration: backward Euler, BDF2 and NDF2 in one form.
 
-All integrators read (NUMERICS 2.14; Macklin et al. 2016, algorithm 1 for backward Euler)
+All integrators read (doc/numerics.md 2.1; Macklin et al. 2016, algorithm 1 for backward Euler)
 
     x = x̄ + H v,   v = v̄ + H (g + forces / m),   then projections with mobilities w H²
 

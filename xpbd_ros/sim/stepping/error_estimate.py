@@ -5,10 +5,10 @@ What is left of the error after doubling is 1 / (2^p - 1) of what doubling took 
 Nørsett and Wanner, Solving ordinary differential equations I, II.4), for a method of order p: as
 much again for backward Euler, a third for BDF2. Which of the two a frame is nearer to depends on
 contacts and on how far the sweeps converge, so LEFT is their geometric mean. It holds while the
-substeps follow the cloth's waves; under-resolved, twice the substeps take little away (NUMERICS
-0.2), and only a third run tells. So where a cloth is strained by more than DOUBTFUL there is one,
-with four times the substeps: if it moves the cloth further than the second did, the frame is not
-resolved.
+substeps follow the cloth's waves; under-resolved, twice the substeps take little away
+(doc/numerics.md 4.1), and only a third run tells. So where a cloth is strained by more than
+DOUBTFUL there is one, with four times the substeps: if it moves the cloth further than the second
+did, the frame is not resolved.
 """
 
 from collections.abc import Callable

@@ -9,9 +9,9 @@ exactly this back: -T = (I - G^K) f∞ with (A + α) f∞ = -(C + A T). Hence
     C = α y + A G^K y,   (I - G^K) y = T
 
 per constraint and for any sweep, linearised about where the cloth is. One Gauss-Seidel pass makes
-of it C_j = α_j T_j - Σ A_jk T_k over the k that are swept after j (NUMERICS 0.2): a constraint
-gives what later ones take from it. Lines, solved whole, take nothing from one another. What a
-triangle has three of is solved together: T and C are vectors, and α is their block.
+of it C_j = α_j T_j - Σ A_jk T_k over the k that are swept after j (doc/numerics.md 4.1): a
+constraint gives what later ones take from it. Lines, solved whole, take nothing from one another.
+What a triangle has three of is solved together: T and C are vectors, and α is their block.
 """
 
 from dataclasses import dataclass, field

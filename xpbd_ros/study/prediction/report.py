@@ -153,7 +153,7 @@ def _across(entry: Entry, shape: Field | np.ndarray | None) -> float:
 
 
 def _coarse(scene: Scene, simulation: Simulation) -> list[str]:
-    """Say where float32 loses gravity (NUMERICS 0.10)."""
+    """Say where float32 loses gravity (doc/numerics.md 2.5)."""
     if simulation.solver.precision != 'float32':
         return []
     h = simulation.frame_dt / simulation.solver.substeps

@@ -4,7 +4,7 @@ How many substeps a setting needs.
 Two things ask for them. The edges must be as stiff as asked (``stiffness``): the error falls as
 1 / N². And BDF2 or NDF2 must follow the waves: the sweeps that they go with are within about a
 millimetre on a metre with a ``share`` of the substeps that an explicit solver would need, and an
-error of second order allows √10 fewer for each digit less (NUMERICS 5.8).
+error of second order allows √10 fewer for each digit less (doc/numerics.md 3.2).
 """
 
 from dataclasses import replace

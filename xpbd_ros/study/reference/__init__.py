@@ -4,7 +4,7 @@ An independent reference: where the particles really are at a time, and how well
 Two methods that share no code with the simulation, nor the right-hand side with each other:
 
 ``newton``    backward Euler or BDF2; each step minimises its energy by Newton's method with an
-              exact sparse factorisation (NUMERICS 3.6). No multipliers, no sweeps.
+              exact sparse factorisation (doc/numerics.md 11). No multipliers, no sweeps.
 ``explicit``  leapfrog, damping exact in the kicks. Its error has even powers of dt only.
 
 ``limit`` takes either to dt → 0. ``problem_of`` says what a compiled simulation should compute.

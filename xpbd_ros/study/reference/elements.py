@@ -1,5 +1,5 @@
 """
-What stores energy: each kind of element with its energy, as NUMERICS 2 writes it down.
+What stores energy: each kind of element with its energy, as doc/numerics.md 5 writes it down.
 
 The energy of an element is a function of a few vectors that are linear in its particles' places,
 z = Σ w_i (x_i - x_0): an edge, two sides of a triangle, the columns of a deformation gradient. Its
@@ -125,7 +125,7 @@ class Elements:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Edges(Elements):
-    """E = k (|x1 - x0| - L)² / 2 (NUMERICS 2.1)."""
+    """E = k (|x1 - x0| - L)² / 2 (doc/numerics.md 5.1)."""
 
     rest_length: Array
     """L [m], shape (m,)"""
@@ -158,7 +158,7 @@ class Sums(Elements):
     """
     E = B |Σ w_i x_i|² / 2, the w of sum 0.
 
-    Isometric hinges (NUMERICS 2.5), and springs that are nothing long, such as seams.
+    Isometric hinges (doc/numerics.md 5.5), and springs that are nothing long, such as seams.
     """
 
     weight: Array
@@ -177,7 +177,7 @@ class Sums(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Membranes(Elements):
     """
-    E = Cᵀ K C / 2 of Green's strain C = (E11, E22, γ12) (NUMERICS 2.6).
+    E = Cᵀ K C / 2 of Green's strain C = (E11, E22, γ12) (doc/numerics.md 5.4).
 
     F = (f1, f2) = (x1 - x0, x2 - x0) D⁻¹,  E11 = (f1·f1 - 1) / 2,  γ12 = f1·f2.
     """
@@ -201,9 +201,9 @@ class Membranes(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hinges(Elements):
     """
-    E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite (NUMERICS 2.4).
+    E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite.
 
-    Of the angles that differ by whole turns that nearest to θ0.
+    As doc/numerics.md 5.6; of the angles that differ by whole turns, the one nearest to θ0.
     """
 
     rest_angle: Array
@@ -237,7 +237,7 @@ class Areas(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tetrahedra(Elements):
     """
-    Neo-Hookean (NUMERICS 2.8), with a barrier that opens a point: J = det F, n² = tr FᵀF,
+    Neo-Hookean (doc/numerics.md 5.9), with a barrier that opens a point: J = det F, n² = tr FᵀF,
 
     E = μ (n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3) / 2 + λ (J - 1)² / 2.
     F = (x_i - x_0) Dm⁻¹.
@@ -265,10 +265,10 @@ class Tetrahedra(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gas(Elements):
     """
-    E = (V - V*)² / (2 α) of what closed triangles hold, V = Σ x0·(x1×x2) / 6 (NUMERICS 2.9).
+    E = (V - V*)² / (2 α) of what closed triangles hold, V = Σ x0·(x1×x2) / 6.
 
-    One energy for all: its Hessian is p ∇²V + ∇V ∇Vᵀ / α, with p = (V - V*) / α. Corners are
-    counted from the mean of all, which changes no volume and no derivative.
+    One energy for the whole surface (doc/numerics.md 5.10): its Hessian is p ∇²V + ∇V ∇Vᵀ / α with
+    p = (V - V*) / α. Corners are counted from their mean: that changes no volume, no derivative.
     """
 
     rest_volume: Array

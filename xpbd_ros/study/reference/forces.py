@@ -1,8 +1,9 @@
 """
 The forces of each kind of element, written out for leapfrog: one element after another.
 
-Gradients by hand, as NUMERICS 2 has them, apart from the formulas of ``elements``, which they are
-tested against. A place is x + low: ``low`` is what rounding took from x. Each adds -∇E to ``f``.
+Gradients by hand, as doc/numerics.md 5 has them, apart from the formulas of ``elements``, which
+they are tested against. A place is x + low: ``low`` is what rounding took from x. Each adds -∇E to
+``f``.
 """
 
 from math import atan2, pi, sqrt

@@ -1,5 +1,5 @@
 """
-Backward Euler and BDF2, and what is at rest, by Newton's method (NUMERICS 3.6).
+Backward Euler and BDF2, and what is at rest, by Newton's method (doc/numerics.md 11).
 
 Each step minimises its energy, with an exact sparse factorisation. No multipliers, no sweeps. The
 first step of BDF2 is backward Euler: local error O(dt²), so the whole stays of second order.

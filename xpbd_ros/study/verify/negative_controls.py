@@ -2,7 +2,7 @@
 Schemes known to be wrong, in NumPy, for controls: what a case must not let pass.
 
 A chain of distance constraints by Gauss-Seidel, as in XPBD but for one thing, and a particle on a
-plane whose friction shortens velocities (NUMERICS 1, rows 3, 10, 18, 47).
+plane whose friction shortens velocities (doc/numerics.md 4.4).
 """
 
 import numpy as np
