@@ -1,9 +1,9 @@
 """
 Inextensible edges of meshes: accelerated Gauss-Seidel passes over unilateral constraints.
 
-Each edge longer than it may be is put back, and only pulls (f ≤ 0). A net that hangs by a corner
-would take thousands of passes, so each pair of passes, forth and back, starts from where the last
-two lead (Nesterov 1983),
+An edge longer than its limit is projected onto it, with f ≤ 0 (tension only). A net that hangs by
+a corner would take thousands of passes, so each pair of a forward and a backward pass starts from
+an extrapolation of the last two (Nesterov 1983),
 
     x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
 
@@ -33,9 +33,9 @@ from xpbd_ros.sim.constraints.pinned_edges import note_packs
 from xpbd_ros.sim.particles.records import to_positions, to_records
 
 EASE = 3e-3
-"""what an edge may be longer than the limit, relative"""
+"""tolerance: relative excess over the limit at which passes end"""
 FINE, FEW = 1e-5, 8
-"""the same in so many passes, if they suffice: what is left over makes forces chatter"""
+"""tolerance of the first FEW pairs of passes: a remaining excess makes forces oscillate"""
 GROWTH = 1.2
 """growth of the largest excess at which k restarts"""
 
@@ -43,9 +43,17 @@ GROWTH = 1.2
 @jit
 def shorten(limit, state, substep, passes):
     """
-    Make passes over the edges of meshes until none is too long; return the first largest excess.
+    Project the edges of meshes until none is too long; return the initial largest excess.
 
-    ``limit`` has the fields of ``MeshStrainLimit``.
+    Parameters
+    ----------
+    limit : ``MeshStrainLimit`` of the effect ``strain_limit``
+    passes : largest number of pairs of passes
+
+    Returns
+    -------
+    largest (|x1 - x2| - longest) / longest found by the first pass
+
     """
     first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
     to_records(state, limit.records, first, last)
@@ -76,7 +84,7 @@ def shorten(limit, state, substep, passes):
 
 @jit
 def _sweep(limit, state, reverse):
-    """Pass over all edges; return the largest excess over the limit that it found, relative."""
+    """Project all edges once; return the largest relative excess over the limit found."""
     most, packs = 0.0, limit.packs
     for number in range(segment_count(packs)):
         begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
@@ -90,7 +98,7 @@ def _sweep(limit, state, reverse):
 
 @jit
 def weigh(packs, first, last, state):
-    """Let the edges of a pack count as what they do to momentum."""
+    """Scale the recorded gradients of a pack to forces (see ``per_euler``)."""
     if packs is not None:
         for k in range(first, last):
             i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
@@ -102,14 +110,14 @@ def weigh(packs, first, last, state):
 
 @jit
 def begin_pull(pull):
-    """Begin a touch."""
+    """Zero the forces on pinned particles of one call of ``shorten`` [N], shape (3, slots)."""
     if pull is not None:
         pull[:] = 0.0
 
 
 @jit
 def go_on_pulling(pull, before, share):
-    """Go on with impulses as with what exerts them."""
+    """Extrapolate the forces on pinned particles as the multipliers that exert them."""
     if pull is not None:
         for a in range(3):
             _go_on(pull[a], before[a], 0, pull.shape[1], share)
@@ -117,7 +125,7 @@ def go_on_pulling(pull, before, share):
 
 @jit
 def end_pull(pull, part, reaction):
-    """Add the impulses of a touch to those of the frame."""
+    """Add the forces of one call of ``shorten`` to the mean over the frame."""
     if pull is not None:
         for a in range(3):
             for i in range(pull.shape[1]):
@@ -126,17 +134,21 @@ def end_pull(pull, part, reaction):
 
 @jit
 def _go_on(numbers, before, first, last, share):
-    """Go on by a share of what numbers changed by since the last time."""
+    """
+    Extrapolate: numbers += share (numbers - before), for indices first:last.
+
+    ``before`` receives the values before extrapolation.
+    """
     for q in range(first, last, lanes(numbers)):
         now = load(numbers, q)
-        if share > 0.0:    # no share of nan is 0
+        if share > 0.0:    # 0 · nan would be nan
             store(numbers, q, fma(share, now - load(before, q), now))
         store(before, q, now)
 
 
 @jit
 def _put_back(records, i, j, longest, force, begin, end, reverse):
-    """Pass over some edges; return the largest excess over the limit that it found, relative."""
+    """Project the edges begin:end; return the largest relative excess over the limit found."""
     step, most = lanes(longest), splat(longest, 0.0)
     for p in range(begin, end, step):
         q = begin + end - step - p if reverse else p
