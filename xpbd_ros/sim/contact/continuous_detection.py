@@ -1,15 +1,17 @@
 """
-Crossing: where a particle's way through a substep first comes near to a collider.
+Continuous collision detection: the first point of a particle's path at distance r of a collider.
 
-In the collider's axes the way is a line from l0 to l1, whichever of the two moves. Along it the
-distance φ to a convex shape is a convex function, so Newton's step from outside,
+In the collider's axes the path in a substep is taken as a line from l0 to l1, whichever of the two
+moves. Along it the distance φ to a convex shape is a convex function, so Newton steps from
+outside,
 
     t <- t + (φ - r) / -(n · (l1 - l0)),
 
-never goes past the first place where φ = r; where n · (l1 - l0) >= 0 there is none. Towards a mesh
-or ground it goes on by φ - r, but at least half a cell of it and, for ground, at most one.
+never pass the first point with φ = r; if n · (l1 - l0) >= 0 there is none. Towards a mesh or a
+height field the step is φ - r (sphere tracing), but at least half a cell and, for a height field,
+at most one.
 
-Limits: a turn within the substep is taken as a straight line between its ends.
+Limits: the path relative to a rotating collider is approximated by a straight line.
 """
 
 from math import sqrt
@@ -20,16 +22,25 @@ from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.geometry.quaternion import rotate
 
 CLOSE = 0.01
-"""what counts as there, in parts of the thickness"""
+"""tolerance of φ - r, relative to the thickness"""
 LOOKS = 64
-"""wherever it gets to with them, it has not passed the surface"""
+"""most Newton steps; the point reached by then has not passed the surface"""
 MOST_LOOKS = 10_000
-"""towards a mesh or ground: a frame in which something goes further is taken back"""
+"""most steps towards a mesh or height field; longer paths are those of implausible frames, which
+are rolled back"""
 
 
 @jit(inline=True)
 def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
-    """If a candidate's way meets the collider, note the tangent plane that it has to respect."""
+    """
+    Detect whether the path of candidate k meets its collider, and record the tangent plane there.
+
+    Parameters
+    ----------
+    x0, y0, z0, x, y, z : particle's positions at the substep's start and now [m]
+    thickness : [m]
+
+    """
     c, gap = contacts.collider[k], contacts.gap[k]
     ax, ay, az = to_local(contacts.before, c, x0, y0, z0)
     bx, by, bz = to_local(contacts.after, c, x, y, z)
@@ -52,7 +63,7 @@ def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
             t += (min(step, cell) if shape == HEIGHTS else step) / length
         else:
             return
-        if not t <= 1.0 or looks == MOST_LOOKS:    # also where t is no number
+        if not t <= 1.0 or looks == MOST_LOOKS:    # true for nan too
             return
     q = contacts.after
     wx, wy, wz = to_world(q, c, px, py, pz)
