@@ -1,11 +1,11 @@
 """
-Listing: of the pairs that were sought, those that can touch, or get through, in a substep.
+Narrow phase: pairs of the neighbour list that may touch, or pass through each other, in a substep.
 
-A pair is pushed apart along the way between its closest points. Where the substep starts that way
-may lean against the motion: cloth that slides over cloth nears the triangle ahead, and along the
-normal at the start it would run into it, though at the end it is over it. So where a pair would be
-pushed, the normal and the closest points at the end of the sweep are taken, unless the pair gets
-through one another before.
+A pair contact acts along the direction between the pair's closest points. At the substep's start
+this direction may oppose a sliding motion: cloth that slides over cloth approaches the triangle
+ahead, and a contact with the normal at the start would stop it, although at the end it lies above
+that triangle. So where that contact would push, the normal and the closest points at the end of
+the sweep are used, unless the pair passes through each other before.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -26,7 +26,7 @@ from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 
 @jit(inline=True)
 def reach_of(near, kind, i, j, k, l):
-    """Return how far a pair's sides may get towards each other, and how far they have since."""
+    """Return bounds of a pair's approach in this substep, and since the build of the list [m]."""
     go, past = near.travel, near.drift_since_build
     if kind == EDGES:
         return max(go[i], go[j]) + max(go[k], go[l]), max(past[i], past[j]) + max(past[k], past[l])
@@ -35,33 +35,37 @@ def reach_of(near, kind, i, j, k, l):
 
 @jit(inline=True)
 def all_held(w, slot, b, i, j, k, l):
-    """Tell whether nothing that a pair's distance goes by can move."""
+    """Return True if all of a pair's particles with nonzero weight are pinned."""
     return (w[slot[i]] * b[0] == 0.0 and w[slot[j]] * b[1] == 0.0 and w[slot[k]] * b[2] == 0.0
             and w[slot[l]] * b[3] == 0.0)
 
 
 @jit(inline=True)
 def is_inside(kind, b):
-    """Tell whether edges are nearest between their ends; else a triangle says the same."""
+    """
+    Return True unless the closest points of two edges include an end point.
+
+    Pairs of a particle and a triangle cover those.
+    """
     return kind != EDGES or b[0] > 0.0 and b[1] > 0.0 and b[2] < 0.0 and b[3] < 0.0
 
 
 @jit
 def list_candidates(near, surface, planes, touches, rubbing, state, thickness, apart, both):
     """
-    List what can get through in this substep; and, if ``both``, what can touch.
+    List the pairs that may pass through each other in this substep; if ``both``, contacts too.
 
     Parameters
     ----------
-    near : what was sought
-    surface : what it spans, or None
-    planes : gets what can get through; None where only particles are looked at
-    touches : gets what can get within the thickness
-    rubbing : of these, or None
-    state : the particles
+    near : neighbour list
+    surface : its triangles and edges, or None
+    planes : receives the pairs that may pass through each other; None if only particles collide
+    touches : receives the pairs that may come closer than the distance to be kept
+    rubbing : friction data of ``touches``, or None
+    state : particles
     thickness : distance to be kept [m]
-    apart : how far an old overlap may come apart in the substep [m]
-    both : whether to list touches
+    apart : largest depenetration in the substep [m]
+    both : True to list ``touches`` too
 
     """
     kind, aside = POINTS, thickness if both else 0.0
@@ -94,7 +98,16 @@ def list_candidates(near, surface, planes, touches, rubbing, state, thickness, a
 
 @jit
 def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distance, gap):
-    """List a pair that can touch in this substep."""
+    """
+    Append a pair to ``touches``.
+
+    Parameters
+    ----------
+    kind, i, j, k, l : kind of the pair and its particles
+    v, b, distance : vector between its closest points at the substep's start, weights, |v| [m]
+    gap : distance to be kept [m]
+
+    """
     n, slot, m = v, near.slot, touches.count[0]
     if distance == 0.0:
         n = across(kind, at(near.x, i), at(near.x, j), at(near.x, k), at(near.x, l))
@@ -128,17 +141,16 @@ def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distanc
 @jit
 def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
     """
-    Return whether a pair may touch, and the normal and weights to push it apart by.
+    Return whether a pair is a contact, and its normal and weights.
 
-    Those at the substep's start hold it back where it slides past: the closest points move on, and
-    the normal that leans against the way turns. So where they would push, those at its end are
-    taken, unless the pair gets through one another before.
+    They are those of the substep's start (n, b) if these would not push, or if the pair passes
+    through each other in the substep; else those of its end (see the module's docstring).
     """
     if planes is None:
         return True, n, b
     else:    # Numba prunes the branch that is not taken
         slot, along = near.slot, 0.0
-        for a in range(3):    # differences, so that a place far from the origin costs no digits
+        for a in range(3):    # differences: no loss of digits far from the origin
             along += n[a] * (b[1] * (x[a, slot[j]] - x[a, slot[i]])
                              + b[2] * (x[a, slot[k]] - x[a, slot[i]])
                              + b[3] * (x[a, slot[l]] - x[a, slot[i]]))
@@ -157,7 +169,7 @@ def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
 
 @jit
 def across(kind, p, q, r, s):
-    """Return a direction in which a pair that meets can come apart."""
+    """Return a direction (not normalised) that separates a pair at distance 0."""
     if kind == POINTS:
         return 0.0, 0.0, 1.0
     if kind == TRIANGLES:
