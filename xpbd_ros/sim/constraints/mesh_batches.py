@@ -84,7 +84,7 @@ def _conflicts(particles, members, count, c):
 
 
 def padded(numbers: np.ndarray, order: np.ndarray, empty, dtype) -> np.ndarray:
-    """Return values of constraints in the order of ``pack``, cache-aligned; ``empty`` fills up."""
+    """Return values in the order of ``pack``, cache-aligned; ``empty`` where it is EMPTY."""
     found = zeros((len(order), *np.shape(numbers)[1:]), dtype)
     found[:] = empty
     found[order >= 0] = numbers[order[order >= 0]]

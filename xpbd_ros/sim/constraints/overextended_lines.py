@@ -2,14 +2,14 @@
 Overextended lines: rigid lines between two pins that are further apart than the line is long.
 
 Their constraints have no solution. Gauss-Seidel passes do not converge, and a line solve with tiny
-compliance is unstable perpendicular to the line once f > l / (m_k + m_{k+1}). In the limit α → 0
+compliance is unstable perpendicular to the line once |f| > l / (m_k + m_{k+1}). In the limit α → 0
 the excess is distributed evenly over equal edges, and the infinite tension keeps the particles on
 the straight line between the pins,
 
     x_k = x_a + k / n (x_b - x_a).
 
 They are placed there before a substep's constraints are projected, with zero mobility during the
-projections. The pins receive the tension of a line of compliance TINY
+projections. The pins, at the distance l, receive the tension of a line of compliance TINY
 (``constraints.line_solver``), f = -(l - n L) / (2 TINY Σ m_k).
 """
 

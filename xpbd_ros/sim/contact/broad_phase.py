@@ -47,7 +47,7 @@ def find_candidates(contacts, bounce, state, substep):
 @jit(inline=True)
 def consider(contacts, bounce, state, i, c, thickness, substep):
     """
-    Make a pair a candidate if φ is below the thickness and twice their motion in this substep.
+    Make a pair a candidate if φ is at most the thickness plus twice their motion in this substep.
 
     Parameters
     ----------

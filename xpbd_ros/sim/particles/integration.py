@@ -57,7 +57,7 @@ def begin(state, substep):
 @jit
 def predict(state, substep):
     """
-    x = x̄ + H v, after forces changed v; x = x_n + h v for particles whose history they voided.
+    x = x̄ + H v, after forces changed v; x = x_n + h v where they invalidated the history.
 
     In a short substep a force moves x by less than its last bit. A displacement added to x would
     be lost to rounding, and the change of v with it, since v is recomputed from x at the end.
