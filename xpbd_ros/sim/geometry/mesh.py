@@ -11,7 +11,7 @@ SQUARE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangulated rest shape in its own coordinates: a grid, a surface or the skin of a body."""
+    """Triangulated rest shape in its own coordinates: a grid, a surface or the skin of a body."""
 
     positions: np.ndarray
     """[m], shape (particles, 3)"""
