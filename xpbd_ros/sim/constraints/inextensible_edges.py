@@ -57,28 +57,28 @@ def shorten(limit, state, substep, passes):
     """
     first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
     to_records(state, limit.records, first, last)
-    begin_pull(limit.pull)
+    clear_reactions(limit.pull)
     step, before, found = 0.0, np.inf, 0.0
     for k in range(passes):
         if k > 0:
             share = max(step - 1.0, 0.0) / (step + 2.0)
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, share)
-            _go_on(limit.force, limit.force_before, 0, count, share)
-            go_on_pulling(limit.pull, limit.pull_before, share)
+            _extrapolate(limit.records, limit.before, 4 * first, 4 * last, share)
+            _extrapolate(limit.force, limit.force_before, 0, count, share)
+            extrapolate_reactions(limit.pull, limit.pull_before, share)
         most = _sweep(limit, state, False)
         if k == 0:
             found = most
         if most <= (FINE if k < FEW else EASE):
             break
         if k == 0:
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, 0.0)
-            _go_on(limit.force, limit.force_before, 0, count, 0.0)
-            go_on_pulling(limit.pull, limit.pull_before, 0.0)
+            _extrapolate(limit.records, limit.before, 4 * first, 4 * last, 0.0)
+            _extrapolate(limit.force, limit.force_before, 0, count, 0.0)
+            extrapolate_reactions(limit.pull, limit.pull_before, 0.0)
         _sweep(limit, state, True)
         step = 0.0 if most > GROWTH * before else step + 1.0
         before = most
     to_positions(state, limit.records, first, last)
-    end_pull(limit.pull, substep.end - substep.begin, state.reaction)
+    add_reactions(limit.pull, substep.end - substep.begin, state.reaction)
     return found
 
 
@@ -89,15 +89,16 @@ def _sweep(limit, state, reverse):
     for number in range(segment_count(packs)):
         begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
         note_packs(packs, a, b, limit.records, None, limit.force)
-        weigh(packs, a, b, state)
-        most = max(most, _put_back(limit.records, limit.particles[0], limit.particles[1],
-                                   limit.longest, limit.force, begin, end, reverse))
+        scale_gradients(packs, a, b, state)
+        most = max(most, _project_edges(
+            limit.records, limit.particles[0], limit.particles[1], limit.longest, limit.force,
+            begin, end, reverse))
         collect(packs, a, b, limit.force, 1.0, limit.pull)
     return most
 
 
 @jit
-def weigh(packs, first, last, state):
+def scale_gradients(packs, first, last, state):
     """Scale the recorded gradients of a pack to forces (see ``per_euler``)."""
     if packs is not None:
         for k in range(first, last):
@@ -109,22 +110,22 @@ def weigh(packs, first, last, state):
 
 
 @jit
-def begin_pull(pull):
+def clear_reactions(pull):
     """Zero the forces on pinned particles of one call of ``shorten`` [N], shape (3, slots)."""
     if pull is not None:
         pull[:] = 0.0
 
 
 @jit
-def go_on_pulling(pull, before, share):
+def extrapolate_reactions(pull, before, share):
     """Extrapolate the forces on pinned particles as the multipliers that exert them."""
     if pull is not None:
         for a in range(3):
-            _go_on(pull[a], before[a], 0, pull.shape[1], share)
+            _extrapolate(pull[a], before[a], 0, pull.shape[1], share)
 
 
 @jit
-def end_pull(pull, part, reaction):
+def add_reactions(pull, part, reaction):
     """Add the forces of one call of ``shorten`` to the mean over the frame."""
     if pull is not None:
         for a in range(3):
@@ -133,7 +134,7 @@ def end_pull(pull, part, reaction):
 
 
 @jit
-def _go_on(numbers, before, first, last, share):
+def _extrapolate(numbers, before, first, last, share):
     """
     Extrapolate: numbers += share (numbers - before), for indices first:last.
 
@@ -147,7 +148,7 @@ def _go_on(numbers, before, first, last, share):
 
 
 @jit
-def _put_back(records, i, j, longest, force, begin, end, reverse):
+def _project_edges(records, i, j, longest, force, begin, end, reverse):
     """Project the edges begin:end; return the largest relative excess over the limit found."""
     step, most = lanes(longest), splat(longest, 0.0)
     for p in range(begin, end, step):

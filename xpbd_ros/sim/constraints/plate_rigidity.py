@@ -107,9 +107,9 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
     counted = np.where(free[hinges].any(1), share, 0.0)
     asked = np.array([along_warp, along_weft, 2.0, 0.0, 0.0])
     least, most, best = LEAST * b, MOST * b, np.inf
-    settle = _Settle(hinges, weights, free)
+    solve_heights = _HeightSolver(hinges, weights, free)
     for _ in range(ROUNDS):
-        c = settle(a, b)
+        c = solve_heights(a, b)
         density = b[:, None] * _rolled(c) / share[:, None]
         weighted = density * (counted / counted.sum())[:, None]
         now = weighted.sum(0)
@@ -208,7 +208,7 @@ def _rolled(c: np.ndarray) -> np.ndarray:
     return np.stack([x * x, y * y, 2.0 * x * y + z * z, 2.0 * x * z, 2.0 * y * z], 1)
 
 
-class _Settle:
+class _HeightSolver:
     """Heights u that minimise Σ b (a + K u)² / 2, by conjugate gradients, for κ11, κ22, κ12."""
 
     def __init__(self, hinges, weights, free):

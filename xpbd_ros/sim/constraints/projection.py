@@ -90,14 +90,14 @@ def _keep(force, c, f, df):
 
 
 @inline(xpbd_residual)
-def _misfit(residual, alpha, f):
+def _xpbd_residual(residual, alpha, f):
     if isinstance(f, types.NoneType):
         return lambda residual, alpha, f: residual
     return lambda residual, alpha, f: fma(alpha, f, residual)
 
 
 @inline(denominator)
-def _divisor(apart, total, alpha):
+def _denominator(apart, total, alpha):
     if _kind(apart) is Jacobi:
         return lambda apart, total, alpha: (total + alpha) * apart.per_relaxation[0]
     if _kind(apart) is Explicit:
@@ -128,7 +128,7 @@ def zero_multipliers(apart, force):
 
 
 @inline(zero_multipliers)
-def _release_forces(apart, force):
+def _zero_multipliers(apart, force):
     if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
         return lambda apart, force: None
 

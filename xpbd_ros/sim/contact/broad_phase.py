@@ -41,11 +41,11 @@ def find_candidates(contacts, bounce, state, substep):
             if any_lane(both(free, close)):
                 for i in range(q, q + lanes(w)):
                     if w[i] > 0.0:
-                        consider(contacts, bounce, state, i, c, thickness, substep)
+                        check_pair(contacts, bounce, state, i, c, thickness, substep)
 
 
 @jit(inline=True)
-def consider(contacts, bounce, state, i, c, thickness, substep):
+def check_pair(contacts, bounce, state, i, c, thickness, substep):
     """
     Make a pair a candidate if φ is at most the thickness plus twice their motion in this substep.
 

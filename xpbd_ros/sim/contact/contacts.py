@@ -7,8 +7,8 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import Colliders, to_local, to_world, write_pose
-from xpbd_ros.sim.contact.continuous_detection import look_back
-from xpbd_ros.sim.contact.corners import ahead, is_penetrating, leave_corners, SHORT
+from xpbd_ros.sim.contact.continuous_detection import detect_crossing
+from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 from xpbd_ros.sim.particles.history import invalidate_history
 
@@ -174,8 +174,8 @@ def push_once(contacts, state, back=False, eased=False):
         x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
         step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
         if not contacts.crossed[k] and step >= contacts.slack[c]**2:
-            look_back(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
-        phi, (nx, ny, nz) = ahead(contacts, k, x, y, z)
+            detect_crossing(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
+        phi, (nx, ny, nz) = contact_distance(contacts, k, x, y, z)
         before = contacts.push[k]
         gap = contacts.gap[k]
         if eased:

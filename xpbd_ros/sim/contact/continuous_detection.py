@@ -31,7 +31,7 @@ are rolled back"""
 
 
 @jit(inline=True)
-def look_back(contacts, k, x0, y0, z0, x, y, z, thickness):
+def detect_crossing(contacts, k, x0, y0, z0, x, y, z, thickness):
     """
     Detect whether the path of candidate k meets its collider, and record the tangent plane there.
 

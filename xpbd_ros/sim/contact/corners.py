@@ -32,7 +32,7 @@ ROUNDS = 8
 
 
 @jit
-def ahead(contacts, k, x, y, z):
+def contact_distance(contacts, k, x, y, z):
     """
     Return the signed distance of a point to the collider of candidate k [m], and the normal.
 
@@ -55,7 +55,7 @@ def ahead(contacts, k, x, y, z):
 def is_penetrating(contacts, k, state):
     """Return True if candidate k is inside its collider or behind its tangent plane."""
     i = contacts.particle[k]
-    phi, _ = ahead(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
+    phi, _ = contact_distance(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
     return phi < min(0.0, contacts.gap[k] - SHORT * contacts.thickness[0])
 
 
@@ -66,10 +66,11 @@ def leave_corners(contacts, state):
     if contacts.count[3]:
         for k in range(contacts.count[0]):
             i = contacts.particle[k]
-            if contacts.latest[i] == k and contacts.earlier[k] >= 0 and left(contacts, k, state):
+            if (contacts.latest[i] == k and contacts.earlier[k] >= 0
+                    and penetrates_any(contacts, k, state)):
                 x = state.x[0, i], state.x[1, i], state.x[2, i]
-                lead_out(contacts, k, i, state)
-                if left(contacts, k, state):
+                project_jointly(contacts, k, i, state)
+                if penetrates_any(contacts, k, state):
                     count += 1
                     state.x[0, i], state.x[1, i], state.x[2, i] = x
                 invalidate_history(state.history, i)
@@ -77,7 +78,7 @@ def leave_corners(contacts, state):
 
 
 @jit
-def left(contacts, k, state):
+def penetrates_any(contacts, k, state):
     """Return True if the particle whose last candidate is k penetrates any of its colliders."""
     while k >= 0:
         if is_penetrating(contacts, k, state):
@@ -87,7 +88,7 @@ def left(contacts, k, state):
 
 
 @jit
-def lead_out(contacts, last, i, state):
+def project_jointly(contacts, last, i, state):
     """Project particle i, whose last candidate is ``last``, on up to three colliders jointly."""
     for _ in range(ROUNDS):
         a, b = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -114,7 +115,7 @@ def deepest(contacts, k, x, y, z):
     """Return the largest deficit of the relaxed gap at a point [m], and the normal there."""
     most, normal, enough = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0]
     while k >= 0:
-        phi, n = ahead(contacts, k, x, y, z)
+        phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
         if short > max(most, 0.1 * enough):
             most, normal = short, n

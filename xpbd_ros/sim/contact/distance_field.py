@@ -86,7 +86,7 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     vertices, triangles = _closed(np.asarray(vertices, float), triangles)
     usual = grid_around(vertices, gap=gap)[1]
     field = _field(vertices, triangles, gap, spacing, room)
-    while not _keeps_out(field, usual):
+    while not _is_resolved(field, usual):
         try:
             field = _field(vertices, triangles, gap, 0.5 * field.spacing, room)
         except NoRoomError as error:
@@ -102,7 +102,7 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     return field
 
 
-def _keeps_out(field: Field, usual: float) -> bool:
+def _is_resolved(field: Field, usual: float) -> bool:
     """
     Return True if all of the surface except sharp edges is close to nodes deeper than DEEP.
 
@@ -127,9 +127,9 @@ def _field(vertices, triangles, gap: float, spacing: float | None, room: int) ->
     _stamp(corners, distance, nearest)
     for _ in range(2):
         for turn in range(8):
-            _pass_on(corners, distance, nearest, *(1 - 2 * (turn >> k & 1) for k in range(3)))
+            _propagate(corners, distance, nearest, *(1 - 2 * (turn >> k & 1) for k in range(3)))
     crossings = np.zeros(shape, np.int32)
-    _cross(corners, crossings, *ASIDE)
+    _count_crossings(corners, crossings, *ASIDE)
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
     return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())),
@@ -191,7 +191,7 @@ def _around(a, b, c, count):
 
 
 @jit
-def _pass_on(corners, distance, nearest, dx, dy, dz):
+def _propagate(corners, distance, nearest, dx, dy, dz):
     """Propagate nearest triangles from node to node in a sweep along the diagonal (dx, dy, dz)."""
     nx, ny, nz = distance.shape
     for p in range(nx):
@@ -243,7 +243,7 @@ def _to_edge(px, py, pz, ux, uy, uz):
 
 
 @jit
-def _cross(corners, crossings, aside_y, aside_z):
+def _count_crossings(corners, crossings, aside_y, aside_z):
     """Add to the first node behind each crossing of a ray along x: 1 on entry, -1 on exit."""
     nx, ny, nz = crossings.shape
     for t in range(len(corners)):

@@ -20,7 +20,7 @@ def at_start(state):
 
 
 @jit(inline=True)
-def _taken(move, i):
+def _load_and_clear(move, i):
     """Return the vector of displacements from index i on, and set it to zero."""
     found = load(move, i)
     store(move, i, 0.0)
@@ -34,7 +34,7 @@ def add_moves(state):
     first, last = own(state)
     for k in range(3):
         for i in range(k * slots + first, k * slots + last, lanes(x)):
-            store(x, i, load(x, i) + _taken(move, i))
+            store(x, i, load(x, i) + _load_and_clear(move, i))
     wait(state.team)
 
 
@@ -55,7 +55,7 @@ def apply_leapfrog_kick(state, substep):
             i = k * slots + q
             xi, start, vi = load(state.x, i), load(state.x_prev, i), load(v, i)
             moved = xi - (start + h * vi)
-            vi = vi + _taken(move, i) * (1.0 / h)
+            vi = vi + _load_and_clear(move, i) * (1.0 / h)
             store(v, i, select(free, vi, load(v, i)))
             store(state.x, i, select(free, start + h * vi + moved, xi))
     wait(state.team)
@@ -78,6 +78,6 @@ def half_kick(state, h, share):
         for k in range(3):
             i = k * slots + q
             vi = load(v, i)
-            change = share / h * _taken(move, i) + share * h * state.gravity[k]
+            change = share / h * _load_and_clear(move, i) + share * h * state.gravity[k]
             store(v, i, select(free, vi + change, vi))
     wait(state.team)

@@ -117,7 +117,7 @@ def with_order_reduction(fresh, now, last, older, gap, q, h):
 
 
 @inline(with_order_reduction)
-def _steadied(fresh, now, last, older, gap, q, h):
+def _with_order_reduction(fresh, now, last, older, gap, q, h):
     if isinstance(last, types.NoneType):
         return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
 
@@ -168,7 +168,7 @@ def rotate_history(history, x, x_prev, v):
 
 
 @inline(rotate_history)
-def _turned_history(history, x, x_prev, v):
+def _rotate_history(history, x, x_prev, v):
     if isinstance(history, types.NoneType):
         return lambda history, x, x_prev, v: (x_prev, x, v, None)
     if isinstance(history[history.fields.index('older_x')], types.NoneType):
@@ -196,12 +196,12 @@ def restore_history(home, home_v, history, older_v, v, i):
     store(home.v, i, before)
 
 
-def aged(older, w, fresh):
+def next_history_age(older, w, fresh):
     """Return the vector ``fresh`` of the next substep; parameters as in ``weights``."""
 
 
-@inline(aged)
-def _aged(older, w, fresh):
+@inline(next_history_age)
+def _next_history_age(older, w, fresh):
     if isinstance(older, types.NoneType):
         return lambda older, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
     return lambda older, w, fresh: select(

@@ -14,8 +14,8 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
 from xpbd_ros.sim.backend.threads import share, wait
 from xpbd_ros.sim.particles.history import (
-    aged,
     mean,
+    next_history_age,
     restore_history,
     rotate_history,
     TOUCHED,
@@ -195,7 +195,7 @@ def _update_euler(state, q, h):
 def _update_multistep(state, history, older_x, q, h):
     v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
     fresh = load(history.fresh, q)
-    store(history.fresh, q, aged(older_x, w, fresh))
+    store(history.fresh, q, next_history_age(older_x, w, fresh))
     fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # pinned: v = (x - x_n) / h
     as_predicted = fresh < TOUCHED
     step, a, b = weights(older_x, w, fresh, h)
@@ -239,12 +239,12 @@ def restore_buffers(home, state):
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
         for k in range(3):
-            _put_back(home, home.history, state, state.history, k * slots + q)
+            _restore_buffers(home, home.history, state, state.history, k * slots + q)
     wait(state.team)
 
 
 @jit(inline=True)
-def _put_back(home, home_history, state, history, i):
+def _restore_buffers(home, home_history, state, history, i):
     x, x_prev = load(state.x, i), load(state.x_prev, i)
     if history is not None:
         restore_history(home_history, home.v, history, history.older_v, state.v, i)

@@ -40,7 +40,7 @@ def mark(planes, near, state):
 
 
 @jit
-def share_out(planes, near, state):
+def compute_shares(planes, near, state):
     """
     Compute ``share``: the fraction of its displacement relative to ``step`` a particle may make.
 
@@ -85,7 +85,7 @@ def share_out(planes, near, state):
 @jit
 def hold_back(planes, near, state):
     """Limit the displacement of held particles, and then of those that they obstruct."""
-    share_out(planes, near, state)
+    compute_shares(planes, near, state)
     for i in range(len(near.slot)):
         if planes.stays[near.slot[i]]:
             planes.share[i] = 0.0
@@ -168,11 +168,11 @@ def left_over(planes, near, contacts, state):
     count = 0
     for m in range(planes.count[0]):
         count += not parts(planes, m, near, state.x)
-    return count + behind(contacts, state)
+    return count + count_collider_penetrations(contacts, state)
 
 
 @jit
-def behind(contacts, state):
+def count_collider_penetrations(contacts, state):
     """Return the number of contacts that penetrate a collider."""
     if contacts is None:
         return 0

@@ -11,21 +11,21 @@ the sweep are used, unless the pair passes through each other before.
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.self_collision.neighbour_list import (
     at,
+    closest_vector,
+    closest_vector_of_slots,
     corners,
     EDGES,
-    kept,
     length,
     POINTS,
+    required_distance,
     TRIANGLES,
-    way,
-    way_now,
 )
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 
 
 @jit(inline=True)
-def reach_of(near, kind, i, j, k, l):
+def approach_bounds(near, kind, i, j, k, l):
     """Return bounds of a pair's approach in this substep, and since the build of the list [m]."""
     go, past = near.travel, near.drift_since_build
     if kind == EDGES:
@@ -34,7 +34,7 @@ def reach_of(near, kind, i, j, k, l):
 
 
 @jit(inline=True)
-def all_held(w, slot, b, i, j, k, l):
+def all_pinned(w, slot, b, i, j, k, l):
     """Return True if all of a pair's particles with nonzero weight are pinned."""
     return (w[slot[i]] * b[0] == 0.0 and w[slot[j]] * b[1] == 0.0 and w[slot[k]] * b[2] == 0.0
             and w[slot[l]] * b[3] == 0.0)
@@ -77,27 +77,27 @@ def list_candidates(near, surface, planes, touches, rubbing, state, thickness, a
         while c >= near.kind_end[kind]:
             kind += 1
         i, j, k, l = corners(surface, kind, near.first[c], near.second[c])
-        reach, moved = reach_of(near, kind, i, j, k, l)
+        reach, moved = approach_bounds(near, kind, i, j, k, l)
         if near.distance[c] - moved > reach + aside:
             continue
-        v, b = way(kind, near.x, i, j, k, l)
+        v, b = closest_vector(kind, near.x, i, j, k, l)
         distance = length(v)
-        if distance > reach + aside or all_held(state.inv_mass, near.slot, b, i, j, k, l):
+        if distance > reach + aside or all_pinned(state.inv_mass, near.slot, b, i, j, k, l):
             continue
         if near.keep[c] < 0.0:
-            near.keep[c] = kept(near.cloth, near.rest, kind, thickness, i, j, k, l)
+            near.keep[c] = required_distance(near.cloth, near.rest, kind, thickness, i, j, k, l)
         if planes is not None:    # noqa: SIM102  Numba prunes only branches on None alone
             if 0.0 < distance <= reach:
                 add_plane(planes, 2 if kind == EDGES else 1, i, j, k, l,
                           (v[0] / distance, v[1] / distance, v[2] / distance), distance,
                           near.keep[c])
         if both and is_inside(kind, b):
-            add_touch(near, planes, touches, rubbing, state.x, kind, i, j, k, l, v, b, distance,
-                      min(near.keep[c], distance + apart))
+            add_pair_contact(near, planes, touches, rubbing, state.x, kind, i, j, k, l, v, b,
+                             distance, min(near.keep[c], distance + apart))
 
 
 @jit
-def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distance, gap):
+def add_pair_contact(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distance, gap):
     """
     Append a pair to ``touches``.
 
@@ -110,13 +110,13 @@ def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distanc
     """
     n, slot, m = v, near.slot, touches.count[0]
     if distance == 0.0:
-        n = across(kind, at(near.x, i), at(near.x, j), at(near.x, k), at(near.x, l))
+        n = fallback_normal(kind, at(near.x, i), at(near.x, j), at(near.x, k), at(near.x, l))
     size = length(n)
     if size == 0.0:
         return
     n = n[0] / size, n[1] / size, n[2] / size
     if distance > 0.0:
-        good, n, b = turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x)
+        good, n, b = contact_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x)
         if not good:
             return
     if m == len(touches.gap):
@@ -139,7 +139,7 @@ def add_touch(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distanc
 
 
 @jit
-def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
+def contact_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
     """
     Return whether a pair is a contact, and its normal and weights.
 
@@ -156,7 +156,7 @@ def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
                              + b[3] * (x[a, slot[l]] - x[a, slot[i]]))
         if along >= gap:
             return True, n, b
-        v, now = way_now(kind, x, slot[i], slot[j], slot[k], slot[l])
+        v, now = closest_vector_of_slots(kind, x, slot[i], slot[j], slot[k], slot[l])
         size = length(v)
         if size == 0.0:
             return True, n, b
@@ -168,7 +168,7 @@ def turned_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
 
 
 @jit
-def across(kind, p, q, r, s):
+def fallback_normal(kind, p, q, r, s):
     """Return a direction (not normalised) that separates a pair at distance 0."""
     if kind == POINTS:
         return 0.0, 0.0, 1.0

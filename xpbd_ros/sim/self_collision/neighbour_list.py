@@ -131,7 +131,7 @@ def at(x, i):
 
 
 @jit(inline=True)
-def same(kin, a, b):
+def are_welded(kin, a, b):
     """Return True if two particles are the same or in one weld group."""
     if kin is None:
         return a == b
@@ -164,13 +164,13 @@ def weights(kind, p, q, r, s):
 
 
 @jit(inline=True)
-def way(kind, x, i, j, k, l):
+def closest_vector(kind, x, i, j, k, l):
     """Return the vector between a pair's closest points [m] and its weights; x: (particles, 3)."""
     return between(kind, at(x, i), at(x, j), at(x, k), at(x, l))
 
 
 @jit(inline=True)
-def way_now(kind, x, i, j, k, l):
+def closest_vector_of_slots(kind, x, i, j, k, l):
     """Return the same for particles by slot; x: positions [m], shape (3, slots)."""
     return between(kind, (x[0, i], x[1, i], x[2, i]), (x[0, j], x[1, j], x[2, j]),
                    (x[0, k], x[1, k], x[2, k]), (x[0, l], x[1, l], x[2, l]))
@@ -232,8 +232,8 @@ def track_motion(near, x, slack):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.travel[i] = moved + max(moved, slack)
         near.drift_since_build[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
-                                  near.x[i, 1] - near.seen[i, 1] - near.drift[1],
-                                  near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
+                                            near.x[i, 1] - near.seen[i, 1] - near.drift[1],
+                                            near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
         most = max(most, near.travel[i])
         side = max(side, near.travel[i] + near.drift_since_build[i])
     return most, side
@@ -284,7 +284,7 @@ def list_pairs(near, surface, thickness, margin, to_the_end):
 
 
 @jit(inline=True)
-def put(near, end, first, second, distance, keep):
+def append_pair(near, end, first, second, distance, keep):
     """Append a pair if the capacity allows; return the new end of the list."""
     if end < len(near.first):
         near.first[end], near.second[end] = first, second
@@ -293,7 +293,7 @@ def put(near, end, first, second, distance, keep):
 
 
 @jit
-def closed(near, end, kind):
+def end_kind(near, end, kind):
     """Store the end of a kind's pairs; return the number of pairs beyond the capacity."""
     room = len(near.first)
     for k in range(kind, 3):
@@ -314,21 +314,21 @@ def list_particles(near, thickness, margin, to_the_end):
         found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, size, low, high, i + 1)):
             j = found[f]
-            if length(minus(at(x, i), at(x, j))) < size and not same(near.kin, i, j):
+            if length(minus(at(x, i), at(x, j))) < size and not are_welded(near.kin, i, j):
                 found[close] = j
                 close += 1
         in_order(found, close)
         for f in range(close):
             j = found[f]
-            keep = kept(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
+            keep = required_distance(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
             distance = length(minus(at(x, i), at(x, j)))
             if distance < keep + margin:
-                end = put(near, end, i, j, distance, keep)
-    return closed(near, end, POINTS)
+                end = append_pair(near, end, i, j, distance, keep)
+    return end_kind(near, end, POINTS)
 
 
 @jit
-def kept(cloth, rest, kind, thickness, i, j, k, l):
+def required_distance(cloth, rest, kind, thickness, i, j, k, l):
     """
     Return the distance that a pair has to keep [m].
 
@@ -336,7 +336,7 @@ def kept(cloth, rest, kind, thickness, i, j, k, l):
     """
     if cloth[i] != cloth[l]:
         return thickness
-    return min(thickness, REST_SHARE * length(way(kind, rest, i, j, k, l)[0]))
+    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)[0]))
 
 
 @jit
@@ -365,16 +365,16 @@ def list_surface(near, surface, thickness, margin, to_the_end):
         found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, cell, low, high, 0)):
             v = found[f]
-            if (surface.outer[v] and not (same(near.kin, v, i) or same(near.kin, v, j)
-                                          or same(near.kin, v, k))
-                    and length(way(TRIANGLES, x, v, i, j, k)[0]) < size):
+            if (surface.outer[v] and not (are_welded(near.kin, v, i) or are_welded(near.kin, v, j)
+                                          or are_welded(near.kin, v, k))
+                    and length(closest_vector(TRIANGLES, x, v, i, j, k)[0]) < size):
                 found[close] = v
                 close += 1
         in_order(found, close)
         for f in range(close):
-            distance = length(way(TRIANGLES, x, found[f], i, j, k)[0])
-            end = put(near, end, found[f], t, distance, -1.0)
-    closed(near, end, TRIANGLES)
+            distance = length(closest_vector(TRIANGLES, x, found[f], i, j, k)[0])
+            end = append_pair(near, end, found[f], t, distance, -1.0)
+    end_kind(near, end, TRIANGLES)
     near.kind_end[POINTS] = 0
     for e in range(len(edges)):
         if end > len(near.first) and not to_the_end:
@@ -388,19 +388,19 @@ def list_surface(near, surface, thickness, margin, to_the_end):
             other = found[f]
             k, l = edges[other, 0], edges[other, 1]
             if apart(p, q, at(x, k), at(x, l), size) or (
-                    same(near.kin, i, k) or same(near.kin, i, l)
-                    or same(near.kin, j, k) or same(near.kin, j, l)):
+                    are_welded(near.kin, i, k) or are_welded(near.kin, i, l)
+                    or are_welded(near.kin, j, k) or are_welded(near.kin, j, l)):
                 continue
-            if length(way(EDGES, x, i, j, k, l)[0]) < size:
+            if length(closest_vector(EDGES, x, i, j, k, l)[0]) < size:
                 found[close] = other
                 close += 1
         in_order(found, close)
         for f in range(close):
             other = found[f]
             k, l = edges[other, 0], edges[other, 1]
-            distance = length(way(EDGES, x, i, j, k, l)[0])
-            end = put(near, end, e, other, distance, -1.0)
-    return closed(near, end, EDGES)
+            distance = length(closest_vector(EDGES, x, i, j, k, l)[0])
+            end = append_pair(near, end, e, other, distance, -1.0)
+    return end_kind(near, end, EDGES)
 
 
 @jit(inline=True)

@@ -56,8 +56,8 @@ class PairContacts(NamedTuple):
 def new_pair_contacts(room: int, particles: int) -> PairContacts:
     """Return an empty list with the capacity of ``room`` pairs of so many particles."""
     return PairContacts(np.zeros(2, np.int64), np.zeros((room, particles), np.int64),
-                   np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
-                   np.zeros(room), np.zeros(room), None)
+                        np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
+                        np.zeros(room), np.zeros(room), None)
 
 
 @jit(inline=True)

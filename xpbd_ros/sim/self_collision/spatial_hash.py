@@ -39,13 +39,13 @@ def new_cells(points: int) -> Cells:
 
 
 @jit
-def place(a, b, c, places):
+def table_entry(a, b, c, places):
     """Return the table entry of the cell (a, b, c)."""
     return ((a * 73856093) ^ (b * 19349663) ^ (c * 83492791)) & (places - 1)
 
 
 @jit(inline=True)
-def number(x):
+def cell_coordinate(x):
     """Return ⌊x⌋ as an integer; FAR if |x| ≥ FAR or x is nan."""
     return floor(x) if abs(x) < FAR else FAR
 
@@ -57,14 +57,14 @@ def fill(cells, points, size):
     start[:] = 0
     for i in range(len(points)):
         for k in range(3):
-            cell[i, k] = number(points[i, k] / size)
-        start[place(cell[i, 0], cell[i, 1], cell[i, 2], places)] += 1
+            cell[i, k] = cell_coordinate(points[i, k] / size)
+        start[table_entry(cell[i, 0], cell[i, 1], cell[i, 2], places)] += 1
     total = 0
     for p in range(places + 1):
         total += start[p]
         start[p] = total
     for i in range(len(points) - 1, -1, -1):
-        p = place(cell[i, 0], cell[i, 1], cell[i, 2], places)
+        p = table_entry(cell[i, 0], cell[i, 1], cell[i, 2], places)
         start[p] -= 1
         cells.point[start[p]] = i
 
@@ -82,10 +82,10 @@ def look_up(cells, points, size, low, high, least):
 
     """
     places, cell, found, count = len(cells.start) - 1, cells.cell, cells.found, 0
-    for a in range(number(low[0] / size), number(high[0] / size) + 1):
-        for b in range(number(low[1] / size), number(high[1] / size) + 1):
-            for c in range(number(low[2] / size), number(high[2] / size) + 1):
-                p = place(a, b, c, places)
+    for a in range(cell_coordinate(low[0] / size), cell_coordinate(high[0] / size) + 1):
+        for b in range(cell_coordinate(low[1] / size), cell_coordinate(high[1] / size) + 1):
+            for c in range(cell_coordinate(low[2] / size), cell_coordinate(high[2] / size) + 1):
+                p = table_entry(a, b, c, places)
                 for n in range(cells.start[p], cells.start[p + 1]):
                     i = cells.point[n]
                     if (i < least or cell[i, 0] != a or cell[i, 1] != b or cell[i, 2] != c
