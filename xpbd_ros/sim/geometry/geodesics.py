@@ -31,7 +31,7 @@ def straight_lines(positions: np.ndarray, triangles: np.ndarray, across: int
     shape (pairs,)
 
     """
-    beyond = _beyond(triangles)
+    beyond = _neighbour_corners(triangles)
     side = np.arange(triangles.size)    # sides are numbered as the corners opposite to them
     source, right, left = (triangles[side // 3, (side + k) % 3] for k in range(3))
     from_right, from_left, base = (length(positions[p] - positions[q]) for p, q in (
@@ -81,7 +81,7 @@ def _turn(a, b) -> np.ndarray:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def _beyond(triangles) -> np.ndarray:
+def _neighbour_corners(triangles) -> np.ndarray:
     """
     Return the corner behind the side opposite to each corner, shape (3 · triangles,).
 

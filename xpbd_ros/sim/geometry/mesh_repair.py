@@ -123,7 +123,7 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
         cells = number[cells]
         notes.append('particles are numbered without what is left out')
     positions = vertices[used]
-    notes += _judge_shapes(positions, cells, which, kind)
+    notes += _check_shapes(positions, cells, which, kind)
     return positions, cells, notes
 
 
@@ -135,7 +135,7 @@ def _merge(place: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, int]:
     return number, len(used) - len(first)
 
 
-def _judge_shapes(positions, cells, which, kind: str) -> list[str]:
+def _check_shapes(positions, cells, which, kind: str) -> list[str]:
     """Raise InputError for degenerate cells; return notes on thin ones (FLAT, NEEDLE)."""
     positions = positions / _size(positions)
     corners = cells.shape[1]
@@ -188,7 +188,7 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     for s, t, disagree in zip(owner[one].tolist(), owner[other].tolist(), against.tolist()):
         neighbours[s].append((t, disagree))
         neighbours[t].append((s, disagree))
-    turned, piece, twisted = _spread(neighbours)
+    turned, piece, twisted = _propagate_orientation(neighbours)
     pieces = piece.max() + 1
     wrong = np.bincount(piece, turned, pieces) * 2.0 > np.bincount(piece, minlength=pieces)
     turned = (turned ^ wrong[piece]) & (not twisted)
@@ -211,7 +211,7 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     return triangles, notes
 
 
-def _spread(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
+def _propagate_orientation(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
     """
     Propagate the orientation of a first triangle over each connected piece.
 
