@@ -1,8 +1,9 @@
 """
-The simulation: numbers only, NumPy and Numba. It knows no ROS, no files and no clock.
+The simulation: NumPy and Numba alone, without ROS, files or the wall clock.
 
-From the bottom up, each room importing only from those before it: ``backend``, ``particles``,
-``geometry``, ``constraints``, ``contact``, ``self_collision``, ``stepping``. Beside them stand
-``commands`` and ``parameters``, which anything may import, and on top ``effect`` (what an effect
-is), ``measure`` (momentum, energy, strain) and ``simulation``.
+Subpackages, each importing only from those before it: ``backend``, ``particles``, ``geometry``,
+``constraints``, ``contact``, ``self_collision``, ``stepping``. Any of them may import ``commands``
+and ``parameters``. Built on them: ``effect`` (the interface of effects), ``target_stream`` and
+``target_motion`` (motion of pins and colliders), ``pin_states``, ``measure`` (momentum, energy,
+strain) and ``simulation``.
 """

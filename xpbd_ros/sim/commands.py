@@ -1,9 +1,9 @@
 """
-What may be asked of a simulation between two frames: plain values, no messages.
+Commands that a simulation takes between two frames: frozen dataclasses, independent of ROS.
 
-Positions are in metres, orientations are unit quaternions (x, y, z, w), in the scene's frame.
-A command is either applied as it stands or refused with a reason; applied commands and the frames
-they acted on are all that is needed to repeat a run.
+Positions are in metres and orientations are unit quaternions (x, y, z, w), both in the scene's
+TF frame. A command is either applied unchanged or refused with a reason. A run is repeated from
+its scene, the applied commands and the index of the frame before which each was applied.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Pose:
-    """A place and an orientation."""
+    """Position and orientation of a rigid body."""
 
     position: Vector = (0.0, 0.0, 0.0)
     """[m]"""
@@ -24,7 +24,7 @@ class Pose:
 
 @dataclass(frozen=True)
 class Twist:
-    """A linear and an angular velocity, world axes."""
+    """Linear and angular velocity in world axes."""
 
     linear: Vector = (0.0, 0.0, 0.0)
     """[m/s]"""
@@ -34,79 +34,83 @@ class Twist:
 
 @dataclass(frozen=True)
 class Grasp:
-    """Pin all free particles within a radius of a point; a pin that holds already moves there."""
+    """Pin all free particles within a radius of a point; move the pin if it is already active."""
 
     pin: str
     pose: Pose
     radius: float
     """[m]"""
     lifetime_ns: int = 0
-    """the pin lets go by itself after this long without a new grasp [ns]; 0: never"""
+    """the pin is released after this time without another grasp [ns]; 0: never"""
 
 
 @dataclass(frozen=True)
 class Release:
-    """Let go of what a pin holds; its particles get their mass back."""
+    """Release a pin; its particles regain their inverse mass."""
 
     pin: str
 
 
 @dataclass(frozen=True)
 class ReleaseAll:
-    """Let go of everything."""
+    """Release all pins."""
 
 
 @dataclass(frozen=True)
 class MovePin:
-    """Where a pin goes."""
+    """Set the target of a pin."""
 
     pin: str
     pose: Pose
     twist: Twist | None = None
     stamp_ns: int = 0
-    """when the sender says that it is there [ns]; 0: unknown"""
+    """sender's time at which the pin is at the pose [ns]; 0: unknown"""
 
 
 @dataclass(frozen=True)
 class MoveCollider:
-    """Where a collider goes."""
+    """Set the target of a collider."""
 
     collider: str
     pose: Pose
     twist: Twist | None = None
-    """velocity of its surface; None: taken from the poses"""
+    """velocity of the collider; None: from the difference of poses"""
     stamp_ns: int = 0
+    """sender's time at which the collider is at the pose [ns]; 0: unknown"""
 
 
 @dataclass(frozen=True)
 class PlaceCollider:
-    """Add a collider; one that is there already takes this shape and goes there."""
+    """Add a collider; an existing one of this name takes the new shape and pose."""
 
     collider: str
     shape: str
     """box, sphere, cylinder or mesh"""
     size: tuple[float, ...]
-    """[m]: full extents; radius; radius and length along z; x y z of each triangle's corners"""
+    """
+    [m]: full extents of a box; radius of a sphere; radius and length along z of a cylinder;
+    x, y, z of each triangle's corners of a mesh
+    """
     pose: Pose
     lifetime_ns: int = 0
-    """it goes away by itself after this long without a new one [ns]; 0: never"""
+    """the collider is removed after this time without another command [ns]; 0: never"""
 
 
 @dataclass(frozen=True)
 class RemoveCollider:
-    """Take a collider away."""
+    """Remove a collider."""
 
     collider: str
 
 
 @dataclass(frozen=True)
 class RemoveAllColliders:
-    """Take all colliders away, those of the scene too."""
+    """Remove all colliders, those of the scene included."""
 
 
 @dataclass(frozen=True)
 class SetWind:
-    """How the air moves from now on."""
+    """Set the velocity of the air."""
 
     velocity: Vector
     """[m/s]"""
@@ -114,7 +118,7 @@ class SetWind:
 
 @dataclass(frozen=True)
 class SetKey:
-    """Change one live key of the scene, such as ``solver.substeps``."""
+    """Change one live scene key, such as ``solver.substeps``."""
 
     key: str
     value: Any
@@ -122,7 +126,7 @@ class SetKey:
 
 @dataclass(frozen=True)
 class Reset:
-    """Back to the scene's start; time goes on rising."""
+    """Restore the scene's initial state; simulation time continues to rise."""
 
 
 Command = (Grasp | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider | RemoveCollider

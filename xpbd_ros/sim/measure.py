@@ -1,4 +1,4 @@
-"""What a state is worth: momentum, energy, strain."""
+"""Diagnostics of a state: momentum, energy, strain, effective stiffness."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from xpbd_ros.sim.geometry.mesh import cross, length
 from xpbd_ros.sim.particles.state import places
 
 ROUNDINGS = 8
-"""of the coordinates, that an edge's length may be wrong by"""
+"""assumed error of an edge's length, relative to the largest coordinate times machine epsilon"""
 
 
 def momentum(state) -> np.ndarray:
@@ -30,13 +30,17 @@ def potential_energy(state) -> float:
 
 
 def elastic_energy(simulation) -> float:
-    """Return what all constraints store [J]."""
+    """Return the elastic energy of all constraints [J]."""
     return sum(built.constraints.energy(simulation.state.x)
                for built in simulation.effects.values() if built.constraints is not None)
 
 
 def largest_strain(simulation) -> float:
-    """Return the largest |l - L| / L over the edges (of a grid: along its lines) of all cloths."""
+    """
+    Return the largest |l - L| / L over the edges of all cloths, with rest length L.
+
+    On grids only warp and weft edges count.
+    """
     worst = 0.0
     for cloth in simulation.cloths:
         slots = cloth.block.slots
@@ -57,12 +61,13 @@ def largest_strain(simulation) -> float:
 
 def stiffness_given(simulation) -> tuple[float, float] | None:
     """
-    Return how stiff the stretch is, as a share of what was asked, and the residual.
+    Return the effective stiffness of ``stretch`` relative to the requested one, and the residual.
 
-    The share is Σ α |f| / Σ -C sign f over the edges: what they give under their forces, which
-    unconverged sweeps make more than α f (doc/numerics.md 4.1 and 4.2). It is 1 where both are no
-    more than rounding leaves of the lengths. The residual is the RMS of C + α f [m]. None if no
-    multipliers are kept, or nothing is elastic.
+    The ratio is Σ α |f| / Σ -C sign f over the edges, with forces f: the elongations that the
+    compliance asks for over those that the edges have. Unconverged sweeps leave |C| > α |f|
+    (doc/numerics.md 4.1). The ratio is 1 where both sums are within the rounding error of the
+    lengths. The residual is the RMS of C + α f [m]. None if no multipliers are kept or no edge is
+    compliant.
     """
     built = simulation.effects.get('stretch')
     asked = given = squares = 0.0

@@ -1,4 +1,4 @@
-"""Parameters of effects: how they are declared, and checks that several effects share."""
+"""Declaration of effect parameters, and checks that several effects share."""
 
 from dataclasses import field, MISSING
 from typing import Any
@@ -10,10 +10,20 @@ def quantity(default: Any = MISSING, *, unit: str = '', above: float | None = No
              minimum: float | None = None, maximum: float | None = None, live: bool = False,
              choices: tuple[str, ...] = (), doc: str = ''):
     """
-    Declare a parameter: its unit, its range and whether it may change while running.
+    Return a dataclass field that declares a parameter's unit, range and description.
 
-    ``above`` is an exclusive lower bound. The loader, the table in doc/effects.md and the node's
-    parameter descriptors all read this.
+    The scene loader, the table in doc/effects.md and the node's parameter descriptors read it.
+
+    Parameters
+    ----------
+    default : default value; a parameter without one is required
+    unit : such as 'N/m'; empty if dimensionless
+    above : exclusive lower bound
+    minimum, maximum : inclusive bounds
+    live : True if the parameter may change while the simulation runs
+    choices : allowed strings
+    doc : one-line description
+
     """
     metadata = {'unit': unit, 'above': above, 'minimum': minimum, 'maximum': maximum,
                 'live': live, 'choices': choices, 'doc': doc}
@@ -29,7 +39,7 @@ PLACES = ('corner_00', 'corner_01', 'corner_10', 'corner_11',
 
 
 def check_place(at: str | tuple[int, ...] | None) -> None:
-    """Refuse a place that no cloth has."""
+    """Raise InputError unless a place is None, a name in PLACES or a non-empty index list."""
     if at is not None and not at:
         raise InputError('at: must name at least one particle')
     if isinstance(at, str) and at not in PLACES:
@@ -38,7 +48,7 @@ def check_place(at: str | tuple[int, ...] | None) -> None:
 
 
 def check_static(static: float | None, friction: float) -> None:
-    """Refuse what slides harder than it sticks."""
+    """Raise InputError if static friction is below sliding friction; None means equal."""
     if static is not None and static < friction:
         raise InputError(f'static_friction: must be at least friction ({friction:g}) '
                          f'(got {static:g})')
@@ -46,7 +56,16 @@ def check_static(static: float | None, friction: float) -> None:
 
 def need_one_or_two(alone: float | None, pair: tuple[float | None, float | None], *, either: str,
                     both: str) -> None:
-    """Refuse a value for all together with those of warp and weft, neither, and half of a pair."""
+    """
+    Raise InputError unless either one common value or a full pair (warp, weft) is given.
+
+    Parameters
+    ----------
+    alone : value for both directions, or None
+    pair : values for warp and weft, each may be None
+    either, both : names of the alternatives and of the pair, for the message
+
+    """
     if (alone is None) == (pair == (None, None)):
         raise InputError(f'needs either {either}, not both')
     if alone is None and None in pair:

@@ -1,4 +1,4 @@
-"""Pins as Python has them: what each holds, where it goes, and what it feels."""
+"""Active pins and their states after a frame: pose, velocity, wrench."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from xpbd_ros.sim.target_motion import Motion
 
 @dataclass
 class Held:
-    """One pin that holds."""
+    """One active pin."""
 
     name: str
     slot: int
@@ -24,18 +24,18 @@ class Held:
     particles: np.ndarray
     """slots, shape (k,)"""
     offsets: np.ndarray
-    """[m], in the pin's axes, shape (k, 3)"""
+    """particle positions in the pin's axes [m], shape (k, 3)"""
     compliance: float = 0.0
     """of the whole pin [m/N]; 0: its particles are pinned"""
     slip: float | None = None
-    """force at which it lets go [N]"""
+    """force at which the pin is released [N]; None: never"""
     lifetime_ns: int = 0
-    """it lets go by itself after this long without a word [ns]; 0: never"""
+    """the pin is released after this time without a command [ns]; 0: never"""
     expires_ns: int | None = None
-    """when it lets go by itself"""
+    """simulation time at which the pin is released [ns]; None: never"""
 
     def renew(self, now_ns: int) -> None:
-        """Let its lifetime begin."""
+        """Restart the lifetime at the simulation time ``now_ns`` [ns]."""
         self.expires_ns = now_ns + self.lifetime_ns if self.lifetime_ns else None
 
 
@@ -47,27 +47,27 @@ class PinState:
     linear: np.ndarray = field(compare=False)
     """velocity [m/s], shape (3,)"""
     angular: np.ndarray = field(compare=False)
-    """velocity of the turn [rad/s], shape (3,)"""
+    """angular velocity, world axes [rad/s], shape (3,)"""
     force: np.ndarray = field(compare=False)
     """of the cloth on the gripper [N], shape (3,)"""
     torque: np.ndarray = field(compare=False)
-    """about the pose [N m], shape (3,)"""
+    """about the pose's position [N m], shape (3,)"""
     particles: np.ndarray = field(compare=False)
-    """numbers of what it holds, in the natural order of a frame; shape (k,)"""
+    """indices of its particles in a frame's natural order, shape (k,)"""
     limited: bool = False
-    """whether it lags behind its target at max_speed"""
+    """True if it lags behind its target at max_speed"""
 
 
 class PinStates(Mapping[str, PinState]):
     """
-    All pins after a frame, by name; as arrays, so that many of them take no time.
+    All active pins after a frame, by name, stored as arrays: cheap for hundreds of pins.
 
     Parameters
     ----------
-    held : the pins
-    start, goal : poses at the frame's start and end: x y z, qx qy qz qw; shape (pins, 7)
-    wrenches : of the cloth on each [N, N m], shape (pins, 6)
-    numbers : of the particles in natural order, by slot
+    held : active pins
+    start, goal : poses x, y, z, qx, qy, qz, qw at the frame's start and end, shape (pins, 7)
+    wrenches : force and torque of the cloth on each pin [N, N m], shape (pins, 6)
+    numbers : particle index in natural order of each slot, shape (slots,)
     dt : length of the frame [s]
 
     """
@@ -76,7 +76,7 @@ class PinStates(Mapping[str, PinState]):
                  wrenches: np.ndarray, numbers: np.ndarray, dt: float):
         self.names = tuple(one.name for one in held)
         self.poses = goal
-        """shape (pins, 7)"""
+        """at the frame's end, shape (pins, 7)"""
         way = goal[:, :3] - start[:, :3]
         self.twists = np.hstack([way, turns(start[:, 3:], goal[:, 3:])]) / dt
         """[m/s, rad/s], shape (pins, 6)"""
@@ -88,23 +88,32 @@ class PinStates(Mapping[str, PinState]):
         self._particles, self._numbers = [one.particles for one in held], numbers
 
     def __getitem__(self, name: str) -> PinState:
-        """Return one of them."""
+        """Return the state of one pin."""
         k = self._index[name]
         return PinState(self._pose[k], self.twists[k, :3].copy(), self.twists[k, 3:].copy(),
                         self.wrenches[k, :3].copy(), self.wrenches[k, 3:].copy(),
                         self._numbers[self._particles[k]], self._limited[k])
 
     def __iter__(self) -> Iterator[str]:
-        """Go through the names, in the order of the grasps."""
+        """Iterate over the names in the order of the grasps."""
         return iter(self.names)
 
     def __len__(self) -> int:
-        """Return how many hold."""
+        """Return the number of active pins."""
         return len(self.names)
 
 
 def chosen(name: str, entry, cloths: dict[str, Cloth], x: np.ndarray) -> np.ndarray:
-    """Return the particles that an entry of the scene names."""
+    """
+    Return the slots of the particles that a scene's ``pins`` entry selects.
+
+    Parameters
+    ----------
+    name, entry : key and value of the entry
+    cloths : all cloths by name
+    x : positions of all slots [m], shape (3, slots)
+
+    """
     if entry.cloth not in cloths:
         raise InputError(f"pins.{name}.cloth: unknown cloth '{entry.cloth}' "
                          f'(known: {", ".join(cloths)})')

@@ -1,4 +1,4 @@
-"""How a pin or a collider follows its target: in a line, at a bounded speed, without ringing."""
+"""Motion of a pin or a collider towards its target: interpolated, at a bounded speed."""
 
 from math import sqrt
 
@@ -10,17 +10,25 @@ from xpbd_ros.sim.geometry.quaternion import interpolate
 from xpbd_ros.sim.target_stream import GAP_NS, Stream
 
 MAX_TURN = 0.5
-"""largest turn in one frame [rad]; what is left follows in the next"""
+"""largest rotation in one frame [rad]; the remainder follows in later frames"""
 
 
 class Motion:
     """
-    A pose on its way to a target.
+    A pose that follows targets.
 
-    A stream of targets with stamps is rebuilt from them (see ``stream``), at a constant delay.
-    Targets without stamps are each reached when the next is due, by when they arrived, so a
-    stream slower than the frames does not ring. ``keyframes`` is a function of time [s] to a
-    position, followed until the first target.
+    Targets with stamps are interpolated by their stamps and followed at a constant delay (see
+    ``target_stream``). A target without a stamp is approached linearly over the time between its
+    arrival and the previous one, so that targets slower than the frames give a steady velocity
+    instead of one jump each.
+
+    Parameters
+    ----------
+    pose : initial pose
+    max_speed : bound of the speed [m/s]
+    keyframes : function from time [s] to a position [m], followed until the first target; or None
+    lever : distance from the pose at which rotation too must keep to max_speed [m]
+
     """
 
     def __init__(self, pose: Pose, max_speed: float, *, keyframes=None, lever: float = 0.1):
@@ -30,16 +38,21 @@ class Motion:
         """[m/s]"""
         self.keyframes = keyframes
         self.lever = lever
-        """distance from the pose at which the turn too must keep to max_speed [m]"""
+        """[m]"""
         self.limited = False
-        """whether the last frame fell behind its target"""
+        """True if max_speed or MAX_TURN kept the last frame from reaching its target"""
         self.stream: Stream | None = None
-        """of targets with stamps"""
+        """targets with stamps; None without"""
         self._left = 0.0
         self._arrived_ns = self._stamp_ns = self._latest = None
 
     def aim(self, pose: Pose, twist: Twist | None, stamp_ns: int, now_ns: int) -> None:
-        """Set a new target at the simulation time ``now_ns``; one from before the last is none."""
+        """
+        Set a target at the simulation time ``now_ns`` [ns].
+
+        A target stamped up to GAP_NS before the last one is ignored; a repeated message (equal
+        stamp and pose) leaves a stream unchanged.
+        """
         self.keyframes = None
         since = stamp_ns - self._stamp_ns if stamp_ns and self._stamp_ns else 0
         if -GAP_NS <= since < 0:
@@ -49,12 +62,12 @@ class Motion:
                 self.stream = Stream(self._stamp_ns, self.target, self._arrived_ns)
             self.stream.push(stamp_ns, pose, twist, now_ns, self.pose)
         elif not (self.stream is not None and stamp_ns == self._stamp_ns
-                  and pose == self._latest):    # else the same message once more
+                  and pose == self._latest):
             self._go(pose, twist, now_ns)
         self._latest, self._arrived_ns, self._stamp_ns = pose, now_ns, stamp_ns or None
 
     def _go(self, pose: Pose, twist: Twist | None, now_ns: int) -> None:
-        """Go straight to a target: in the time since the last one, or at a given speed."""
+        """Approach a target linearly, over the time since the last one or at the twist's speed."""
         self.stream, self.target, self._left = None, pose, 0.0
         if self._arrived_ns is not None and now_ns - self._arrived_ns <= GAP_NS:
             self._left = (now_ns - self._arrived_ns) * 1e-9
@@ -62,19 +75,19 @@ class Motion:
             self._left = min(_distance(pose, self.pose) / speed, GAP_NS * 1e-9)
 
     def stop(self) -> None:
-        """Stay where it is."""
+        """Stop at the current pose."""
         self.target, self._left = self.pose, 0.0
         self.keyframes = self.stream = None
 
     def advance(self, end_ns: int, dt: float) -> None:
-        """Move on by one frame: from ``start`` to ``pose``."""
+        """Advance ``pose`` by a frame of dt [s] that ends at ``end_ns`` [ns]."""
         self.start = self.pose
         if self.keyframes is not None:
             self.target = Pose(self.keyframes(end_ns * 1e-9), self.pose.orientation)
             self._left = 0.0
         elif self.stream is not None:
             self.target, self._left = self.stream.at(end_ns, round(dt * 1e9)), 0.0
-        if self.target is self.pose:    # there already
+        if self.target is self.pose:
             self._left, self.limited = 0.0, False
             return
         s = min(1.0, dt / self._left) if self._left > 0.0 else 1.0
@@ -103,14 +116,18 @@ def _distance(a: Pose, b: Pose) -> float:
 
 
 def _angle(a: Pose, b: Pose) -> float:
-    """Return 4 sin(θ/4), which is the angle between two orientations while it is small [rad]."""
+    """Return 4 sin(θ/4) ≈ θ for the angle θ between two orientations [rad]."""
     p, q = a.orientation, b.orientation
     cosine = abs(p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3])
     return 2.0 * sqrt(2.0 * max(0.0, 1.0 - cosine))
 
 
 def delays(what: str, motions: list[Motion]) -> dict[str, float]:
-    """Return how late streams of targets are followed [s] and how many targets came too late."""
+    """
+    Return statistics of the streams of targets, keys prefixed by ``what``; empty without streams.
+
+    They are the largest delay [s] and the number of poses that arrived too late.
+    """
     streams = [motion.stream for motion in motions if motion.stream is not None]
     return {} if not streams else {
         f'{what}_delay_s': 1e-9 * max(stream.delay_ns for stream in streams),
@@ -118,7 +135,7 @@ def delays(what: str, motions: list[Motion]) -> dict[str, float]:
 
 
 def check_motion(points) -> None:
-    """Refuse a scene's ``motion`` that is no path: rows of t, x, y, z with t rising."""
+    """Raise InputError unless a scene's ``motion`` is None or rows (t, x, y, z) of rising t."""
     if points is None:
         return
     if not points or any(len(point) != 4 for point in points):
@@ -130,9 +147,10 @@ def check_motion(points) -> None:
 
 def monotone_cubic(points, begin: float = 0.0):
     """
-    Join points (t, x, y, z) by monotone cubics, held at the ends: a function of time [s].
+    Return the monotone cubic interpolant of points (t, x, y, z) [s, m].
 
-    The points' own time starts at ``begin`` [s].
+    It is a function from time [s] to position [m], constant before the first point and after the
+    last. The time 0 of the points is the time ``begin`` of the function.
     """
     from scipy.interpolate import PchipInterpolator
 

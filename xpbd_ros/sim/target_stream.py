@@ -1,16 +1,17 @@
 """
-A stream of stamped poses, rebuilt: a smooth curve through them, played back at a constant delay.
+Interpolation of a stream of stamped poses, played back at a constant delay (a jitter buffer).
 
-What arrives unevenly was sent at the times that its stamps tell. So the poses are joined by their
-stamps, by cubics whose velocities meet (C¹): those of the sender's twists where they are given,
-else those of parabolas through neighbours. The curve is played back in simulation time, behind
-the sender by a period of the stream, a frame, and another period (at least UNEVEN_NS) for
-unevenness of arrival. A pose that is later still is waited for, and from then on counts as one
-that comes in time, so that the next do not have to be waited for. Where the simulation is slower
-than the sender, the curve is played faster.
+The times of the curve are the stamps, not the times of arrival. Its segments are cubic Hermite
+polynomials, C¹ at the poses; the slope at a pose is the sender's twist where given, else that of
+the parabola through neighbouring poses. Playback runs in simulation time, behind the sender by
+one period of the stream, one frame, and one more period (at least UNEVEN_NS) for the jitter of
+arrival. If a pose arrives later than that, the motion rests at the last pose, and the lag grows by
+as much, so that later poses of the same lateness are on time. If the simulation is slower than the
+sender, the excess of delay is reduced (CATCH_UP, TOO_LONG_NS): playback is faster than simulation
+time.
 
-Orientations are joined as quaternions, component by component, and made unit again: IEEE
-operations alone, so same bits anywhere.
+Quaternions are interpolated by component and normalised, with IEEE operations only, so that all
+platforms give the same bits.
 """
 
 from math import sqrt
@@ -19,15 +20,16 @@ from typing import NamedTuple
 from xpbd_ros.sim.commands import Pose, Twist
 
 GAP_NS = 500_000_000
-"""targets further apart than this are not a stream [ns]"""
+"""longest time between two targets of a stream [ns]"""
 UNEVEN_NS = 20_000_000
-"""least unevenness of arrival that the delay makes up for [ns]"""
+"""least jitter of arrival that the delay covers [ns]"""
 CATCH_UP = 0.1
-"""in this time what is too much of a delay falls to 1/e [s]"""
+"""time constant with which an excess of delay decays [s]"""
 TOO_LONG_NS = 10**9
-"""a delay that is too long by more than this is cut: the curve starts again near its end [ns]"""
+"""excess of delay above which playback skips to near the curve's end [ns]"""
 LEAST_SQUARE = 0.01
-"""of a quaternion between two; less comes of a twist that has nothing to do with the poses"""
+"""least squared norm of an interpolated quaternion; below it, the angular velocity contradicts the
+poses and the next pose's orientation is returned"""
 
 
 class Knot(NamedTuple):
@@ -36,39 +38,40 @@ class Knot(NamedTuple):
     stamp_ns: int
     pose: Pose
     values: tuple[float, ...]
-    """x y z, qx qy qz qw; the quaternion has the sign that is nearer to the one before"""
+    """x, y, z, qx, qy, qz, qw; the quaternion's sign is the nearer one to the previous knot's"""
     linear: tuple[float, ...] | None
-    """velocity, where it is given [m/s]"""
+    """velocity [m/s]; None if not given"""
     angular: tuple[float, ...] | None
-    """rate of the quaternion, where it is given [1/s]"""
+    """time derivative of the quaternion [1/s]; None if not given"""
 
 
 class Stream:
     """
-    The curve through the poses of one stream, and how far it has been played.
+    The interpolant of one stream's poses, and the position of playback.
 
     Parameters
     ----------
-    stamp_ns, pose : of its first pose, where the curve is at rest
-    arrived_ns : simulation time at which that came [ns]
+    stamp_ns, pose : stamp [ns] and value of the first pose, where the curve is at rest
+    arrived_ns : simulation time of its arrival [ns]
 
     """
 
     def __init__(self, stamp_ns: int, pose: Pose, arrived_ns: int):
         self.delay_ns = 0
-        """from when a pose comes in time to when it is reached [ns]"""
+        """time from the arrival of a pose that is on time to its playback [ns]; 0 before the first
+        frame"""
         self.late = 0
-        """poses that had to be waited for"""
+        """number of poses that arrived after the curve's end was reached"""
         self._knots = [_rest(stamp_ns, pose)]
-        self._at = 0    # the knot that was played last
+        self._at = 0    # index of the knot that was played last
         self._slopes: tuple | None = None    # at both ends of the segment that begins there
-        self._lag_ns = arrived_ns - stamp_ns    # what it takes to come: simulation time less stamp
+        self._lag_ns = arrived_ns - stamp_ns    # simulation time of arrival less stamp
         self._period_ns = 0
         self._given = [False, False]
 
     @property
     def last_ns(self) -> int:
-        """Stamp of the last pose."""
+        """Stamp of the last pose [ns]."""
         return self._knots[-1].stamp_ns
 
     def _played_ns(self, now_ns: int) -> int:
@@ -76,17 +79,26 @@ class Stream:
 
     def push(self, stamp_ns: int, pose: Pose, twist: Twist | None, now_ns: int,
              here: Pose) -> None:
-        """Take the next pose at the simulation time ``now_ns``, the motion being ``here``."""
+        """
+        Append a pose.
+
+        Parameters
+        ----------
+        stamp_ns, pose, twist : target, its stamp [ns] after the last one, and its velocity
+        now_ns : simulation time [ns]
+        here : current pose of the motion
+
+        """
         last = self._knots[-1]
         self._knots.append(self._knot(last, stamp_ns, pose, twist))
         if not self._period_ns:
             self._period_ns = stamp_ns - last.stamp_ns
         if not self.delay_ns or self._played_ns(now_ns) <= self._knots[0].stamp_ns:
-            self._lag_ns = max(self._lag_ns, now_ns - stamp_ns)    # nothing moves yet
+            self._lag_ns = max(self._lag_ns, now_ns - stamp_ns)    # playback has not begun
             return
         played = self._played_ns(now_ns)
         ahead = stamp_ns - played
-        if played > last.stamp_ns:    # it rests at the last pose
+        if played > last.stamp_ns:    # the motion rests at the last pose
             if ahead < self._period_ns:
                 self.late += 1
                 self._lag_ns += self.delay_ns - ahead
@@ -97,7 +109,12 @@ class Stream:
             self._start_again(stamp_ns - self.delay_ns, here)
 
     def _knot(self, last: Knot, stamp_ns: int, pose: Pose, twist: Twist | None) -> Knot:
-        """Return a pose as a knot. Zeros are a velocity where others were given before."""
+        """
+        Return a pose as a knot.
+
+        A zero linear or angular velocity counts as "not given" until a nonzero one has arrived:
+        senders leave twists empty.
+        """
         given = [None, None]
         values = _near(last.values, pose)
         if twist is not None:
@@ -108,7 +125,7 @@ class Stream:
         return Knot(stamp_ns, pose, values, given[0], angular)
 
     def _start_again(self, at_ns: int, here: Pose) -> None:
-        """Go from rest at a time of the sender's to what comes at least a period later."""
+        """Restart the curve at rest ``here`` at a stamp; keep knots at least a period later."""
         knots, self._knots = self._knots, [_rest(at_ns, here)]
         for knot in knots:
             if knot.stamp_ns >= at_ns + self._period_ns:
@@ -116,7 +133,7 @@ class Stream:
         self._at, self._slopes = 0, None
 
     def at(self, end_ns: int, frame_ns: int) -> Pose:
-        """Play on by a frame, up to the simulation time ``end_ns``, and return the pose there."""
+        """Advance playback by a frame that ends at ``end_ns`` and return the pose there."""
         spare = max(self._period_ns, UNEVEN_NS)
         if not self.delay_ns:
             self.delay_ns = self._period_ns + spare + frame_ns
@@ -139,13 +156,13 @@ class Stream:
         return _between(knot, knots[self._at + 1], *self._segment(), played)
 
     def _segment(self) -> tuple:
-        """Return the slopes at both ends of the segment that is played; they stay."""
+        """Return the slopes at both ends of the current segment, computed once per segment."""
         if self._slopes is None:
             self._slopes = self._slope(self._at), self._slope(self._at + 1)
         return self._slopes
 
     def _slope(self, k: int) -> tuple[float, ...]:
-        """Return the rate of a knot's values: as given, else of the parabola through three."""
+        """Return the derivative at a knot: as given, else of the parabola through three knots."""
         knots, knot = self._knots, self._knots[k]
         if knot.linear is not None and knot.angular is not None:
             return *knot.linear, *knot.angular
@@ -167,7 +184,7 @@ def _rest(stamp_ns: int, pose: Pose) -> Knot:
 
 
 def _near(before: tuple[float, ...], pose: Pose) -> tuple[float, ...]:
-    """Return a pose's values, the quaternion with the sign that is nearer to the one before."""
+    """Return a pose as (x, y, z, quaternion), with the quaternion's sign nearest to ``before``."""
     a, q = before[3:], pose.orientation
     if a[0] * q[0] + a[1] * q[1] + a[2] * q[2] + a[3] * q[3] < 0.0:
         q = -q[0], -q[1], -q[2], -q[3]
@@ -175,7 +192,7 @@ def _near(before: tuple[float, ...], pose: Pose) -> tuple[float, ...]:
 
 
 def _rate(w, q) -> tuple[float, ...]:
-    """Return dq/dt = (w, 0) q / 2 for an angular velocity in world axes [rad/s]."""
+    """Return dq/dt = (w, 0) q / 2 for an angular velocity w in world axes [rad/s]."""
     return (0.5 * (w[0] * q[3] + w[1] * q[2] - w[2] * q[1]),
             0.5 * (w[1] * q[3] + w[2] * q[0] - w[0] * q[2]),
             0.5 * (w[2] * q[3] + w[0] * q[1] - w[1] * q[0]),
@@ -192,11 +209,11 @@ def _mix(a, b, share: float) -> tuple[float, ...]:
 
 
 def _between(a: Knot, b: Knot, begin, end, played_ns: int) -> Pose:
-    """Return the pose on the cubic from one knot to the next, with these slopes at its ends."""
+    """Return the pose on the cubic Hermite segment with slopes ``begin`` and ``end`` [1/s]."""
     length_ns = b.stamp_ns - a.stamp_ns
     s, h = (played_ns - a.stamp_ns) / length_ns, 1e-9 * length_ns
     r = 1.0 - s
-    # of the second end, and of the slopes
+    # Hermite basis: of the difference of the end points, of the slopes at either end
     ones, first, second = s * s * (1.0 + 2.0 * r), h * s * r * r, -h * s * s * r
     x, y, z, qx, qy, qz, qw = [
         p + ones * (q - p) + first * u + second * v

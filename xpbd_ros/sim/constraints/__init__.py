@@ -1,6 +1,6 @@
 """
-XPBD constraints without colliders: the projection, distance constraints on grids and meshes, line
-solves, bending, and the impulses on pinned particles.
+XPBD constraints of cloth: projection, distance constraints on grids and meshes, line solves,
+bending, and the impulses on pinned particles.
 
 Effects build their constraints from these. It imports ``backend``, ``particles`` and ``geometry``.
 """

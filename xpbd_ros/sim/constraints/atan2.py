@@ -1,10 +1,10 @@
 """
-The angle of a plane vector, in every lane of a vector, from additions and multiplications alone.
+Arc tangent of two arguments for vectors, by IEEE additions, multiplications and divisions only.
 
 With t the smaller of |s|, |c| over the larger, and u = (t - 1) / (t + 1) where t > tan 22.5°,
 atan u = u + u z P(z), z = u². P interpolates (atan u / u - 1) / z at the 12 Chebyshev points of
-0 … tan² 22.5°; its error is 1.3e-18, so what is left is rounding: a few ulp, and the same bits
-for vectors of any width.
+0 … tan² 22.5°; its error is 1.3e-18, below rounding. The result is accurate to a few ulp, with the
+same bits for vectors of any width.
 """
 
 from math import pi, sqrt
@@ -20,7 +20,7 @@ _TAN = sqrt(2.0) - 1.0
 
 @jit(inline=True)
 def angle_of(s, c):
-    """Return atan2(s, c), within -π … π; 0 where both are 0."""
+    """Return atan2(s, c) in -π … π; 0 where both are 0."""
     a, b = absolute(s), absolute(c)
     long = larger(a, b)
     steep, wide = a > b, long > 0.0

@@ -1,4 +1,4 @@
-"""Curvature of three particles in a row and twist of four of a cell; gradients are constant."""
+"""Projection of curvature (three particles in a line) and twist (a cell) with constant weights."""
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, first, fma, lanes, load, select
@@ -17,7 +17,7 @@ from xpbd_ros.sim.constraints.projection import (
 
 @jit
 def straighten(bend, state, reverse):
-    """Project C = x1 - 2 x2 + x3, run after run."""
+    """Project C = x1 - 2 x2 + x3 of all lines of three, run by run (formulas in ``bend``)."""
     for phase in range(PHASES):
         begin, end = share_of(bend.runs, state.team, phase, reverse)
         _straighten(state.x[0], state.x[1], state.x[2], row(moves(state.apart), 0),
@@ -72,7 +72,7 @@ def _straighten(x, y, z, tx, ty, tz, fx, fy, fz, mobility, apart, runs, complian
 
 @jit
 def untwist(bend, state, reverse):
-    """Project C = x00 - x01 - x10 + x11, run after run."""
+    """Project C = x00 - x01 - x10 + x11 of all cells, run by run (formulas in ``bend``)."""
     for phase in range(PHASES):
         begin, end = share_of(bend.runs, state.team, phase, reverse)
         _untwist(state.x[0], state.x[1], state.x[2], row(moves(state.apart), 0),
@@ -130,7 +130,7 @@ def _untwist(x, y, z, tx, ty, tz, fx, fy, fz, mobility, apart, runs, compliance,
 
 
 def curvature_shapes(rows: int, columns: int) -> list[Shape]:
-    """Return three in a row (inside, at the rim), three in a column."""
+    """Return the shapes of three in a row, in interior and boundary rows, and in a column."""
     across = ((0, 0), (0, 1), (0, 2))
     inside, rim = (range(1, rows - 1), range(0, rows, rows - 1)) if rows > 1 else (
         range(1), range(0))
@@ -140,5 +140,5 @@ def curvature_shapes(rows: int, columns: int) -> list[Shape]:
 
 
 def twist_shapes(rows: int, columns: int) -> list[Shape]:
-    """Return the cells."""
+    """Return the shape of the four particles of a cell."""
     return [Shape(((0, 0), (0, 1), (1, 0), (1, 1)), range(rows - 1), range(columns - 1), 0)]

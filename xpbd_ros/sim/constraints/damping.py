@@ -1,13 +1,12 @@
 """
 Damping of constraints (Macklin et al. 2016, eq 26), compiled only where a scene asks for it.
 
-A damper β beside each constraint of compliance α gives γ = α β / h; with β = τ / α, a relaxation
-time τ for all, γ = τ / h. In force form, with x̄ where the substep's velocity counts from
-(v = (x - x̄) / H) and γ = τ / H,
+A damper β parallel to each constraint of compliance α gives γ = α β / h; β = τ / α, with one
+relaxation time τ, gives γ = τ / h. In force form, for a velocity v = (x - x̄) / H and γ = τ / H,
 
     Δf = -(C + α f + γ ∇C·(x - x̄)) / ((1 + γ) W + α).
 
-``None`` for the damping, and so for γ and what comes of it, leaves the plain constraint.
+A damping of None makes γ and all other terms None, and compiles to the undamped constraint.
 """
 
 from typing import NamedTuple
@@ -21,12 +20,12 @@ from xpbd_ros.sim.backend.simd_records import load_records
 
 
 class Past(NamedTuple):
-    """Where the velocities of a substep count from."""
+    """Positions x̄ of a substep, from which v = (x - x̄) / H."""
 
     x: np.ndarray
     """x̄ [m], shape (3, slots)"""
     records: np.ndarray
-    """the same as records, for constraints of meshes; shape (slots, 4)"""
+    """x̄ as records, for constraints of meshes, shape (slots, 4)"""
     per_step: np.ndarray
     """1 / H [1/s], shape (1,)"""
 
@@ -36,31 +35,31 @@ class Damping(NamedTuple):
 
     past: Past
     time: np.ndarray
-    """τ [s], by shape, or of each constraint of a mesh"""
+    """τ [s], of each shape of constraint on grids, or of each constraint of meshes"""
 
 
 def gamma_of(damping, shape):
-    """Return γ of a shape of constraints."""
+    """Return γ of a shape of constraint on grids."""
 
 
 def gammas_of(damping, c):
-    """Return γ of the constraints from index c on."""
+    """Return the vector γ of mesh constraints from index c on."""
 
 
 def apart_before(damping, i, j):
-    """Return x̄_i - x̄_j of the particles from slots i and j on."""
+    """Return vectors x̄_i - x̄_j of the particles from slots i and j on."""
 
 
 def records_before(damping, i, j, c):
-    """Return x̄_i - x̄_j of the constraints from index c on, by the slots in i and j."""
+    """Return vectors x̄_i - x̄_j of mesh constraints from index c on, with slots i[c], j[c]."""
 
 
 def lag(xpbd_residual, gamma, before, dx, dy, dz, l):
-    """Return a misfit and γ n·(d - d̄) for an edge d = l n."""
+    """Return C + α f + γ n·(d - d̄) for an edge d = l n, where ``before`` is d̄."""
 
 
 def shared(total, gamma):
-    """Return (1 + γ) W."""
+    """Return (1 + γ) W for W = ``total``."""
 
 
 def _none(kind) -> bool:

@@ -1,5 +1,5 @@
 """
-Distance constraints: C = |x1 - x2| - L, the physics of every effect that is an elastic edge.
+Distance constraints: C = |x1 - x2| - L, for every effect with elastic edges.
 
 Gradient: n = (x1 - x2) / |x1 - x2| at x1, -n at x2 (Müller et al. 2006, eq 10-11). In force form,
 with f = λ / H² [N], mobilities m = w H² and W = m1 + m2,
@@ -7,8 +7,8 @@ with f = λ / H² [N], mobilities m = w H² and W = m1 + m2,
     Δf = -(C + α f) / (W + α),   x1 += m1 n Δf,   x2 -= m2 n Δf
 
 which is Macklin et al. 2016, eq 18 and 17, times H². α is in m/N; 0 is rigid. f < 0 is tension.
-Where two particles coincide the gradient is undefined: they part along an axis that each shape of
-edge has for itself, which keeps momentum and is the same in every run.
+Where two particles coincide the gradient is undefined: they separate along a fixed axis, one for
+each shape of edge, which conserves momentum and is deterministic.
 """
 
 from typing import NamedTuple
@@ -66,15 +66,16 @@ ABSENT = -1.0
 
 
 class GridEdges(NamedTuple):
-    """Elastic edges in runs."""
+    """Elastic edges of grids, in runs (``constraints.grid_batches``)."""
 
     runs: Runs
     rest_length: np.ndarray
-    """[m], by shape; shape (shapes,)"""
+    """[m], of each shape of edge, shape (shapes,)"""
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
+    """[m/N], by shape of edge and place in a row, ABSENT where there is no edge; shape
+    (shapes, places)"""
     axis: np.ndarray
-    """where two particles coincide, by shape; shape (shapes, 3)"""
+    """direction of coincident particles, of each shape of edge, shape (shapes, 3)"""
     force: np.ndarray | None
     """f, multiplier over H² [N], negative in tension, shape (families * slots,); None if
     multipliers are not kept"""
@@ -85,7 +86,7 @@ class GridEdges(NamedTuple):
 
 
 class MeshEdges(NamedTuple):
-    """Elastic edges of meshes, in packs."""
+    """Elastic edges of meshes, in packs (``constraints.mesh_batches``)."""
 
     records: np.ndarray
     """particles as records, shape (slots, 4)"""
@@ -100,13 +101,23 @@ class MeshEdges(NamedTuple):
     force: np.ndarray | None
     """f [N], shape (edges,); None if multipliers are not kept"""
     packs: Packs | None
-    """those at pinned particles; None in a scene without pins"""
+    """edges at pinned particles; None in a scene without pins"""
     damping: Damping | None = None
     """None in a scene without ``rayleigh``"""
 
 
 class Edges:
-    """Edges one by one, in sweep order, as people and NumPy want them."""
+    """
+    Edges as NumPy arrays, in sweep order: the reference definition of C, energy and stiffness.
+
+    Parameters
+    ----------
+    particles : slots of both ends, shape (edges, 2)
+    index : position of each edge's multiplier in ``force``, shape (edges,)
+    rest_length : [m], shape (edges,)
+    compliance : [m/N], shape (edges,)
+
+    """
 
     def __init__(self, particles, index, rest_length, compliance):
         self.particles = particles
@@ -126,21 +137,21 @@ class Edges:
 
     @staticmethod
     def joined(lists: list['Edges']) -> 'Edges':
-        """Return the edges of several batches; ``index`` counts within each."""
+        """Return the edges of several batches; ``index`` refers to each one's own batch."""
         return Edges(*(np.concatenate([getattr(edges, name) for edges in lists]) for name in (
             'particles', 'index', 'rest_length', 'compliance')))
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [m], shape (edges,), straight from the definition; x has shape (3, slots)."""
+        """Return C [m], shape (edges,), by its definition; x: positions [m], (3, slots)."""
         i, j = self.particles.T
         return length((x[:, i] - x[:, j]).T.astype(float)) - self.rest_length
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """
-        Return 2 Σ 1 / α at each particle [N/m], (slots, 3, 3): no less than K is.
+        Return 2 Σ 1 / α at each particle, an upper bound of the stiffness K [N/m], (slots, 3, 3).
 
-        That is so whichever way the edges turn: warp and weft of a sheet that hangs from its
-        corners come to pull along one direction.
+        The bound holds for any direction of the edges: warp and weft of a sheet that hangs from
+        its corners can become parallel.
         """
         found = np.zeros(x.shape[1])
         with np.errstate(divide='ignore'):
@@ -156,12 +167,25 @@ class Edges:
 
 
 def max_compliance(dtype) -> float:
-    """Return the largest compliance: finite, so that times no force it is nothing."""
+    """Return the largest compliance [m/N]: finite, so that its product with a zero f is 0."""
     return float(np.sqrt(np.finfo(dtype).max))
 
 
 def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
-    """Return the compliances of grids as one table, ABSENT where there is no constraint."""
+    """
+    Return the compliances of grids as one table, ABSENT where there is no constraint.
+
+    Parameters
+    ----------
+    runs : runs of all grids
+    compliance : of each grid, by its shapes and places in a row, (shapes, places) or (shapes, 1)
+    dtype : of the table
+
+    Returns
+    -------
+    shape (shapes, places), padded by a vector
+
+    """
     table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
     table[:] = ABSENT
     first_ = 0
@@ -178,16 +202,16 @@ def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
 def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
                time=None) -> GridEdges:
     """
-    Return the edges of grids, ready for the kernels.
+    Return the edges of grids for the kernels.
 
     Parameters
     ----------
-    runs : where they are
-    family : of each shape, shape (shapes,)
-    rest_length : by shape [m], shape (shapes,)
+    runs : runs of all grids
+    family : of each shape of edge, shape (shapes,)
+    rest_length : of each shape of edge [m], shape (shapes,)
     compliance : of each grid, by its shapes and places in a row [m/N], (shapes, places) or (…, 1)
-    world : tells the dtype, the slots, and what will be asked for
-    time : relaxation time by shape [s], where the scene has ``rayleigh``
+    world : build context
+    time : relaxation time of each shape [s], shape (shapes,); None without ``rayleigh``
 
     """
     dtype, family = world.state.x.dtype, np.asarray(family)
@@ -202,15 +226,15 @@ def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
 def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.ndarray, *,
                world, time=None) -> MeshEdges:
     """
-    Return the edges of meshes, ready for the kernels.
+    Return the edges of meshes for the kernels.
 
     Parameters
     ----------
     particles : slots, shape (edges, 2)
     rest_length : [m], shape (edges,)
     compliance : [m/N], shape (edges,)
-    world : tells the dtype, the slots, and what will be asked for
-    time : relaxation time [s], where the scene has ``rayleigh``; shape (edges,)
+    world : build context
+    time : relaxation time [s], shape (edges,); None without ``rayleigh``
 
     """
     dtype = world.state.x.dtype
@@ -228,14 +252,18 @@ def mesh_edges(particles: np.ndarray, rest_length: np.ndarray, compliance: np.nd
 
 
 def damping(world, time, rigid: np.ndarray, dtype) -> Damping | None:
-    """Return the damping of constraints by their relaxation times; what is rigid has none."""
+    """
+    Return the damping of constraints with relaxation times [s]; None if there are none.
+
+    Constraints where ``rigid`` is True are not damped.
+    """
     if time is None:
         return None
     return Damping(world.built['rayleigh'].past, np.where(rigid, 0.0, time).astype(dtype))
 
 
 def times(found: list) -> np.ndarray | None:
-    """Return relaxation times as an array; None where there are none."""
+    """Return relaxation times [s] as an array; None if any of them is None."""
     return None if None in found else np.array(found)
 
 
@@ -245,7 +273,15 @@ def relaxation(world, cloth) -> float | None:
 
 
 def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndarray) -> None:
-    """Learn which edges touch a pinned particle."""
+    """
+    Update the lists of edges at pinned particles.
+
+    Parameters
+    ----------
+    edges, listed_ : a batch and the same edges as arrays
+    inv_mass : 0 where pinned, shape (slots,)
+
+    """
     if isinstance(edges, MeshEdges):
         hold_packs(edges.packs, listed_, inv_mass, edges.particles.shape[1])
     else:
@@ -256,9 +292,20 @@ def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndar
 @jit(inline=True)
 def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, before):
     """
-    Return s and d of an edge and Δf, for particles dx, dy, dz apart.
+    Return s, d and Δf of a vector of edges, where d = x1 - x2 and n Δf = -s d.
 
-    n Δf = -s d, so that one division does for both; ``there`` says which lanes hold an edge.
+    The form needs one division, s = (C + α f) / (|d| (W + α)).
+
+    Parameters
+    ----------
+    apart : accumulator of the method or None
+    dx, dy, dz : x1 - x2 [m]
+    total : W [m/N]
+    rest, alpha, f : L [m], α [m/N] and f [N] (None: 0)
+    there : lanes that hold an edge
+    ux, uy, uz : direction of coincident particles
+    gamma, before : γ and x̄1 - x̄2 of damping (``constraints.damping``), or None
+
     """
     l = root(fma(dx, dx, fma(dy, dy, dz * dz)))
     apart_ = l > 0.0
@@ -272,7 +319,7 @@ def pull(apart, dx, dy, dz, total, rest, alpha, f, there, ux, uy, uz, gamma, bef
 
 @jit(inline=True)
 def stops_of(stops, run):
-    """Return the first of a run's edges at pinned particles, and the one after the last."""
+    """Return the range (first, last + 1) of a run's edges at pinned particles."""
     if stops is None:
         return 0, 0
     else:
@@ -281,7 +328,12 @@ def stops_of(stops, run):
 
 @jit
 def stops_between(stops, first, last, begin, end, reverse):
-    """Return the next of them in a sweep, whose multipliers are kept from begin to end."""
+    """
+    Return the part of the range first:last whose multipliers are in force[begin:end].
+
+    A sweep calls it vector by vector: the part begins at ``first``, or ends at ``last`` if
+    ``reverse``.
+    """
     if stops is None:
         return 0, 0
     else:
@@ -299,7 +351,7 @@ def stops_between(stops, first, last, begin, end, reverse):
 
 @jit
 def project_edges(edges, state, substep, reverse):
-    """One Gauss-Seidel pass over all edges, run after run."""
+    """Project all edges of grids once, run by run, in reverse order if ``reverse``."""
     part = substep.end - substep.begin
     for phase in range(PHASES):
         begin, end = share_of(edges.runs, state.team, phase, reverse)
@@ -356,7 +408,7 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, rest_length, compliance
 
 @jit
 def project_packs(edges, state, substep, reverse):
-    """One Gauss-Seidel pass over all edges, pack after pack."""
+    """Project all edges of meshes once, pack by pack, in reverse order if ``reverse``."""
     first_, last = edges.slots[0], edges.slots[1]
     to_records(state, edges.records, first_, last)
     for number in range(segment_count(edges.packs)):

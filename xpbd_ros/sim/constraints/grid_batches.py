@@ -1,13 +1,13 @@
 """
-Runs: constraints of one shape at neighbouring slots: a vector of them is projected at once.
+Batches of constraints on grids: runs of one shape of constraint at consecutive slots.
 
-A run holds, for each of its rows, ``count`` constraints; the k-th of a row touches the slots
-start + row stride + k + offset, one offset per particle of the constraint. Of so many neighbours
-as a vector has lanes no two share a particle, so the order among them does not matter; vectors,
-rows and runs follow one another as in any Gauss-Seidel sweep.
+A run has ``count`` constraints in each of its rows. Constraint k of a row has its particles at the
+slots start + row · stride + k + offset, with one offset per particle. As many consecutive ones as
+a vector has lanes share no particle and are projected as a vector; vectors, rows and runs follow
+one another in Gauss-Seidel order.
 
-A sweep takes a grid strip by strip: first every other strip, which no constraint joins to another
-one of them, then those in between. So several threads can share each of these two phases.
+A sweep takes a grid in strips of rows and two phases: first every other strip, no two of which a
+constraint couples, then those in between. Several threads share the strips of a phase.
 """
 
 from typing import NamedTuple
@@ -19,64 +19,64 @@ from xpbd_ros.sim.backend.threads import share
 from xpbd_ros.sim.particles.memory_layout import Block
 
 STRIP = 8
-"""rows that a sweep takes at a time, so that they stay in the cache; a constraint spans fewer"""
+"""rows of a strip: few enough to stay in the cache, more than a constraint spans"""
 PHASES = 2
 COLUMNS = 8
-"""arrays that tell of each run"""
+"""number of the fields of ``Runs`` that have one entry per run"""
 
 
 class Runs(NamedTuple):
-    """Runs in the order in which a sweep takes them."""
+    """Runs in sweep order."""
 
     start: np.ndarray
     """slot of the first constraint's anchor, shape (runs,)"""
     count: np.ndarray
-    """constraints in a row, holes included, shape (runs,)"""
+    """positions in a row, those without a constraint included, shape (runs,)"""
     rows: np.ndarray
-    """shape (runs,)"""
+    """number of rows, shape (runs,)"""
     stride: np.ndarray
     """slots from row to row, shape (runs,)"""
     offset: np.ndarray
-    """of each particle from the anchor, shape (runs, particles of a constraint)"""
+    """slot of each particle relative to the anchor, shape (runs, particles of a constraint)"""
     base: np.ndarray
-    """where the run's multipliers are: base + anchor; shape (runs,)"""
+    """a constraint's multiplier is at base + anchor; shape (runs,)"""
     shape: np.ndarray
-    """number of its shape, shape (runs,)"""
+    """index of the shape of constraint, shape (runs,)"""
     place: np.ndarray
-    """of the first anchor in its row of the grid: slots from the row's start, shape (runs,)"""
+    """slot of the first anchor relative to the start of its grid row, shape (runs,)"""
     strip: np.ndarray
-    """number of each strip's first run, and how many there are; shape (strips + 1,)"""
+    """index of each strip's first run, and the number of runs; shape (strips + 1,)"""
     phase: np.ndarray
-    """number of each phase's first strip, and how many there are; shape (phases + 1,)"""
+    """index of each phase's first strip, and the number of strips; shape (phases + 1,)"""
     present: np.ndarray
-    """whether a shape has a constraint at a place of a row, shape (shapes, places)"""
+    """True where a shape has a constraint at a place of a row, shape (shapes, places)"""
 
 
 class Shape(NamedTuple):
-    """One shape of constraint on a grid, and the cells where it stands."""
+    """A shape of constraint on a grid (relative positions of its particles) and its anchors."""
 
     particles: tuple[tuple[int, int], ...]
-    """(row, column) of each, from the anchor"""
+    """(row, column) of each particle relative to the anchor"""
     rows: range
-    """of the anchor"""
+    """rows of the anchors"""
     columns: range
-    """of the anchor"""
+    """columns of the anchors"""
     family: int
-    """shapes with different anchors share one family of numbers"""
+    """index of the array of multipliers; shapes without common anchors may share it"""
 
 
 def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 0,
               shapes_before: int = 0) -> Runs:
     """
-    Return the runs of some shapes on one grid, strip after strip of rows.
+    Return the runs of some shapes of constraint on one grid, strip by strip.
 
     Parameters
     ----------
-    block : where the grid lies
-    shapes : in the order in which a strip takes them
-    slots : of all grids; family f keeps its multipliers at f * slots + anchor
-    families : families of other grids that come before
-    shapes_before : shapes of other grids that come before
+    block : slots of the grid
+    shapes : in their order within a strip
+    slots : number of slots of the state; the multipliers of family f are at f * slots + anchor
+    families : number of families of the grids before this one
+    shapes_before : number of shapes of the grids before this one
 
     """
     table, strip, phase = [], [0], [0]
@@ -110,11 +110,11 @@ def _place(block: Block, column: int) -> int:
 
 def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]:
     """
-    Return a shape's anchors in a row, as few spans of neighbours: first place, count, offsets.
+    Return a shape's anchors in a row as spans of consecutive slots: (first place, count, offsets).
 
-    Neighbouring parts whose constraints reach out alike are one span, with holes between them
-    where a part ends without a constraint. But a vector that begins where the one before ends
-    would wait for it: short parts that are joined along their row are taken each down its rows.
+    Adjacent parts with equal offsets are merged into one span, which includes slots without a
+    constraint at the end of a part. Short parts of constraints within one row are not merged,
+    since each vector would wait for the stores of the one before; they are swept down their rows.
     """
     waits = block.short and len({j for j, _ in shape.particles}) == 1
     found, last_part = [], block.parts
@@ -134,7 +134,7 @@ def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]
 
 
 def join(runs: list[Runs]) -> Runs:
-    """Return the runs of several grids, one after another."""
+    """Return the runs of several grids: phase by phase, in each grid by grid."""
     places = max(r.present.shape[1] for r in runs)
     strips = [(r, s) for h in range(PHASES) for r in runs for s in range(*r.phase[h:h + 2])]
     taken = [(r, np.s_[r.strip[s]:r.strip[s + 1]]) for r, s in strips]
@@ -147,7 +147,7 @@ def join(runs: list[Runs]) -> Runs:
 
 @jit(inline=True)
 def share_of(runs, team, phase, reverse):
-    """Return the first run of a thread's share of a phase, and the one after its last."""
+    """Return the range of runs (first, last + 1) of this thread in a phase."""
     if reverse:
         phase = PHASES - 1 - phase
     begin = runs.phase[phase]
@@ -156,7 +156,7 @@ def share_of(runs, team, phase, reverse):
 
 
 def first_of_runs(runs: Runs) -> np.ndarray:
-    """Return the number of each run's first constraint in ``listed``, shape (runs + 1,)."""
+    """Return the index of each run's first constraint in ``listed``, shape (runs + 1,)."""
     count = [runs.rows[r] * runs.present[runs.shape[r], runs.place[r]:][:runs.count[r]].sum()
              for r in range(len(runs.start))]
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
@@ -164,14 +164,14 @@ def first_of_runs(runs: Runs) -> np.ndarray:
 
 def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return all constraints of some runs, in sweep order.
+    Return all constraints of some runs as arrays, in sweep order.
 
     Returns
     -------
     particles : slots, shape (constraints, particles of a constraint)
-    index : where each keeps its multiplier, shape (constraints,)
-    shape : number of its shape, shape (constraints,)
-    place : of its anchor in its row, shape (constraints,)
+    index : position of each multiplier, shape (constraints,)
+    shape : index of each constraint's shape, shape (constraints,)
+    place : slot of each anchor relative to the start of its row, shape (constraints,)
 
     """
     found = [np.zeros((0, runs.offset.shape[1]), np.int64), *[np.zeros(0, np.int64)] * 3]

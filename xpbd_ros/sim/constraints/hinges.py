@@ -1,12 +1,12 @@
 """
-Hinges of a cloth: two triangles that share an edge, their dihedral angle, and what bends them.
+Hinges of a cloth: pairs of triangles that share an edge, dihedral angles, bending stiffness.
 
-A hinge of stiffness B |e|² / (A0 + A1) makes a sheet of bending rigidity B (doc/numerics.md 5.7;
-Grinspun et al. 2003 up to the factor), with a B of its own on a mesh
-(``constraints.plate_rigidity``). A grid has the hinges of both of its triangulations, the one with
-alternating diagonals and its mirror image, each with half the stiffness: those of one alone bend
-only about every other particle, and a sheet that may choose would come out a third too soft. A
-cell's diagonals see κxy alone and count half of that again.
+Hinges of stiffness B |e|² / (A0 + A1) give a sheet the bending rigidity B (doc/numerics.md 5.7;
+Grinspun et al. 2003 up to the factor); on a mesh each hinge has a B of its own, fitted in
+``constraints.plate_rigidity``. A grid has the hinges of two triangulations, the one with
+alternating diagonals and its mirror image, each with half the stiffness. Those of a single one
+resist bending only about every other particle, and a sheet that relaxes would be a third too soft.
+The diagonals of cells resist the twist κxy alone, and have half of that stiffness again.
 """
 
 import numpy as np
@@ -17,11 +17,11 @@ from xpbd_ros.sim.geometry.mesh import cross, dot, hinges, length, Mesh
 
 def all_hinges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return hinges and the share of its stiffness that each has.
+    Return the hinges of a mesh and the fraction of the stiffness B |e|² / (A0 + A1) of each.
 
     Returns
     -------
-    particles (edge start, edge end, opposite, opposite), shape (hinges, 4), and shares (hinges,)
+    particles (edge start, edge end, opposite, opposite), shape (hinges, 4); fractions, (hinges,)
 
     """
     if mesh.grid is None:
@@ -31,7 +31,7 @@ def all_hinges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _mirrored(mesh: Mesh) -> np.ndarray:
-    """Return the triangles of a grid whose diagonals run the other way."""
+    """Return the triangles of a grid with the other diagonal of each cell."""
     pairs = mesh.triangles.reshape(-1, 2, 3)    # a b c, a c d; or a b d, b c d
     rising = (pairs[:, 0, 0] == pairs[:, 1, 0])[:, None, None]
     (a, b, c), (_, _, d) = pairs[:, 0].T, pairs[:, 1].T
@@ -50,22 +50,22 @@ def _is_diagonal(mesh: Mesh, particles: np.ndarray) -> np.ndarray:
 def rigidity(mesh: Mesh, particles: np.ndarray, along_warp: float,
              along_weft: float) -> np.ndarray:
     """
-    Return the bending rigidity that each hinge of a grid stands for [N m], shape (hinges,).
+    Return the bending rigidity B of each hinge of a grid [N m], shape (hinges,).
 
-    The diagonals see twist, so sqrt(B1 B2).
+    Diagonals resist twist and have sqrt(B1 B2).
     """
     return np.where(_is_diagonal(mesh, particles), np.sqrt(along_warp) * np.sqrt(along_weft),
                     across(mesh, particles, along_warp, along_weft))
 
 
 def slenderness(corners: np.ndarray) -> np.ndarray:
-    """Return |e|² / (A0 + A1) of hinges; corners have shape (hinges, 4, 3)."""
+    """Return |e|² / (A0 + A1) of hinges, shape (hinges,); corners [m], (hinges, 4, 3)."""
     e, a, b = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     return 2.0 * dot(e, e) / (length(cross(e, a)) + length(cross(e, b)))
 
 
 def dihedral(corners: np.ndarray) -> np.ndarray:
-    """Return the angle of hinges, 0 where flat [rad], shape (hinges,); corners (hinges, 4, 3)."""
+    """Return dihedral angles, 0 if flat [rad], shape (hinges,); corners [m], (hinges, 4, 3)."""
     e, a, b = (corners[:, k] - corners[:, 0] for k in (1, 2, 3))
     n1, n2 = cross(e, a), cross(b, e)
     return np.arctan2(dot(cross(n1, n2), e) / length(e), dot(n1, n2))

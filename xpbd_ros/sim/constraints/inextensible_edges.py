@@ -1,9 +1,9 @@
 """
 Inextensible edges of meshes: accelerated Gauss-Seidel passes over unilateral constraints.
 
-Each edge longer than it may be is put back, and only pulls (f ≤ 0). A net that hangs by a corner
-would take thousands of passes, so each pair of passes, forth and back, starts from where the last
-two lead (Nesterov 1983),
+An edge longer than its limit is projected onto it, with f ≤ 0 (tension only). A net that hangs by
+a corner would take thousands of passes, so each pair of a forward and a backward pass starts from
+an extrapolation of the last two (Nesterov 1983),
 
     x + β (x - x_before),   f + β (f - f_before),   β = (k - 1) / (k + 2),
 
@@ -33,9 +33,9 @@ from xpbd_ros.sim.constraints.pinned_edges import note_packs
 from xpbd_ros.sim.particles.records import to_positions, to_records
 
 EASE = 3e-3
-"""what an edge may be longer than the limit, relative"""
+"""tolerance: relative excess over the limit at which passes end"""
 FINE, FEW = 1e-5, 8
-"""the same in so many passes, if they suffice: what is left over makes forces chatter"""
+"""tolerance of the first FEW pairs of passes: a remaining excess makes forces oscillate"""
 GROWTH = 1.2
 """growth of the largest excess at which k restarts"""
 
@@ -43,54 +43,63 @@ GROWTH = 1.2
 @jit
 def shorten(limit, state, substep, passes):
     """
-    Make passes over the edges of meshes until none is too long; return the first largest excess.
+    Project the edges of meshes until none is too long; return the initial largest excess.
 
-    ``limit`` has the fields of ``MeshStrainLimit``.
+    Parameters
+    ----------
+    limit : ``MeshStrainLimit`` of the effect ``strain_limit``
+    passes : largest number of pairs of passes
+
+    Returns
+    -------
+    largest (|x1 - x2| - longest) / longest found by the first pass
+
     """
     first, last, count = limit.slots[0], limit.slots[1], len(limit.force)
     to_records(state, limit.records, first, last)
-    begin_pull(limit.pull)
+    clear_reactions(limit.pull)
     step, before, found = 0.0, np.inf, 0.0
     for k in range(passes):
         if k > 0:
             share = max(step - 1.0, 0.0) / (step + 2.0)
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, share)
-            _go_on(limit.force, limit.force_before, 0, count, share)
-            go_on_pulling(limit.pull, limit.pull_before, share)
+            _extrapolate(limit.records, limit.before, 4 * first, 4 * last, share)
+            _extrapolate(limit.force, limit.force_before, 0, count, share)
+            extrapolate_reactions(limit.pull, limit.pull_before, share)
         most = _sweep(limit, state, False)
         if k == 0:
             found = most
         if most <= (FINE if k < FEW else EASE):
             break
         if k == 0:
-            _go_on(limit.records, limit.before, 4 * first, 4 * last, 0.0)
-            _go_on(limit.force, limit.force_before, 0, count, 0.0)
-            go_on_pulling(limit.pull, limit.pull_before, 0.0)
+            _extrapolate(limit.records, limit.before, 4 * first, 4 * last, 0.0)
+            _extrapolate(limit.force, limit.force_before, 0, count, 0.0)
+            extrapolate_reactions(limit.pull, limit.pull_before, 0.0)
         _sweep(limit, state, True)
         step = 0.0 if most > GROWTH * before else step + 1.0
         before = most
     to_positions(state, limit.records, first, last)
-    end_pull(limit.pull, substep.end - substep.begin, state.reaction)
+    add_reactions(limit.pull, substep.end - substep.begin, state.reaction)
     return found
 
 
 @jit
 def _sweep(limit, state, reverse):
-    """Pass over all edges; return the largest excess over the limit that it found, relative."""
+    """Project all edges once; return the largest relative excess over the limit found."""
     most, packs = 0.0, limit.packs
     for number in range(segment_count(packs)):
         begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
         note_packs(packs, a, b, limit.records, None, limit.force)
-        weigh(packs, a, b, state)
-        most = max(most, _put_back(limit.records, limit.particles[0], limit.particles[1],
-                                   limit.longest, limit.force, begin, end, reverse))
+        scale_gradients(packs, a, b, state)
+        most = max(most, _project_edges(
+            limit.records, limit.particles[0], limit.particles[1], limit.longest, limit.force,
+            begin, end, reverse))
         collect(packs, a, b, limit.force, 1.0, limit.pull)
     return most
 
 
 @jit
-def weigh(packs, first, last, state):
-    """Let the edges of a pack count as what they do to momentum."""
+def scale_gradients(packs, first, last, state):
+    """Scale the recorded gradients of a pack to forces (see ``per_euler``)."""
     if packs is not None:
         for k in range(first, last):
             i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
@@ -101,23 +110,23 @@ def weigh(packs, first, last, state):
 
 
 @jit
-def begin_pull(pull):
-    """Begin a touch."""
+def clear_reactions(pull):
+    """Zero the forces on pinned particles of one call of ``shorten`` [N], shape (3, slots)."""
     if pull is not None:
         pull[:] = 0.0
 
 
 @jit
-def go_on_pulling(pull, before, share):
-    """Go on with impulses as with what exerts them."""
+def extrapolate_reactions(pull, before, share):
+    """Extrapolate the forces on pinned particles as the multipliers that exert them."""
     if pull is not None:
         for a in range(3):
-            _go_on(pull[a], before[a], 0, pull.shape[1], share)
+            _extrapolate(pull[a], before[a], 0, pull.shape[1], share)
 
 
 @jit
-def end_pull(pull, part, reaction):
-    """Add the impulses of a touch to those of the frame."""
+def add_reactions(pull, part, reaction):
+    """Add the forces of one call of ``shorten`` to the mean over the frame."""
     if pull is not None:
         for a in range(3):
             for i in range(pull.shape[1]):
@@ -125,18 +134,22 @@ def end_pull(pull, part, reaction):
 
 
 @jit
-def _go_on(numbers, before, first, last, share):
-    """Go on by a share of what numbers changed by since the last time."""
+def _extrapolate(numbers, before, first, last, share):
+    """
+    Extrapolate: numbers += share (numbers - before), for indices first:last.
+
+    ``before`` receives the values before extrapolation.
+    """
     for q in range(first, last, lanes(numbers)):
         now = load(numbers, q)
-        if share > 0.0:    # no share of nan is 0
+        if share > 0.0:    # 0 · nan would be nan
             store(numbers, q, fma(share, now - load(before, q), now))
         store(before, q, now)
 
 
 @jit
-def _put_back(records, i, j, longest, force, begin, end, reverse):
-    """Pass over some edges; return the largest excess over the limit that it found, relative."""
+def _project_edges(records, i, j, longest, force, begin, end, reverse):
+    """Project the edges begin:end; return the largest relative excess over the limit found."""
     step, most = lanes(longest), splat(longest, 0.0)
     for p in range(begin, end, step):
         q = begin + end - step - p if reverse else p

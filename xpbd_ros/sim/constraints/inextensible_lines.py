@@ -1,10 +1,10 @@
 """
-Ropes: whole lines of edges that only pull, and only where they are too long, solved at once.
+Inextensible lines: whole lines of unilateral edges (tension only), solved at once.
 
-As ``lines``, with α = 0, but an edge takes part only where it is longer than it may be or pulls
-already (f < 0), and f > 0 is cut off: one step of an active set method for each line. Edges that
-take no part cut a line in two. A warp line and a weft line share a particle, so the lines of a net
-are solved again and again until none of them is too long.
+As in ``constraints.line_solver`` with α = 0, but an edge is active only if it is longer than its
+limit or already in tension (f < 0), and f > 0 is set to 0: one step of an active set method per
+line. An inactive edge decouples the two parts of its line. Warp and weft lines share particles, so
+the caller repeats the solves until no edge is too long.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -30,11 +30,16 @@ from xpbd_ros.sim.particles.history import weights_at
 @jit
 def tighten(lines, force, stops, state, substep, near):
     """
-    Solve every warp line, then every weft line; return the largest excess found, relative.
+    Solve every warp line, then every weft line; return the largest relative excess found.
 
-    Edges that are shorter than they may be by up to ``near`` of it take part: a first guess of
-    what pulls, without which a line that hangs at rest would learn of its weight edge by edge.
-    Impulses on pinned particles go to ``state.reaction``.
+    Parameters
+    ----------
+    lines : their ``rest_length`` is the limit of each edge's length [m]
+    force : multipliers f [N]
+    stops : edges at pinned particles, or None; their forces are added to ``state.reaction``
+    near : edges shorter than the limit by less than this fraction are active too, a first guess of
+        the active set: without it the tension of a hanging line would grow by one edge per solve
+
     """
     most, part = 0.0, substep.end - substep.begin
     for g in range(len(lines.first)):
@@ -50,9 +55,10 @@ def tighten(lines, force, stops, state, substep, near):
 @jit(inline=True)
 def per_euler(state, i, j):
     """
-    Return what a force on an edge at a pinned particle is in a substep of backward Euler, over f.
+    Return (H / h)²: the force of an edge on a pinned particle over its f.
 
-    What f moves by w H² f ends the substep with backward Euler, as if h² had been H².
+    f displaces the edge's free particle by w H² f. That particle ends the substep with backward
+    Euler, v = (x - x_n) / h, as under a force f H² / h².
     """
     share = weights_at(state.history, i if state.inv_mass[i] > 0.0 else j)[0]
     return share * share
@@ -60,7 +66,7 @@ def per_euler(state, i, j):
 
 @jit
 def _note(stops, base, state, force):
-    """Note the edges at pinned particles whose multipliers begin at ``base``."""
+    """Record the edges at pinned particles of one family; its multipliers begin at ``base``."""
     if stops is not None:
         held, x = stops.held, state.x
         for k in range(held.count[0]):
@@ -73,7 +79,7 @@ def _note(stops, base, state, force):
 
 @jit
 def _gather(stops, base, state, force, part):
-    """Add what they exerted since."""
+    """Add the forces that these edges exerted since ``_note``."""
     if stops is not None:
         for k in range(stops.held.count[0]):
             if base <= stops.held.index[k] < base + state.x.shape[1]:
@@ -121,9 +127,9 @@ def _weft(lines, g, force, state, near):
 @jit
 def _solve(x, y, z, m, force, start, edge, stride, nodes, done, longest, work, tiny, near):
     """
-    Solve one line per lane, but for the first lanes that are ``done``; return the excess found.
+    Solve one line per lane, except in the first ``done`` lanes; return the excess of each lane.
 
-    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its multiplier
+    Particle k of the lines is at start + k stride, and the multiplier of the edge from k to k + 1
     at edge + k stride.
     """
     n = lanes(x)

@@ -1,4 +1,4 @@
-"""Isometric bending of hinges (Bergou et al. 2006): weights of the rest shape, and a pass."""
+"""Isometric bending of hinges (Bergou et al. 2006): weights of the rest shape, projection."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from xpbd_ros.sim.particles.records import put_records
 
 def isometric_weights(corners: np.ndarray) -> np.ndarray:
     """
-    Return K_i / sqrt(A0 + A1) [1/m], shape (hinges, 4).
+    Return the weights k_i = K_i / sqrt(A0 + A1) of C = Σ k_i x_i [1/m], shape (hinges, 4).
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def isometric_weights(corners: np.ndarray) -> np.ndarray:
 
 @jit
 def project_packs(records, apart, particles, weight, compliance, fx, fy, fz, reverse):
-    """Project C = Σ k x of each hinge, pack after pack."""
+    """Project C = Σ k_i x_i of all hinges, pack by pack (formulas in ``bend``)."""
     count, step = len(compliance), lanes(compliance)
     p0, p1, p2, p3 = particles[0], particles[1], particles[2], particles[3]
     w0, w1, w2, w3 = weight[0], weight[1], weight[2], weight[3]

@@ -1,29 +1,29 @@
 """
-Whole lines of distance constraints, solved at once (doc/numerics.md 3.3; Deul et al. 2018).
+Direct solution of whole lines of distance constraints (doc/numerics.md 3.3; Deul et al. 2018).
 
-The edges of a line, linearised where it lies, couple only to their neighbours:
+The constraints of a line, linearised at the current positions, give a tridiagonal system:
 
     (J W Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
 
 with mobilities m = w H² and unit vectors u_k from particle k to k + 1. With edges d_k = l_k u_k
-and steps s_k = Δf_k / l_k, row k times l_k spares a division on the way:
+and steps s_k = Δf_k / l_k, row k is multiplied by l_k, which saves a division:
 
     diagonal (m_k + m_{k+1} + α) l_k²,   off-diagonal -m_k d_k·d_{k-1},   right side -(C + α f) l_k
 
-One forward elimination, one back substitution (Thomas). The matrix is positive semi-definite for
-any shape, since each off-diagonal of the first is at most m_k; only a rigid straight line between
-two pins is singular. Hence α counts as at least TINY of the mobilities, which is nothing beside
-what a Gauss-Seidel pass adds.
+It is solved by one forward elimination and one back substitution (Thomas). The matrix is positive
+semi-definite for any shape, since each off-diagonal of the first form is at most m_k; it is
+singular only for a rigid straight line between two pins. The matrix therefore uses an α of at
+least TINY (m_k + m_{k+1}), far below the artificial compliance of a Gauss-Seidel pass.
 
-A rigid line between two pins that are further apart than it is long cannot be:
+A rigid line between two pins that are further apart than it is long has no solution: see
 ``constraints.overextended_lines``.
 
-Other meshes have none: edge-disjoint paths, as straight as an irregular triangle mesh has them,
-are five edges long on average, and win nothing over the symmetric sweep in the time they take.
+Meshes have no lines: the straightest edge-disjoint paths of an irregular triangle mesh have five
+edges on average, and gain nothing over the symmetric sweep in equal time.
 
-Lines of one family share no particle, so a vector takes one line per lane. Weft lines run across
-rows as they lie in memory; warp lines run along rows, so as many rows as there are lanes are
-transposed into a scratch, solved there in the same way, and transposed back.
+Lines of one family share no particle, so each lane of a vector solves one line. Weft lines cross
+the rows, whose slots are contiguous. Warp lines run along the rows, so as many rows as there are
+lanes are transposed into scratch memory, solved in the same way, and transposed back.
 """
 
 from typing import NamedTuple
@@ -51,7 +51,7 @@ from xpbd_ros.sim.constraints.pinned_edges import gather_line_reaction, note_lin
 from xpbd_ros.sim.particles.memory_layout import Block, zeros
 
 TINY = 1e-4
-"""smallest α that a line knows, relative to the mobilities at its edge"""
+"""least α in the matrix, relative to m_k + m_{k+1}"""
 
 
 class Lines(NamedTuple):
@@ -60,16 +60,17 @@ class Lines(NamedTuple):
     first: np.ndarray
     """slot of each grid's first particle, shape (grids,)"""
     rows: np.ndarray
-    """shape (grids,)"""
+    """number of rows, shape (grids,)"""
     columns: np.ndarray
-    """shape (grids,)"""
+    """number of columns, shape (grids,)"""
     parts: np.ndarray
+    """number of parts of a row (``particles.memory_layout``), shape (grids,)"""
     part: np.ndarray
     """slots of one part of a row, shape (grids,)"""
     stride: np.ndarray
     """slots from row to row, shape (grids,)"""
     force: np.ndarray
-    """where each grid's warp and weft edges keep their multipliers, shape (grids, 2)"""
+    """start of the multipliers of each grid's warp and weft edges, shape (grids, 2)"""
     rest_length: np.ndarray
     """of warp and weft edges [m], shape (grids, 2)"""
     warp: np.ndarray
@@ -77,13 +78,14 @@ class Lines(NamedTuple):
     weft: np.ndarray
     """compliance of the weft edges at each place of a row [m/N], shape (grids, places)"""
     axis: np.ndarray
-    """where two particles coincide, along warp and weft; shape (2, 3)"""
+    """direction of coincident particles, along warp and weft, shape (2, 3)"""
     tiny: float
-    """smallest α, relative to the mobilities at its edge"""
+    """TINY"""
     tile: np.ndarray
-    """scratch: transposed rows: x y z mobility f; shape (threads, 5, columns * lanes)"""
+    """scratch: transposed rows of x, y, z, mobility, f; shape (threads, 5, columns * lanes)"""
     work: np.ndarray
-    """scratch of the elimination: d, l, off-diagonal / pivot, s; (threads, 6, edges * lanes)"""
+    """scratch of the elimination: d (3 rows), l, off-diagonal / pivot, s; shape
+    (threads, 6, edges * lanes)"""
 
 
 def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
@@ -93,12 +95,13 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
 
     Parameters
     ----------
-    blocks : where they lie
-    spacing : of each, along warp and weft [m], shape (grids, 2)
-    compliance : of each, of the warp edges by row and of the weft edges by column [m/N]
-    slots : of all grids; warp edges are family 2 g of grid g, weft edges 2 g + 1
-    dtype : of all numbers
-    threads : that will share the work
+    blocks : slots of each grid
+    spacing : rest length of each grid's warp and weft edges [m], shape (grids, 2)
+    compliance : of each grid, of the warp edges by row and of the weft edges by column [m/N]
+    slots : number of slots of the state; the multipliers of grid g are family 2 g (warp) and
+        2 g + 1 (weft)
+    dtype : of all arrays
+    threads : number of threads
 
     """
     lanes_ = lane_count(dtype)
@@ -123,11 +126,11 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
 @jit
 def solve_edges(lines, edges, state, substep):
     """
-    Solve every warp line, then every weft line, and all of that again.
+    Solve every warp line, then every weft line, and both once more.
 
-    Solved once each, warp lines are left as the weft then moved them. With few substeps that is
-    most of the error: the reference swing of 41 x 41 particles at 50 kN/m and 24 substeps is 25 mm
-    off after half a second, and 2 mm when both are solved again.
+    After a single solve of each, the weft solve has disturbed the warp lines. With few substeps
+    that dominates the error: the reference swing of 41 x 41 particles at 50 kN/m and 24 substeps
+    has an error of 25 mm after half a second, and of 2 mm with the second solve.
     """
     force, stops, part = edges.force, edges.stops, substep.end - substep.begin
     for g in range(len(lines.first)):
@@ -153,7 +156,7 @@ def solve_warp(lines, g, force, state):
         base, tiles = lines.force[g, 0], max(1, rows // count)
         one, other = share(state.team, tiles)
         for begin in range(one * count, rows if other == tiles else other * count, count):
-            row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
+            row = max(0, min(begin, rows - count))    # the last tile may overlap the one before
             top = start + row * stride
             gather_rows(x, top, parts, part, stride, tile[0])
             gather_rows(y, top, parts, part, stride, tile[1])
@@ -190,7 +193,7 @@ def solve_weft(lines, g, force, state):
 
 @jit
 def gather_rows(source, top, parts, part, stride, tile):
-    """Transpose as many rows as there are lanes: column c of them becomes the vector c."""
+    """Transpose as many rows as there are lanes into ``tile``: column c becomes vector c."""
     count = lanes(source)
     for k in range(parts):
         for p in range(0, part, count):
@@ -200,7 +203,7 @@ def gather_rows(source, top, parts, part, stride, tile):
 
 @jit
 def scatter_rows(tile, target, top, parts, part, stride):
-    """Transpose back."""
+    """Transpose ``tile`` back into the rows of ``target``."""
     count = lanes(target)
     for k in range(parts):
         for p in range(0, part, count):
@@ -211,9 +214,9 @@ def scatter_rows(tile, target, top, parts, part, stride):
 @jit
 def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, work, axis, tiny):
     """
-    Solve one line per lane, but for the first lanes that are ``done``.
+    Solve one line per lane, except in the first ``done`` lanes.
 
-    Particle k of the lines is at start + k stride, the edge from k to k + 1 keeps its multiplier
+    Particle k of the lines is at start + k stride, and the multiplier of the edge from k to k + 1
     at edge + k stride.
     """
     n = lanes(x)

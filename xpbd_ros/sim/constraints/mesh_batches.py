@@ -1,9 +1,9 @@
 """
-Packs: constraints of any mesh, so ordered that PACK neighbours share no particle.
+Batches of constraints on meshes: packs of PACK constraints that share no particle.
 
-A walk over the constraints in mesh order puts each into the first open pack that it does not
-conflict with; with two dozen packs open nearly all fill up, and neighbours on the mesh stay
-neighbours in memory. A sweep takes a pack's constraints side by side, in vectors of any width.
+Greedy: each constraint, in mesh order, goes into the oldest open pack without a common particle.
+With OPEN packs nearly all fill up, and neighbours on the mesh stay near each other in memory. A
+sweep projects the constraints of a pack in vectors, of any width.
 """
 
 import numpy as np
@@ -13,13 +13,13 @@ from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 OPEN = 24
-"""packs that are being filled at a time"""
+"""number of packs that are filled at a time"""
 EMPTY = -1
 
 
 def pack(particles: np.ndarray) -> np.ndarray:
     """
-    Return an order of constraints in packs.
+    Return the constraints ordered by pack.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def pack(particles: np.ndarray) -> np.ndarray:
 
     Returns
     -------
-    constraint numbers, or EMPTY, shape (packs * PACK,)
+    indices of the constraints, EMPTY in unfilled packs, shape (packs * PACK,)
 
     """
     order = np.argsort(particles.min(1), kind='stable') if len(particles) else np.zeros(0, int)
@@ -38,7 +38,7 @@ def pack(particles: np.ndarray) -> np.ndarray:
 @jit(allocates=True)
 def _fill(particles):
     count = len(particles)
-    found = np.full((count + OPEN, PACK), -1)    # at worst each has a pack of its own
+    found = np.full((count + OPEN, PACK), -1)    # worst case: one constraint per pack
     filled = np.zeros(count + OPEN, np.int64)
     is_open = np.arange(OPEN)    # oldest first
     packs = OPEN
@@ -50,7 +50,7 @@ def _fill(particles):
             if not _conflicts(particles, found[is_open[a]], filled[is_open[a]], c):
                 place = a
                 break
-        if place == OPEN:    # the oldest is given up
+        if place == OPEN:    # close the oldest pack
             closed[closed_count] = is_open[0]
             closed_count += 1
             is_open[:-1] = is_open[1:].copy()
@@ -84,7 +84,7 @@ def _conflicts(particles, members, count, c):
 
 
 def padded(numbers: np.ndarray, order: np.ndarray, empty, dtype) -> np.ndarray:
-    """Return numbers of constraints in the order of their packs, aligned."""
+    """Return values in the order of ``pack``, cache-aligned; ``empty`` where it is EMPTY."""
     found = zeros((len(order), *np.shape(numbers)[1:]), dtype)
     found[:] = empty
     found[order >= 0] = numbers[order[order >= 0]]

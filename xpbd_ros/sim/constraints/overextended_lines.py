@@ -1,16 +1,16 @@
 """
-Taut: rigid lines between two pins that are further apart than the line is long.
+Overextended lines: rigid lines between two pins that are further apart than the line is long.
 
-That cannot be: no position has residuals of 0, edge by edge each that is put right leaves the next
-one wrong, and a line solved with hardly any compliance throws what it holds across its direction
-from f > l / (m_k + m_{k+1}) on. As α → 0, equal edges share out evenly what is too much, and
-nothing can move a line that is pulled without limit: its particles lie on the straight between
-the pins,
+Their constraints have no solution. Gauss-Seidel passes do not converge, and a line solve with tiny
+compliance is unstable perpendicular to the line once |f| > l / (m_k + m_{k+1}). In the limit α → 0
+the excess is distributed evenly over equal edges, and the infinite tension keeps the particles on
+the straight line between the pins,
 
     x_k = x_a + k / n (x_b - x_a).
 
-So there they are put before a substep's constraints are swept, and held meanwhile. The pins feel
-what lines of TINY compliance (``lines``) would pull with, f = -(l - n L) / (2 TINY Σ m_k).
+They are placed there before a substep's constraints are projected, with zero mobility during the
+projections. The pins, at the distance l, receive the tension of a line of compliance TINY
+(``constraints.line_solver``), f = -(l - n L) / (2 TINY Σ m_k).
 """
 
 from typing import NamedTuple
@@ -22,22 +22,22 @@ from xpbd_ros.sim.particles.memory_layout import Block
 
 
 class Taut(NamedTuple):
-    """The lines that have two pins or more."""
+    """List of the lines with two or more pinned particles."""
 
     count: np.ndarray
-    """shape (1,)"""
+    """length of the list, shape (1,)"""
     line: np.ndarray
-    """grid, 0 along warp or 1 along weft, row or column; shape (room, 3)"""
+    """grid; 0 for warp or 1 for weft; row or column; shape (capacity, 3)"""
 
 
 def room_for(blocks: list[Block]) -> Taut:
-    """Return a list for all lines of some grids."""
+    """Return an empty list for all lines of some grids."""
     return Taut(np.zeros(1, np.int64),
                 np.zeros((sum(b.rows + b.columns for b in blocks), 3), np.int64))
 
 
 def hold(taut: Taut, blocks: list[Block], inv_mass: np.ndarray) -> None:
-    """List the lines with two pins that are not neighbours."""
+    """Update the list: lines with two pinned particles that are not neighbours."""
     found = []
     for g, block in enumerate(blocks):
         pinned = inv_mass[block.slots] == 0.0
@@ -51,7 +51,7 @@ def hold(taut: Taut, blocks: list[Block], inv_mass: np.ndarray) -> None:
 
 @jit
 def straighten(taut, lines, force, state):
-    """Hold what lies between two pins too far apart on the straight between them, evenly."""
+    """Place the particles of overextended lines on the straight line between their pins."""
     if taut is not None:
         for k in range(taut.count[0]):
             _straighten(lines, force, state, taut.line[k, 0], taut.line[k, 1], taut.line[k, 2])

@@ -1,12 +1,12 @@
 """
-The constraints at pinned particles, and the impulses that they exert there.
+Reaction forces of constraints on pinned particles.
 
-A constraint's impulse on each of its particles is ∇C Δf, along the gradient that it was projected
-with; the gradient at the substep's end is another one, and with it momentum would not balance. So
-a sweep stops before the constraints in question: their gradients are noted (``…_gradients`` of
-each effect), they are projected like all others, and what their multipliers changed by goes to
-``state.reaction`` along what was noted (``collect``). Constraints that are projected side by side
-share no particle, so it makes no difference how many there are.
+A constraint's impulse on each of its particles is ∇C Δf, with the gradient of its projection; the
+gradient at the substep's end differs, and would violate the balance of momentum. A sweep therefore
+stops before each pack with constraints at pinned particles: their gradients and multipliers are
+recorded (``remember``, ``…_gradients`` of each effect), the pack is projected like any other, and
+the changes of the multipliers times the recorded gradients are added to ``state.reaction``
+(``collect``). Constraints of a pack share no particle, so the vector width makes no difference.
 """
 
 from typing import Any, NamedTuple
@@ -19,39 +19,43 @@ from xpbd_ros.sim.constraints.projection import at_the_end
 
 
 class Held(NamedTuple):
-    """Which they are; an effect that needs more of them has a list of its own, with this first."""
+    """
+    List of constraints at pinned particles.
+
+    Effects that need more data of them define a list of their own that begins with these fields.
+    """
 
     count: np.ndarray
-    """shape (1,)"""
+    """length of the list, shape (1,)"""
     particles: np.ndarray
-    """slots, shape (room, particles of a constraint)"""
+    """slots, shape (capacity, particles of a constraint)"""
     index: np.ndarray
-    """where each keeps its force, shape (room,)"""
+    """position of each multiplier in ``force``, shape (capacity,)"""
 
 
 class Packs(NamedTuple):
-    """Where a sweep over packs stops, and what is noted of one pack."""
+    """Segments of a sweep over packs, and the record of one pack."""
 
     held: NamedTuple
-    """the constraints in question, in sweep order"""
+    """constraints at pinned particles, in sweep order"""
     segments: np.ndarray
-    """how many there are, shape (1,)"""
+    """number of segments, shape (1,)"""
     segment: np.ndarray
-    """of the sweep: first constraint, last + 1, and first, last + 1 among those held; (…, 4)"""
+    """first constraint, last + 1, and the same as positions in ``held``, shape (capacity, 4)"""
     gradient: np.ndarray
-    """of each multiplier by each particle, shape (PACK, multipliers, particles, 3)"""
+    """∇C of each multiplier, shape (PACK, multipliers, particles, 3)"""
     before: np.ndarray
-    """multipliers, shape (PACK, multipliers)"""
+    """multipliers before the projection, shape (PACK, multipliers)"""
 
 
 def room_for(count: int, width: int) -> Held:
-    """Return a list for so many constraints of so many particles."""
+    """Return an empty list for ``count`` constraints of ``width`` particles each."""
     return Held(np.zeros(1, np.int64), np.zeros((count, width), np.int64),
                 np.zeros(count, np.int64))
 
 
 def packs_for(held: NamedTuple, multipliers: int = 1) -> Packs:
-    """Return the stops of a sweep over packs of constraints with so many multipliers each."""
+    """Return the segments of a sweep over packs, for constraints with so many multipliers each."""
     count, width = held.particles.shape
     return Packs(held, np.zeros(1, np.int64), np.zeros((2 * (count // PACK) + 1, 4), np.int64),
                  np.zeros((PACK, multipliers, width, 3)), np.zeros((PACK, multipliers)))
@@ -59,9 +63,18 @@ def packs_for(held: NamedTuple, multipliers: int = 1) -> Packs:
 
 def hold(held: NamedTuple, constraints: Any, inv_mass: np.ndarray) -> np.ndarray:
     """
-    List the constraints that touch a pinned particle: what they have by the list's names.
+    Update a list of constraints at pinned particles.
 
-    Returns their numbers, in sweep order.
+    Parameters
+    ----------
+    held : the list; every field that ``constraints`` has as well is copied
+    constraints : all constraints as arrays, in sweep order
+    inv_mass : 0 where pinned, shape (slots,)
+
+    Returns
+    -------
+    indices of the listed constraints, in sweep order
+
     """
     found = np.flatnonzero((inv_mass[constraints.particles] == 0.0).any(1))
     held.count[0] = len(found)
@@ -72,7 +85,11 @@ def hold(held: NamedTuple, constraints: Any, inv_mass: np.ndarray) -> np.ndarray
 
 
 def hold_packs(packs: Packs, constraints: Any, inv_mass: np.ndarray, count: int) -> None:
-    """List them, and where a sweep over ``count`` constraints, packs filled up, stops."""
+    """
+    Update the list and the segments of a sweep over packs.
+
+    Parameters as of ``hold``; ``count`` is the number of constraints including the packs' padding.
+    """
     hold(packs.held, constraints, inv_mass)
     held = packs.held.index[:packs.held.count[0]]
     numbers, first = np.unique(held // PACK, return_index=True)
@@ -91,7 +108,7 @@ def hold_packs(packs: Packs, constraints: Any, inv_mass: np.ndarray, count: int)
 
 @jit(inline=True)
 def segment_count(packs):
-    """Return in how many parts a sweep goes over all packs."""
+    """Return the number of segments of a sweep over all packs."""
     if packs is None:
         return 1
     else:
@@ -100,7 +117,7 @@ def segment_count(packs):
 
 @jit(inline=True)
 def segment(packs, number, count, reverse):
-    """Return a part of a sweep: first constraint, last + 1, and the same among those held."""
+    """Return a segment: first constraint, last + 1, and the same as positions in ``held``."""
     if packs is None:
         return 0, count, 0, 0
     else:
@@ -110,7 +127,7 @@ def segment(packs, number, count, reverse):
 
 
 def multiplier(force, m, c):
-    """Return the m-th multiplier of a constraint."""
+    """Return multiplier m of constraint c; ``force`` has the shape (n,) or (multipliers, n)."""
 
 
 @inline(multiplier)
@@ -122,7 +139,7 @@ def _multiplier(force, m, c):
 
 @jit
 def remember(packs, first, last, apart, force):
-    """Note the multipliers of the held constraints ``first`` to ``last``, all of one pack."""
+    """Record the multipliers of the listed constraints first:last, all of one pack."""
     for k in range(first, last):
         for m in range(packs.before.shape[1]):
             packs.before[k - first, m] = (multiplier(force, m, packs.held.index[k])
@@ -131,7 +148,12 @@ def remember(packs, first, last, apart, force):
 
 @jit
 def collect(packs, first, last, force, part, reaction):
-    """Add what they exerted since, ∇C Δf, as ``part`` of the mean over the frame."""
+    """
+    Add the forces ∇C Δf that the listed constraints first:last exerted since ``remember``.
+
+    ``part`` is the substep's fraction of the frame: ``reaction`` is the mean over the frame [N],
+    shape (3, slots).
+    """
     if packs is not None:
         gradient = packs.gradient
         for k in range(first, last):

@@ -1,8 +1,8 @@
 """
-The impulses of edges on pinned particles, along the directions they were projected with.
+Reaction forces of edges on pinned particles, along the directions of projection.
 
-As ``constraints.pinned``, for edges on grids: a sweep over runs stops at each edge in question,
-notes its direction and multiplier, and collects n Δf afterwards.
+As in ``constraints.pinned``, for edges on grids: a sweep over runs records the direction n and the
+multiplier of each edge at a pinned particle before its projection, and adds n Δf afterwards.
 """
 
 from typing import NamedTuple
@@ -17,40 +17,40 @@ from xpbd_ros.sim.constraints.projection import at_the_end
 
 
 class Held(NamedTuple):
-    """The edges at pinned particles, whose reaction forces are requested."""
+    """List of edges at pinned particles."""
 
     count: np.ndarray
-    """shape (1,)"""
+    """length of the list, shape (1,)"""
     particles: np.ndarray
-    """slots, shape (room, 2)"""
+    """slots, shape (capacity, 2)"""
     index: np.ndarray
-    """where each keeps its force, shape (room,)"""
+    """position of each multiplier in ``force``, shape (capacity,)"""
     rest_length: np.ndarray
-    """[m], shape (room,)"""
+    """[m], shape (capacity,)"""
     compliance: np.ndarray
-    """[m/N], shape (room,)"""
+    """[m/N], shape (capacity,)"""
 
 
 class Stops(NamedTuple):
-    """Where a sweep over runs stops for edges at pinned particles, and what is noted of them."""
+    """Edges at pinned particles by run, and the record of their directions and multipliers."""
 
     held: Held
     """the edges, in sweep order"""
     first: np.ndarray
-    """number of each run's first of them, and how many there are; shape (runs + 1,)"""
+    """position in ``held`` of each run's first edge, and their number; shape (runs + 1,)"""
     direction: np.ndarray
-    """n of each, as it is projected; shape (room, 3)"""
+    """n of each edge at its projection, shape (capacity, 3)"""
     before: np.ndarray
-    """f of each before that [N], shape (room,)"""
+    """f of each edge before its projection [N], shape (capacity,)"""
 
 
 def room(count: int) -> Held:
-    """Return a list for as many edges as there are."""
+    """Return an empty list for ``count`` edges."""
     return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
 
 
 def stops_for(runs: Runs) -> Stops:
-    """Return the stops of a sweep over some runs."""
+    """Return empty ``Stops`` for all edges of some runs."""
     count = len(listed(runs)[1])
     return Stops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
                  np.zeros(count))
@@ -58,7 +58,7 @@ def stops_for(runs: Runs) -> Stops:
 
 @jit
 def note(stops, first, last, x, y, z, apart, force):
-    """Note the directions and multipliers of some edges at pinned particles."""
+    """Record the directions and multipliers of the listed edges first:last."""
     if stops is not None:
         for k in range(first, last):
             i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
@@ -73,7 +73,12 @@ def note(stops, first, last, x, y, z, apart, force):
 
 @jit
 def gather_reaction(stops, first, last, mobility, force, part, reaction):
-    """Add what they exerted since, n Δf; what cannot move is for ``react_edges``."""
+    """
+    Add the forces n Δf that the listed edges first:last exerted since ``note``.
+
+    ``part`` is the substep's fraction of the frame. Edges between two immobile particles are
+    treated by ``react_edges``.
+    """
     if stops is not None:
         for k in range(first, last):
             i, j = stops.held.particles[k, 0], stops.held.particles[k, 1]
@@ -86,7 +91,7 @@ def gather_reaction(stops, first, last, mobility, force, part, reaction):
 
 @jit
 def note_line(stops, base, state, force):
-    """Note the edges at pinned particles whose multipliers begin at ``base``, before a solve."""
+    """Record the listed edges of one family before a line solve; its multipliers begin at base."""
     if stops is not None:
         if alone(state.team):
             for k in range(stops.held.count[0]):
@@ -97,7 +102,7 @@ def note_line(stops, base, state, force):
 
 @jit
 def gather_line_reaction(stops, base, state, force, part):
-    """Add what they exerted in the solve."""
+    """Add the forces that the listed edges of one family exerted in a line solve."""
     if stops is not None:
         if alone(state.team):
             for k in range(stops.held.count[0]):
@@ -108,7 +113,7 @@ def gather_line_reaction(stops, base, state, force, part):
 
 @jit
 def note_packs(packs, first_, last, x, apart, force):
-    """Note n and -n of the edges of a pack."""
+    """Record multipliers and gradients n, -n of the listed edges first_:last, all of one pack."""
     if packs is not None:
         remember(packs, first_, last, apart, force)
         for k in range(first_, last):
@@ -124,10 +129,10 @@ def note_packs(packs, first_, last, x, apart, force):
 @jit
 def react_edges(held, force, state, substep):
     """
-    Add what edges exert that cannot move: -C / α n between two pins.
+    Add the forces of edges between two immobile particles: -C / α n between pinned ones.
 
-    What is taut between two pins (``constraints.overextended_lines``) pulls with the f that it was
-    given.
+    Edges of overextended lines (``constraints.overextended_lines``) pull with the f assigned
+    there.
     """
     weight, x = substep.end - substep.begin, state.x
     for k in range(held.count[0]):

@@ -1,29 +1,31 @@
 """
-Hinges that bend as a plate does: the rigidity of each, fitted to its mesh.
+Bending rigidities of a mesh's hinges, fitted so that the mesh bends as an orthotropic plate.
 
-Let hinge h store b_h |C_h|² / 2, with C = Σ K_i x_i / sqrt(A0 + A1)
-(``constraints.isometric_bending``). Where a flat sheet takes the curvature κ = (κ11, κ22, κ12), C
-= a·κ with a from its rest shape alone; but its particles leave that surface by heights u wherever
-that saves energy, so
+Hinge h has the energy b_h |C_h|² / 2, with C = Σ K_i x_i / sqrt(A0 + A1)
+(``constraints.isometric_bending``). In a flat sheet bent to the curvature κ = (κ11, κ22, κ12),
+C = a·κ with a from the rest shape alone; but particles deviate from that surface by heights u
+that lower the energy, so
 
-    C = a·κ + K u,   u = argmin Σ b C² / 2,   u = 0 at the rim and beside it
+    C = a·κ + K u,   u = argmin Σ b C² / 2,   u = 0 on the boundary and next to it
 
-and what it stores is E(κ) = Σ b C² / 2 of these. A plate with B1 along warp, B2 along weft and
-D66 = sqrt(B1 B2) / 2 for twist (Huber 1923), rolled along a direction (c, s) from warp, stores
+and the energy is E(κ) = Σ b C² / 2. A plate with B1 along warp, B2 along weft and
+D66 = sqrt(B1 B2) / 2 for twist (Huber 1923), rolled along a direction (c, s) from warp, has
 
     κ² (√B1 c² + √B2 s²)² / 2 per area,
 
-five coefficients of c⁴, s⁴, c²s², c³s and cs³. Hinges all of one b miss them by 6 to 43 % on an
-irregular mesh, and by more the more B1 and B2 differ, since a hinge resists in other directions
-than across its edge too. So b starts from the plate's rigidity across each edge, and changes by as
-little as gives the five (least squares, relative, by Newton's method on the E above). Triangles at
-the rim lack hinges; those that they have count for all of their area.
+with five coefficients, of c⁴, s⁴, c²s², c³s and cs³. Equal b for all hinges miss them by 6 to 43 %
+on an irregular mesh, and by more the more B1 and B2 differ, since a hinge resists bending in other
+directions than across its edge too. The fit starts with b equal to the plate's rigidity across
+each edge, and finds the smallest relative change (least squares) that gives the five coefficients,
+by Newton's method on E. Triangles on the boundary lack hinges; the hinges that they have count for
+their whole area.
 
-Curvatures of two directions at once are left to the mesh: a strip that is free to curl comes out
-about 11 % softer, and the more so the more B1 and B2 differ. A mesh that is not flat, or has no
-particle inside, keeps the b that the fit starts from.
+Limits: bending in two directions at once is not fitted. A strip that is free to curl is about 11 %
+softer than the plate, and the more so the more B1 and B2 differ. A mesh that is not flat, or has
+no interior particle, keeps the b that the fit starts from.
 
-All sums have one order and no step is left to a library, since b decides the bits of a run.
+All sums have a fixed order and no step calls a numerical library, since b determines the bits of a
+run.
 """
 
 from functools import lru_cache
@@ -36,37 +38,39 @@ from xpbd_ros.sim.constraints.isometric_bending import isometric_weights
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 
 FLAT = 1e-6
-"""height of a flat mesh, relative to its size"""
+"""largest height of a flat mesh, relative to its size"""
 LEAST, MOST = 0.05, 10.0
-"""by which a hinge may be softer or stiffer than the plate across its edge"""
+"""bounds of b, relative to the plate's rigidity across the edge"""
 LARGEST = 1e6
-"""ratio of the two rigidities that is fitted for"""
+"""largest ratio of B1 and B2 (or B2 and B1) that is fitted"""
 ROUNDS, SWEEPS = 24, 30
-"""steps of Newton's method, and of conjugate gradients for u in each"""
+"""steps of Newton's method, and of conjugate gradients for u in each of them"""
 STEP = 0.5
-"""by which a hinge may change in one of them, relative"""
+"""largest relative change of b in one step of Newton's method"""
 GOOD = 1e-3
-"""error of the five coefficients that is good enough, relative"""
+"""tolerance of the five coefficients, relative"""
 ROLLED, STRIP = 0.05, 0.25
-"""errors that are told: of a rolled sheet, and of a strip that is free to curl"""
+"""relative errors above which the user gets a note: of a rolled sheet, and of a strip that is free
+to curl"""
 
 
 class Plate(NamedTuple):
-    """What the hinges of a mesh make of it."""
+    """Rigidities of a mesh's hinges, and of the sheet that they give."""
 
     rigidity: np.ndarray
     """b of each hinge [N m], shape (hinges,)"""
     rolled: tuple[float, float] | None
     """bending rigidity of the sheet rolled along warp and along weft [N m]; None: not fitted"""
     strip: tuple[float, float] | None
-    """of a strip along warp and along weft that is free to curl [N m]; None: not fitted"""
+    """bending rigidity of a strip along warp and along weft that is free to curl [N m]; None: not
+    fitted"""
 
 
 def across(mesh: Mesh, hinges: np.ndarray, along_warp: float, along_weft: float) -> np.ndarray:
     """
     Return the rigidity of the plate across the edge of each hinge [N m], shape (hinges,).
 
-    Bent along a direction at φ from warp it has (√B1 cos²φ + √B2 sin²φ)².
+    Bent along a direction at the angle φ from warp, the plate has (√B1 cos²φ + √B2 sin²φ)².
     """
     e = mesh.positions[hinges[:, 1]] - mesh.positions[hinges[:, 0]]
     along = dot(e, np.asarray(mesh.warp, float))**2 / dot(e, e)
@@ -74,7 +78,7 @@ def across(mesh: Mesh, hinges: np.ndarray, along_warp: float, along_weft: float)
 
 
 def plate(mesh: Mesh, along_warp: float, along_weft: float) -> Plate:
-    """Return the rigidities of a mesh's hinges that make it a plate as far as they can."""
+    """Return fitted rigidities for a plate of B1 along warp and B2 along weft [N m]."""
     mean = float(np.sqrt(along_warp) * np.sqrt(along_weft))
     ratio = min(max(along_warp / along_weft, 1.0 / LARGEST), LARGEST)
     found = _fitted(mesh, ratio)
@@ -82,9 +86,9 @@ def plate(mesh: Mesh, along_warp: float, along_weft: float) -> Plate:
         mean * both[0], mean * both[1]) for both in found[1:]))
 
 
-@lru_cache(maxsize=8)    # a live change of the stiffness asks again for the same ratio
+@lru_cache(maxsize=8)    # a live change of both rigidities keeps their ratio
 def _fitted(mesh: Mesh, ratio: float) -> Plate:
-    """Return the same for B1 / B2 = ratio and B1 B2 = 1."""
+    """Return ``plate`` for B1 / B2 = ratio and B1 B2 = 1."""
     along_warp, along_weft = float(np.sqrt(ratio)), float(np.sqrt(1.0 / ratio))
     hinges = mesh.hinges
     b = across(mesh, hinges, along_warp, along_weft)
@@ -103,9 +107,9 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
     counted = np.where(free[hinges].any(1), share, 0.0)
     asked = np.array([along_warp, along_weft, 2.0, 0.0, 0.0])
     least, most, best = LEAST * b, MOST * b, np.inf
-    settle = _Settle(hinges, weights, free)
+    solve_heights = _HeightSolver(hinges, weights, free)
     for _ in range(ROUNDS):
-        c = settle(a, b)
+        c = solve_heights(a, b)
         density = b[:, None] * _rolled(c) / share[:, None]
         weighted = density * (counted / counted.sum())[:, None]
         now = weighted.sum(0)
@@ -132,7 +136,7 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
 
 
 def shortfall(found: Plate, along_warp: float, along_weft: float) -> str | None:
-    """Return what the hinges of a mesh cannot do, with figures; None where they do as asked."""
+    """Return a note on the errors of the fit, for the user; None if they are small."""
     if found.rolled is None:
         return None if along_warp == along_weft else (
             'the mesh is not flat, or has no particle inside, so its hinges are not fitted to '
@@ -149,7 +153,7 @@ def shortfall(found: Plate, along_warp: float, along_weft: float) -> str | None:
 
 
 def _plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return unit vectors along and across the warp of a flat mesh; None where it is not flat."""
+    """Return unit vectors along and across the warp of a flat mesh; None if it is not flat."""
     x = mesh.positions[mesh.triangles]
     normals = cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
     if not len(normals):
@@ -170,7 +174,7 @@ def _plane(mesh: Mesh) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _inside(mesh: Mesh) -> np.ndarray:
-    """Return which particles are neither at the rim nor beside it, shape (particles,)."""
+    """Return True for particles neither on the boundary nor next to it, shape (particles,)."""
     count = len(mesh.positions)
     sides = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
     keys, often = np.unique(sides @ [count, 1], return_counts=True)
@@ -182,12 +186,12 @@ def _inside(mesh: Mesh) -> np.ndarray:
 
 
 def _area(corners: np.ndarray) -> np.ndarray:
-    """Return the area of triangles, corners of shape (triangles, 3, 3) [m²]."""
+    """Return the area of triangles [m²], shape (triangles,); corners [m], (triangles, 3, 3)."""
     return 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
 
 
 def _areas(mesh: Mesh) -> np.ndarray:
-    """Return the area that each hinge stands for [m²]: triangles go to their hinges evenly."""
+    """Return the tributary area of each hinge [m²]: triangles are divided among their hinges."""
     count = len(mesh.positions)
     sides = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]], 2) @ [count, 1]
     keys = np.sort(mesh.hinges[:, :2], 1) @ [count, 1]
@@ -199,20 +203,20 @@ def _areas(mesh: Mesh) -> np.ndarray:
 
 
 def _rolled(c: np.ndarray) -> np.ndarray:
-    """Return (c·(x², y², x y))² by x⁴, y⁴, x²y², x³y and xy³; shape (hinges, 5)."""
+    """Return coefficients of x⁴, y⁴, x²y², x³y, xy³ in (c·(x², y², x y))², shape (hinges, 5)."""
     x, y, z = c.T
     return np.stack([x * x, y * y, 2.0 * x * y + z * z, 2.0 * x * z, 2.0 * y * z], 1)
 
 
-class _Settle:
-    """Heights u by conjugate gradients on Σ b (a + K u)² / 2, for each curvature alone."""
+class _HeightSolver:
+    """Heights u that minimise Σ b (a + K u)² / 2, by conjugate gradients, for κ11, κ22, κ12."""
 
     def __init__(self, hinges, weights, free):
         self._hinges, self._weights, self._free = hinges, weights, free[:, None]
         self._u = np.zeros((len(free), 3))
 
     def __call__(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Return a + K u after some sweeps on from the last u, shape (hinges, 3)."""
+        """Return a + K u after SWEEPS steps from the last u, shape (hinges, 3)."""
         u = self._u
         moment = b[:, None] * self._weights
         per = self._gathered(moment * self._weights, np.ones((len(b), 3)))

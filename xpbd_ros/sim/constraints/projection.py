@@ -1,15 +1,14 @@
 """
-How one constraint changes its multiplier and its particles, by method.
+Projection of a constraint: updates of its multiplier and positions, by solver method.
 
-Gauss-Seidel writes positions where it reads them. Methods that move all particles at once read the
-positions x as they are and add up moves elsewhere: ``state.apart`` says where, and by its type how
-far a constraint goes.
+Gauss-Seidel updates positions in place. Jacobi and explicit methods read x and add displacements
+to the accumulator ``state.apart``, whose type selects the update:
 
     Gauss-Seidel    Δf = -(C + α f) / (W + α)          Macklin et al. 2016, eq 18
     Jacobi          Δf = -ω (C + α f) / (W + α)        doc/numerics.md 3.4
-    explicit        f  = -C / α, from f = 0            the force at x itself
+    explicit        f  = -C / α                        the elastic force at x
 
-``None`` for a multiplier: it is not kept, and is 0 before the only pass.
+A multiplier of None is not stored; it is 0 before the only pass.
 """
 
 from operator import getitem
@@ -28,7 +27,7 @@ def _kind(apart):
 
 @intrinsic
 def row(typing, array, k):
-    """Return row k of an array; None of None. (A function of ours could not return a view.)"""
+    """Return row k of an array as a view, or None for None (a compiled function cannot)."""
     if isinstance(array, types.NoneType):
         return types.none(array, k), lambda context, builder, *_: context.get_dummy_value()
     view = typing.resolve_function_type(getitem, (array, k), {}).return_type
@@ -39,11 +38,11 @@ def row(typing, array, k):
 
 
 def recall(apart, force, c):
-    """Return the multipliers from index c on; None where they are not kept, or begin at 0."""
+    """Return a vector of multipliers from index c on; None if they are 0 before the pass."""
 
 
 def keep(force, c, f, df):
-    """Keep multipliers f + Δf."""
+    """Store multipliers f + Δf from index c on, if multipliers are kept."""
 
 
 def xpbd_residual(residual, alpha, f):
@@ -51,12 +50,12 @@ def xpbd_residual(residual, alpha, f):
 
 
 def denominator(apart, total, alpha):
-    """Return what a misfit is divided by: W + α, and what the method makes of it."""
+    """Return the method's denominator of C + α f: W + α, (W + α) / ω (Jacobi), α (explicit)."""
 
 
 @intrinsic
 def moves(typing, apart):
-    """Return where moves are added up; None: where positions are."""
+    """Return the array of accumulated displacements, shape (3, slots); None with Gauss-Seidel."""
     if isinstance(apart, types.NoneType):
         return types.none(apart), lambda context, builder, *_: context.get_dummy_value()
     move = apart[apart.fields.index('move')]
@@ -67,11 +66,11 @@ def moves(typing, apart):
 
 
 def at_the_end(apart):
-    """Tell whether forces are those where the substep ends."""
+    """Return True if forces are implicit, at the substep's end; False for the explicit method."""
 
 
 def put(x, target, i, xi, step, d):
-    """Move by step d from xi."""
+    """Store x = xi + step d from index i on, or add step d to ``target`` if it is not None."""
 
 
 @inline(recall)
@@ -91,14 +90,14 @@ def _keep(force, c, f, df):
 
 
 @inline(xpbd_residual)
-def _misfit(residual, alpha, f):
+def _xpbd_residual(residual, alpha, f):
     if isinstance(f, types.NoneType):
         return lambda residual, alpha, f: residual
     return lambda residual, alpha, f: fma(alpha, f, residual)
 
 
 @inline(denominator)
-def _divisor(apart, total, alpha):
+def _denominator(apart, total, alpha):
     if _kind(apart) is Jacobi:
         return lambda apart, total, alpha: (total + alpha) * apart.per_relaxation[0]
     if _kind(apart) is Explicit:
@@ -122,14 +121,14 @@ def _put(x, target, i, xi, step, d):
 
 def zero_multipliers(apart, force):
     """
-    Zero the multipliers: once per substep, never per iteration (algorithm 1, line 4).
+    Zero the multipliers: once per substep, not per iteration (algorithm 1, line 4).
 
-    Those of explicit forces are new in every substep.
+    The explicit method needs no zeros: it overwrites them in every substep.
     """
 
 
 @inline(zero_multipliers)
-def _release_forces(apart, force):
+def _zero_multipliers(apart, force):
     if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
         return lambda apart, force: None
 

@@ -1,19 +1,19 @@
 """
-Slant of oblong cells: the difference of their diagonals, which sees shear and nothing else.
+Shear of rectangular grid cells: C is the difference of the diagonals' lengths.
 
 For a cell with the corners x0, x1 on one diagonal and x2, x3 on the other,
 
     C = |x0 - x1| - |x2 - x3|,   n = (x0 - x1) / |x0 - x1|,   o = (x2 - x3) / |x2 - x3|
     g0 = n,  g1 = -n,  g2 = -o,  g3 = o
 
-At rest C = 0. What stretches warp or weft stretches both diagonals alike; a shear γ of a cell
-dx × dy with diagonals of length l gives C = 2 γ dx dy / l. In force form, with mobilities
-m = w H² and W = m0 + m1 + m2 + m3,
+At rest C = 0. A stretch of warp or weft changes both diagonals equally, so C does not resist it; a
+shear γ of a cell dx × dy with diagonals of length l gives C = 2 γ dx dy / l. In force form, with
+mobilities m = w H² and W = m0 + m1 + m2 + m3,
 
     Δf = -(C + α f) / (W + α),   x_i += m_i g_i Δf
 
-No two particles of a constraint are the same, so W has no mixed terms. Where both ends of a
-diagonal coincide they part along an axis, as those of edges do (``constraints.distance``).
+The four particles are distinct, so W has no mixed terms. Coincident ends of a diagonal separate
+along a fixed axis, as those of edges do (``constraints.distance``).
 """
 
 from typing import NamedTuple
@@ -50,39 +50,48 @@ from xpbd_ros.sim.particles.memory_layout import zeros
 
 
 class Held(NamedTuple):
-    """The cells at pinned particles, whose reaction forces are requested."""
+    """List of cells at pinned particles."""
 
     count: np.ndarray
-    """shape (1,)"""
+    """length of the list, shape (1,)"""
     particles: np.ndarray
-    """slots, shape (room, 4)"""
+    """slots, shape (capacity, 4)"""
     index: np.ndarray
-    """where each keeps its force, shape (room,)"""
+    """position of each multiplier in ``force``, shape (capacity,)"""
     compliance: np.ndarray
-    """[m/N], shape (room,)"""
+    """[m/N], shape (capacity,)"""
 
 
 class Slant(NamedTuple):
-    """Cells in runs."""
+    """Shear constraints of cells, in runs (``constraints.grid_batches``)."""
 
     runs: Runs
     compliance: np.ndarray
-    """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
+    """[m/N], by grid and place in a row, ABSENT where there is no cell, shape (grids, places)"""
     axis: np.ndarray
-    """where the ends of each diagonal coincide, shape (2, 3)"""
+    """direction of coincident ends, of each diagonal, shape (2, 3)"""
     force: np.ndarray | None
     """f, multiplier over H² [N], shape (families * slots,); None if multipliers are not kept"""
     stops: Stops | None
-    """at pinned particles, with n and o; None in a scene without pins"""
+    """cells at pinned particles, with directions (n, o); None in a scene without pins"""
     damping: Damping | None = None
     """None in a scene without ``rayleigh``"""
 
 
 class Slants:
     """
-    Cells one by one, in sweep order, as people and NumPy want them.
+    Cells as NumPy arrays, in sweep order: the reference definition of C, energy and stiffness.
 
-    An edge is among them as a cell whose second diagonal has no weight: C = |x0 - x1| - L.
+    An edge is a cell whose second diagonal has the weight 0: C = |x0 - x1| - L.
+
+    Parameters
+    ----------
+    particles : slots, both ends of either diagonal, shape (cells, 4)
+    index : position of each multiplier in ``force``, shape (cells,)
+    compliance : [m/N], shape (cells,)
+    rest_length : L [m], shape (cells,); None: 0
+    weight : of the second diagonal, shape (cells,); None: 1
+
     """
 
     def __init__(self, particles, index, compliance, rest_length=None, weight=None):
@@ -100,7 +109,7 @@ class Slants:
 
     @staticmethod
     def joined(lists: 'list[Slants | Edges]') -> 'Slants | Edges':
-        """Return the constraints of several batches; ``index`` counts within each."""
+        """Return the constraints of several batches; ``index`` refers to each one's own batch."""
         if all(isinstance(these, Edges) for these in lists):
             return Edges.joined(lists)
         wide = [Slants(these.particles[:, [0, 1, 0, 1]], these.index, these.compliance,
@@ -110,12 +119,12 @@ class Slants:
             'particles', 'index', 'compliance', 'rest_length', 'weight')))
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [m], shape (cells,), straight from the definition; x has shape (3, slots)."""
+        """Return C [m], shape (cells,), by its definition; x: positions [m], (3, slots)."""
         x0, x1, x2, x3 = (x[:, self.particles[:, k]].T.astype(float) for k in range(4))
         return length(x0 - x1) - self.weight * length(x2 - x3) - self.rest_length
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
-        """Return ∂C/∂x, shape (cells, 4 particles, 3); 0 where a diagonal has no length."""
+        """Return ∂C/∂x, shape (cells, 4, 3); 0 where a diagonal has length 0."""
         x0, x1, x2, x3 = (x[:, self.particles[:, k]].T.astype(float) for k in range(4))
         n, o = (np.divide(d, length(d)[:, None], out=np.zeros_like(d),
                           where=length(d)[:, None] > 0.0) for d in (x0 - x1, x2 - x3))
@@ -127,7 +136,11 @@ class Slants:
         return float((0.5 * self.residual(x)**2 / self.compliance).sum())
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
-        """Return Σ |g_i| Σ |g_j| / α at each particle [N/m], (slots, 3, 3): K is no more."""
+        """
+        Return Σ |g_i| Σ |g_j| / α at each particle, an upper bound of the stiffness K [N/m].
+
+        Shape (slots, 3, 3).
+        """
         found = np.zeros(x.shape[1])
         with np.errstate(divide='ignore'):
             stiffness = (2.0 + 2.0 * self.weight) / self.compliance
@@ -138,20 +151,20 @@ class Slants:
 
 
 def slant_shape(rows: int, columns: int) -> Shape:
-    """Return the cells of a grid: both ends of the rising diagonal, both of the falling one."""
+    """Return the shape of a grid's cells: ends of the rising, then of the falling diagonal."""
     return Shape(((0, 0), (1, 1), (0, 1), (1, 0)), range(rows - 1), range(columns - 1), 0)
 
 
 def slants(runs: Runs, compliance: list, *, world, time=None) -> Slant:
     """
-    Return the cells of grids, ready for the kernels.
+    Return the shear constraints of grids for the kernels.
 
     Parameters
     ----------
-    runs : where they are, a family for each grid
+    runs : runs of all grids, one family each
     compliance : of each grid [m/N], shape (1, 1)
-    world : tells the dtype, the slots, and what will be asked for
-    time : relaxation time of each grid [s], where the scene has ``rayleigh``
+    world : build context
+    time : relaxation time of each grid [s], shape (grids,); None without ``rayleigh``
 
     """
     dtype, count = world.state.x.dtype, len(listed(runs)[1])
@@ -165,7 +178,7 @@ def slants(runs: Runs, compliance: list, *, world, time=None) -> Slant:
 
 @jit
 def _note(stops, first_, last, x, y, z, apart, force):
-    """Note n and o and the multipliers of some cells at pinned particles."""
+    """Record n, o and the multipliers of the listed cells first_:last."""
     if stops is not None:
         for k in range(first_, last):
             i0, i1, i2, i3 = stops.held.particles[k]
@@ -181,7 +194,12 @@ def _note(stops, first_, last, x, y, z, apart, force):
 
 @jit
 def _gather_reaction(stops, first_, last, mobility, force, part, reaction):
-    """Add what they exerted since, g Δf; what cannot move is for ``react_slants``."""
+    """
+    Add the forces g Δf that the listed cells first_:last exerted since ``_note``.
+
+    ``part`` is the substep's fraction of the frame. Cells of four immobile particles are treated
+    by ``react_slants``.
+    """
     if stops is not None:
         for k in range(first_, last):
             i0, i1, i2, i3 = stops.held.particles[k]
@@ -197,7 +215,7 @@ def _gather_reaction(stops, first_, last, mobility, force, part, reaction):
 
 @jit
 def project_slants(slant, state, substep, reverse):
-    """One Gauss-Seidel pass over all cells, run after run."""
+    """Project all cells once, run by run, in reverse order if ``reverse``."""
     part = substep.end - substep.begin
     for phase in range(PHASES):
         begin, end = share_of(slant.runs, state.team, phase, reverse)
@@ -246,7 +264,7 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, compliance, force, axis
                 alpha, f = load(compliance, numbers + q), recall(apart, force, base + c)
                 total = (m0 + m1) + (m2 + m3)
                 there = both(both(total > 0.0, alpha >= 0.0), first(x, runs.count[r] - q))
-                # γ counts how far both lag behind, the second one with the other sign
+                # γ ∇C·(x - x̄) has a term for each diagonal, the second with the opposite sign
                 wrong = lag(xpbd_residual(l - g, alpha, f), gamma,
                             apart_before(damping, i0, i1), dx, dy, dz, l_or_1)
                 wrong = -lag(-wrong, gamma, apart_before(damping, i2, i3), ex, ey, ez, g_or_1)
@@ -277,7 +295,7 @@ def _project(x, y, z, mobility, apart, tx, ty, tz, runs, compliance, force, axis
 
 @jit
 def react_slants(slant, state, substep):
-    """Add what cells of four pinned particles exert: -C / α."""
+    """Add the forces of cells whose four particles are immobile: f = -C / α."""
     part, held, x, m = substep.end - substep.begin, slant.stops.held, state.x, state.mobility
     for k in range(held.count[0]):
         i0, i1, i2, i3 = held.particles[k]

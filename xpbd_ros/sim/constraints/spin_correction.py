@@ -1,13 +1,14 @@
 """
-Unturned: what a body that floats does to itself does not turn it.
+Correction of the spin that sequential projections of internal forces give to a free body.
 
-Internal forces F at the substep's end x exert no torque, so with moves d = m F, mobilities m,
+Internal forces F at the substep's end x exert no torque: with displacements d = m F and
+mobilities m,
 
     T = Σ (x - c) × d / m = 0,   c = Σ (x / m) / Σ (1 / m).
 
-Each projection has it so where it finds the particles, but they have moved on when the last one is
-done: of a body that is taut all the time, T grows into a spin (with the square of the substep).
-A turn of the whole by θ, which strains nothing, takes it back:
+Each projection satisfies this at the positions that it reads, not at the substep's end. In a body
+under permanent stress T accumulates to a spin (with the square of the substep). A rigid rotation
+of the body by θ, which strains nothing, cancels it:
 
     x += θ × (x - c),   I θ = -T,   I = Σ (|r|² - r rᵀ) / m,   r = x - c.
 """
@@ -18,7 +19,7 @@ from xpbd_ros.sim.geometry.closest_points import cross, dot
 
 @jit
 def keep_places(x, first, last, before):
-    """Note where the particles are, before what moves them."""
+    """Copy the positions of the slots first:last to ``before`` [m], shape (3, slots)."""
     for k in range(3):
         for i in range(first, last):
             before[k, i] = x[k, i]
@@ -26,10 +27,20 @@ def keep_places(x, first, last, before):
 
 @jit
 def turn_back(x, mobility, mass, first, last, before):
-    """Take the turn back that the moves since made, unless a particle is held."""
+    """
+    Cancel the rotation by the displacements since ``keep_places``; none if a particle is pinned.
+
+    Parameters
+    ----------
+    x, before : positions now and before the projections [m], shape (3, slots)
+    mobility : m [m/N], shape (slots,)
+    mass : 0 in the padding, shape (slots,)
+    first, last : slots of the body, first:last
+
+    """
     total, cx, cy, cz = 0.0, 0.0, 0.0, 0.0
     for i in range(first, last):
-        if mass[i] > 0.0:    # and not padding
+        if mass[i] > 0.0:    # not padding
             if mobility[i] == 0.0:
                 return
             w = 1.0 / mobility[i]

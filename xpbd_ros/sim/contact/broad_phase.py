@@ -1,4 +1,4 @@
-"""Candidates: the pairs of particle and collider that may touch in a substep."""
+"""Broad phase: candidates, the pairs of particle and collider that may touch in a substep."""
 
 from math import sqrt
 
@@ -11,7 +11,11 @@ from xpbd_ros.sim.contact.signed_distance import signed_distance
 
 @jit
 def find_candidates(contacts, bounce, state, substep):
-    """List the pairs that may touch in this substep, and the gap that each has to keep."""
+    """
+    List the candidates of this substep, and the gap that each has to keep.
+
+    ``bounce`` (``contact.restitution``, or None) receives their velocities of approach.
+    """
     thickness, stir, w = contacts.thickness[0], contacts.stir[0], state.inv_mass
     contacts.count[0] = contacts.count[3] = 0
     slots = len(w)
@@ -37,12 +41,20 @@ def find_candidates(contacts, bounce, state, substep):
             if any_lane(both(free, close)):
                 for i in range(q, q + lanes(w)):
                     if w[i] > 0.0:
-                        consider(contacts, bounce, state, i, c, thickness, substep)
+                        check_pair(contacts, bounce, state, i, c, thickness, substep)
 
 
 @jit(inline=True)
-def consider(contacts, bounce, state, i, c, thickness, substep):
-    """Make a pair a candidate if it is within twice what both may move in this substep."""
+def check_pair(contacts, bounce, state, i, c, thickness, substep):
+    """
+    Make a pair a candidate if φ is at most the thickness plus twice their motion in this substep.
+
+    Parameters
+    ----------
+    i, c : particle's slot, collider's index
+    thickness : [m]
+
+    """
     p = contacts.after
     x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
     x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]

@@ -1,4 +1,4 @@
-"""Colliders as Python has them: what each is, where it goes, and when it goes away."""
+"""Colliders outside the kernels: shape, motion and lifetime of each."""
 
 from dataclasses import dataclass, field
 
@@ -13,28 +13,28 @@ from xpbd_ros.sim.target_motion import monotone_cubic, Motion
 
 @dataclass
 class Placed:
-    """One collider that is there."""
+    """One collider in the simulation."""
 
     entry: Entry
     motion: Motion
     twist: Twist | None = None
-    """velocity of its surface, where that is not the pose's"""
+    """velocity of its surface, such as a conveyor's; None: that of the pose"""
     lifetime_ns: int = 0
-    """it goes away by itself after this long without a word [ns]; 0: never"""
+    """it is removed after this time without a command [ns]; 0: never"""
     expires_ns: int | None = None
-    """when it goes away by itself"""
+    """simulation time at which it is removed [ns]; None: never"""
     field: Field | None = None
-    """the distances to it, if it is a mesh"""
+    """signed distance field of a mesh; None for other shapes"""
     heights: np.ndarray | None = None
-    """[m], if it is ground; shape (along y, along x)"""
+    """[m], shape (along y, along x); None unless the shape is ``heights``"""
 
     def renew(self, now_ns: int) -> None:
-        """Let its lifetime begin."""
+        """Restart the lifetime at the simulation time ``now_ns`` [ns]."""
         self.expires_ns = now_ns + self.lifetime_ns if self.lifetime_ns else None
 
     @property
     def reach(self) -> float:
-        """The ball or half space that holds it, as the kernels have it."""
+        """Bounding sphere or half space, encoded as ``Colliders.reach``."""
         if self.field is not None:
             return self.field.reach
         if self.heights is not None:
@@ -43,7 +43,7 @@ class Placed:
 
     @property
     def inner(self) -> float:
-        """What moves no further in a substep cannot get through it [m]."""
+        """Relative motion in a substep up to which no particle passes through it [m]."""
         if self.field is not None:
             return 0.5 * self.field.spacing
         if self.heights is not None:
@@ -64,7 +64,7 @@ class ColliderState:
 
 
 def motion_of(entry: Entry, now: float) -> Motion:
-    """Return how a collider moves from the start, at the simulation time ``now`` [s]."""
+    """Return a collider's initial motion, at the simulation time ``now`` [s]."""
     keyframes, pose = None, entry.pose
     if entry.motion is not None:
         keyframes = monotone_cubic(entry.motion, now)

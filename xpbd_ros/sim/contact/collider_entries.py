@@ -1,4 +1,4 @@
-"""What a scene says of a collider: its shape, its place and its surface."""
+"""Collider entries of a scene: shape, pose, surface and motion."""
 
 from dataclasses import dataclass
 from math import sqrt
@@ -20,21 +20,21 @@ class Plane:
     normal: tuple[float, float, float] = quantity((0.0, 0.0, 1.0), doc='pointing out of it')
 
     def __post_init__(self):
-        """Refuse a direction that is none."""
+        """Raise InputError for a zero vector."""
         if not any(self.normal):
             raise InputError('normal: must not be zero')
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball."""
+    """A sphere around the position."""
 
     radius: float = quantity(unit='m', above=0.0)
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """A ball swept along z."""
+    """A sphere swept along z."""
 
     radius: float = quantity(unit='m', above=0.0)
     length: float = quantity(unit='m', minimum=0.0, doc='between the centres')
@@ -57,7 +57,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Body:
-    """What a closed surface of triangles holds, of any shape."""
+    """The interior of a closed triangle mesh."""
 
     file: str = quantity(doc='beside the scene file, or an absolute path')
     scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
@@ -68,7 +68,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Ground:
-    """What lies below a field of heights; beyond the rim, as low as there."""
+    """The region below a height field; beyond its boundary the height is constant."""
 
     size: tuple[float, float] = quantity(unit='m', above=0.0, doc='extent along x, y')
     values: tuple[tuple[float, ...], ...] | None = quantity(
@@ -77,7 +77,7 @@ class Ground:
     scale: float = quantity(1.0, doc='metres in the unit of the heights')
 
     def __post_init__(self):
-        """Refuse both and neither, and what is no table."""
+        """Raise InputError unless exactly one of file and (valid) values is given."""
         if (self.values is None) == (self.file is None):
             raise InputError("needs either 'values' or 'file', and only one of them")
         if self.values is not None:
@@ -85,7 +85,7 @@ class Ground:
 
 
 def table(rows) -> np.ndarray:
-    """Return heights as an array, or refuse what is none."""
+    """Return heights as an array; raise InputError unless they are a finite table."""
     try:
         found = np.array(rows, float)
     except ValueError:
@@ -99,7 +99,7 @@ def table(rows) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Entry:
-    """One entry of the scene's ``colliders``: exactly one shape, and where it is."""
+    """One entry of the scene's ``colliders``: exactly one shape, its pose and surface."""
 
     plane: Plane | None = quantity(None)
     sphere: Sphere | None = quantity(None)
@@ -121,7 +121,7 @@ class Entry:
     max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
 
     def __post_init__(self):
-        """Refuse no shape and two shapes."""
+        """Raise InputError unless exactly one shape is given and the other values are valid."""
         given = [name for name in SHAPES if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(f'needs exactly one shape of {", ".join(SHAPES)} '
@@ -131,12 +131,12 @@ class Entry:
 
     @property
     def shape(self) -> str:
-        """The name of its shape."""
+        """Name of its shape."""
         return next(name for name in SHAPES if getattr(self, name) is not None)
 
     @property
     def pose(self) -> Pose:
-        """Where it is at the start; a plane's normal is its z axis."""
+        """Initial pose; the z axis of a plane's pose is its normal."""
         n = sqrt(sum(c * c for c in self.orientation))
         orientation = tuple(c / n for c in self.orientation)
         if self.plane is not None:
@@ -149,7 +149,7 @@ SHAPES = {'plane': PLANE, 'sphere': SPHERE, 'capsule': CAPSULE, 'cylinder': CYLI
 
 
 def shape_size(entry: Entry) -> tuple[float, float, float]:
-    """Return the numbers that the kernels want of a shape."""
+    """Return the size of a shape as in ``Colliders.size`` [m]."""
     if entry.sphere is not None:
         return entry.sphere.radius, 0.0, 0.0
     if entry.box is not None:
@@ -163,7 +163,7 @@ def shape_size(entry: Entry) -> tuple[float, float, float]:
 
 
 def shape_of(name: str, size: tuple[float, ...]):
-    """Return a shape that came while it runs, of a size as ``PlaceCollider`` has it."""
+    """Return a shape of the name and size of a ``PlaceCollider`` command."""
     if name == 'box':
         return Box(size)
     if name == 'mesh':

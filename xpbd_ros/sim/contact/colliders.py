@@ -1,9 +1,9 @@
 """
-Colliders: signed distance and normal of each shape, and poses across a frame.
+Colliders for the kernels: shapes, poses across a frame, bounds for the broad phase.
 
-The signed distance φ is positive outside; the normal is its gradient, a unit vector. Where the
-gradient is undefined (a sphere's centre, a box's medial planes) a fixed axis of the shape stands
-in, so the normal is always of length 1.
+The signed distance φ (``contact.signed_distance``) is positive outside; the normal is its
+gradient, a unit vector. Where the gradient is undefined (a sphere's centre, a box's medial planes)
+the normal is a fixed axis of the shape.
 """
 
 from math import inf, sqrt
@@ -18,66 +18,67 @@ PLANE, SPHERE, CAPSULE, CYLINDER, BOX, MESH, HEIGHTS = range(7)
 
 
 class Grids(NamedTuple):
-    """Signed distances on grids (``contact.distance_field``), of the colliders that are meshes."""
+    """Signed distance grids (``contact.distance_field``) of the mesh colliders."""
 
     values: np.ndarray
-    """φ [m], one grid after another; x slowest, z fastest"""
+    """φ [m] of all grids, each with x slowest and z fastest, shape (nodes,)"""
     first: np.ndarray
-    """where each collider's grid begins, shape (capacity,)"""
+    """index of each collider's first node in ``values``, shape (capacity,)"""
     nodes: np.ndarray
-    """along x, y, z; shape (capacity, 3)"""
+    """number of nodes along x, y, z, shape (capacity, 3)"""
     origin: np.ndarray
-    """place of the first node in the collider's axes [m], shape (capacity, 3)"""
+    """position of the first node in the collider's axes [m], shape (capacity, 3)"""
     spacing: np.ndarray
     """[m], shape (capacity,)"""
     pad: np.ndarray
-    """least distance from the rim of the grid to the surface [m], shape (capacity,)"""
+    """least distance from the boundary of the grid to the surface [m], shape (capacity,)"""
 
 
 class Heights(NamedTuple):
-    """Heights of the colliders that are ground."""
+    """Height fields of the ``heights`` colliders."""
 
     values: np.ndarray
-    """[m], one field after another; y slowest, x fastest"""
+    """heights [m] of all fields, each with y slowest and x fastest, shape (nodes,)"""
     first: np.ndarray
-    """where each collider's field begins, shape (capacity,)"""
+    """index of each collider's first node in ``values``, shape (capacity,)"""
     nodes: np.ndarray
-    """along x, y; shape (capacity, 2)"""
+    """number of nodes along x, y, shape (capacity, 2)"""
 
 
 class Colliders(NamedTuple):
-    """All colliders of a scene, with room for more."""
+    """All colliders of a scene."""
 
     count: np.ndarray
-    """how many there are, shape (1,)"""
+    """number of colliders, shape (1,)"""
     shape: np.ndarray
     """PLANE …, shape (capacity,)"""
     size: np.ndarray
-    """[m]: radius, half length along z, –; half extents of a box; half extents of ground and its
-    ``steepness`` [1]; shape (capacity, 3)"""
+    """[m]: radius and half length along z; half extents of a box; half extents of a height field
+    and its ``steepness`` [1]; shape (capacity, 3)"""
     reach: np.ndarray
-    """radius of a ball around the position that holds the shape [m]; -1 - z: the half space below
-    z does"""
+    """radius of the bounding sphere around the position [m]; negative, -1 - z: the shape is
+    bounded by the half space below z; shape (capacity,)"""
     inner: np.ndarray
-    """what moves no further than this in a substep cannot get through it [m]; inf: nothing can"""
+    """relative motion in a substep up to which no particle passes through it [m]; inf: never;
+    shape (capacity,)"""
     start: np.ndarray
-    """pose at the frame's start: x y z, qx qy qz qw; shape (capacity, 7)"""
+    """pose at the frame's start: x, y, z, qx, qy, qz, qw; shape (capacity, 7)"""
     goal: np.ndarray
     """pose at the frame's end, shape (capacity, 7)"""
     moving: np.ndarray
-    """whether the two poses differ, shape (capacity,)"""
+    """True if the two poses differ, shape (capacity,)"""
     twist: np.ndarray
-    """surface velocity, linear [m/s] and angular [rad/s], where given; shape (capacity, 6)"""
+    """surface velocity, linear [m/s] and angular [rad/s], shape (capacity, 6)"""
     has_twist: np.ndarray
-    """shape (capacity,)"""
+    """True if ``twist`` is given; else it follows from the poses; shape (capacity,)"""
     grids: Grids | None
-    """None where no collider is a mesh"""
+    """None without capacity for meshes"""
     heights: Heights | None
-    """None where none is ground"""
+    """None without capacity for height fields"""
 
 
 def new_colliders(capacity: int, nodes: int = 0, places: int = 0) -> Colliders:
-    """Return room for that many colliders, nodes of grids and heights, and none of them."""
+    """Return an empty set with capacity for colliders, grid nodes and height field nodes."""
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
     return Colliders(
         np.zeros(1, np.int64), np.zeros(capacity, np.int64), np.zeros((capacity, 3)),
@@ -91,7 +92,7 @@ def new_colliders(capacity: int, nodes: int = 0, places: int = 0) -> Colliders:
 
 
 def write_grid(grids: Grids, c: int, field, first: int) -> None:
-    """Write the distance field of collider c, from a node on."""
+    """Write the distance field of collider c to the nodes from ``first`` on."""
     values = field.values.ravel()
     grids.values[first:first + values.size] = values
     grids.first[c], grids.nodes[c] = first, field.values.shape
@@ -99,7 +100,7 @@ def write_grid(grids: Grids, c: int, field, first: int) -> None:
 
 
 def write_heights(heights: Heights, c: int, values: np.ndarray, first: int) -> None:
-    """Write the heights of collider c [m], shape (along y, along x), from a place on."""
+    """Write the heights of collider c [m], (along y, along x), to the nodes from ``first`` on."""
     heights.values[first:first + values.size] = values.ravel()
     heights.first[c], heights.nodes[c] = first, values.shape[::-1]
 
@@ -113,7 +114,7 @@ def steepness(values: np.ndarray, size: tuple[float, float]) -> float:
 
 @jit
 def write_pose(colliders, c, s, poses):
-    """Write the pose of collider c a fraction s into the frame."""
+    """Write the pose of collider c at fraction s of the frame to ``poses``, (capacity, 7)."""
     a, b = colliders.start, colliders.goal
     for k in range(3):
         poses[c, k] = a[c, k] + s * (b[c, k] - a[c, k])
@@ -128,20 +129,20 @@ def write_pose(colliders, c, s, poses):
 
 @jit(inline=True)
 def to_local(p, c, x, y, z):
-    """Bring a point of the world into the axes of collider c, whose pose is p[c]."""
+    """Transform a point from world axes to those of collider c, whose pose is p[c]."""
     return rotate(-p[c, 3], -p[c, 4], -p[c, 5], p[c, 6], x - p[c, 0], y - p[c, 1], z - p[c, 2])
 
 
 @jit(inline=True)
 def to_world(p, c, x, y, z):
-    """Bring a point in the axes of collider c into the world."""
+    """Transform a point from the axes of collider c, whose pose is p[c], to world axes."""
     rx, ry, rz = rotate(p[c, 3], p[c, 4], p[c, 5], p[c, 6], x, y, z)
     return p[c, 0] + rx, p[c, 1] + ry, p[c, 2] + rz
 
 
 @jit
 def reach(shape, size):
-    """Return the radius of a ball around the position that holds the shape [m]; -1: unbounded."""
+    """Return the radius of the bounding sphere around the position [m]; -1: half space z < 0."""
     if shape == SPHERE:
         return size[0]
     if shape == CAPSULE:
@@ -155,7 +156,11 @@ def reach(shape, size):
 
 @jit
 def inner(shape, size):
-    """Return half the smallest half extent [m]: what goes no deeper is nearest to where it was."""
+    """
+    Return half the smallest half extent of a shape [m].
+
+    A particle that enters no deeper is still closest to the side that it came from.
+    """
     if shape == PLANE:
         return inf
     if shape in (SPHERE, CAPSULE):

@@ -1,4 +1,4 @@
-"""Contacts: the pairs of particle and collider that may touch in a substep, and how they do."""
+"""Contact candidates (pairs of particle and collider) of a substep, and their projection."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -7,71 +7,75 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import Colliders, to_local, to_world, write_pose
-from xpbd_ros.sim.contact.continuous_detection import look_back
-from xpbd_ros.sim.contact.corners import ahead, is_penetrating, leave_corners, SHORT
+from xpbd_ros.sim.contact.continuous_detection import detect_crossing
+from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 from xpbd_ros.sim.particles.history import invalidate_history
 
 DEPENETRATION = 1.0
-"""speed at which an overlap that was there before is undone [m/s]"""
+"""largest speed of depenetration, for particles that begin a substep too deep [m/s]"""
 CORNER = 8
-"""most passes, so that what one collider holds back does not end behind another"""
+"""most passes over the candidates, so that a particle stopped by one collider does not end behind
+another"""
 
 
 class Contacts(NamedTuple):
-    """The candidates of this substep; those with a push > 0 touch."""
+    """The candidates of this substep; those with push > 0 are contacts."""
 
     colliders: Colliders
     before: np.ndarray
-    """poses at the substep's start, shape (capacity, 7)"""
+    """collider poses at the substep's start, shape (capacity, 7)"""
     after: np.ndarray
-    """poses at its end, shape (capacity, 7)"""
+    """collider poses at the substep's end, shape (capacity, 7)"""
     surface: np.ndarray
-    """where the surfaces were at its start, by their own velocity where they have one, same shape
-    """
+    """poses of the surfaces at the substep's start: those that move to ``after`` with the surface
+    velocity, shape (capacity, 7)"""
     moved: np.ndarray
-    """how far each moves in the substep [m], shape (capacity,)"""
+    """distance that each collider moves in the substep [m], shape (capacity,)"""
     turned: np.ndarray
-    """how far its quaternion moves, about half the angle [rad], shape (capacity,)"""
+    """norm of its quaternion's change in the substep, about half its rotation [rad], shape
+    (capacity,)"""
     slack: np.ndarray
-    """a particle that moves further than this in the substep may get through it [m], same shape"""
+    """motion of a particle in the substep up to which it cannot pass through [m], shape
+    (capacity,)"""
     up: np.ndarray
-    """its z axis, the normal of a plane; shape (capacity, 3)"""
+    """z axis of each collider, the normal of a plane, shape (capacity, 3)"""
     count: np.ndarray
-    """candidates; how many found no room in this frame; 1 where the last push held a particle back
-    from what it would have got through; 1 where a particle is a candidate of two; how many of
-    those were left inside one in this frame; shape (5,)"""
+    """number of candidates; of candidates without room in this frame; 1 if the last pass stopped a
+    particle that would have passed through; 1 if a particle is a candidate of several colliders;
+    number of those left inside one in this frame; shape (5,)"""
     thickness: np.ndarray
     """[m], shape (1,)"""
     stir: np.ndarray
-    """how far any particle may yet be moved in this substep by what is no collider [m]; 0 unless
-    an effect says so; shape (1,)"""
+    """bound of the displacement of any particle by other effects in the rest of this substep [m];
+    0 unless an effect sets it; shape (1,)"""
     latest: np.ndarray
-    """of each slot the last candidate it was, maybe in another substep; shape (slots,)"""
+    """index of each slot's last candidate, possibly of an earlier substep, shape (slots,)"""
     earlier: np.ndarray
-    """the candidate before of the same particle, -1: none; shape (room,)"""
+    """index of the same particle's previous candidate, -1: none; shape (capacity,)"""
     particle: np.ndarray
-    """shape (room,)"""
+    """slot, shape (capacity,)"""
     collider: np.ndarray
-    """shape (room,)"""
+    """index, shape (capacity,)"""
     gap: np.ndarray
-    """distance r to be kept [m], shape (room,)"""
+    """distance r to be kept [m], shape (capacity,)"""
     overlap: np.ndarray
-    """part of the push that must not become velocity [m], shape (room,)"""
+    """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
-    """d, along the normal, so far in this substep [m], shape (room,)"""
+    """displacement d along the normal, accumulated in this substep [m], shape (capacity,)"""
     normal: np.ndarray
-    """unit vector out of the collider, shape (room, 3)"""
+    """unit vector out of the collider, shape (capacity, 3)"""
     slip: np.ndarray
-    """s, friction's displacement so far in this substep [m], shape (room, 3)"""
+    """displacement s by friction, accumulated in this substep [m], shape (capacity, 3)"""
     crossed: np.ndarray
-    """whether the particle's way through the substep meets the collider, shape (room,)"""
+    """True if the particle's path through the substep meets the collider, shape (capacity,)"""
     side: np.ndarray
-    """if so, the plane that it stays in front of: unit normal, offset [m]; shape (room, 4)"""
+    """if so, the plane that the particle stays in front of: unit normal, offset [m]; shape
+    (capacity, 4)"""
 
 
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) -> Contacts:
-    """Return room for that many candidates, none of them in use."""
+    """Return an empty list with the capacity of ``room`` candidates."""
     capacity = len(colliders.shape)
     return Contacts(colliders, *(np.zeros_like(colliders.start) for _ in range(3)),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
@@ -86,7 +90,7 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) 
 
 @jit(inline=True)
 def surface_motion(contacts, k, state, substep):
-    """Return how far the collider's surface at contact k moves in this substep [m]."""
+    """Return the displacement of the collider's surface at contact k in this substep [m]."""
     colliders, c, i = contacts.colliders, contacts.collider[k], contacts.particle[k]
     if not (colliders.moving[c] or colliders.has_twist[c]):
         return 0.0, 0.0, 0.0
@@ -99,10 +103,10 @@ def surface_motion(contacts, k, state, substep):
 @jit
 def surface_before(contacts, c, h):
     """
-    Return the pose that the surface of collider c had at the substep's start.
+    Return the pose (position, quaternion) of the surface of collider c at the substep's start.
 
-    Of a surface with a velocity of its own, v + ω × (x - p) about the position p, it is where that
-    comes from: in a straight line and by an angle, not along the tangent.
+    A surface velocity v + ω × (x - p), about the position p, is integrated backwards as a rigid
+    motion, not extrapolated along its tangent.
     """
     a, b, v = contacts.before, contacts.after, contacts.colliders.twist
     if not contacts.colliders.has_twist[c]:
@@ -116,7 +120,7 @@ def surface_before(contacts, c, h):
 
 @jit
 def move_colliders(contacts, substep):
-    """Put every collider where it is at the substep's start and end, and say how far that is."""
+    """Compute poses, motion and bounds of all colliders in this substep."""
     for c in range(contacts.colliders.count[0]):
         write_pose(contacts.colliders, c, substep.begin, contacts.before)
         write_pose(contacts.colliders, c, substep.end, contacts.after)
@@ -139,7 +143,11 @@ def move_colliders(contacts, substep):
 
 @jit
 def push_all(contacts, state, eased=False):
-    """Push every candidate that is too deep out along the normal; between two, more than once."""
+    """
+    Project all candidates; repeat for particles between several colliders.
+
+    If ``eased``, only penetration is prevented, not the full thickness kept.
+    """
     for _ in range(CORNER):
         push_once(contacts, state, False, eased)
         if not contacts.count[2]:
@@ -152,11 +160,11 @@ def push_all(contacts, state, eased=False):
 @jit
 def push_once(contacts, state, back=False, eased=False):
     """
-    Push every candidate that is too deep out along the normal.
+    Project all candidates once: x += n Δd, Δd = max(r - φ, -d), d += Δd.
 
-    On the way ``back`` each goes half of what is left, so that a particle between two colliders
-    with less room than it wants ends in the middle, and not with the one that came last. Where it
-    is ``eased``, no more is asked for than that nothing gets in.
+    With ``back``, in reverse order and by half of a positive Δd: a particle between two colliders
+    closer than twice the thickness ends in the middle, not at the last one. With ``eased``, r is
+    at most SHORT of the thickness, and Δd is not negative.
     """
     held_back, count = False, contacts.count[0]
     for n in range(count):
@@ -166,8 +174,8 @@ def push_once(contacts, state, back=False, eased=False):
         x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
         step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
         if not contacts.crossed[k] and step >= contacts.slack[c]**2:
-            look_back(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
-        phi, (nx, ny, nz) = ahead(contacts, k, x, y, z)
+            detect_crossing(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
+        phi, (nx, ny, nz) = contact_distance(contacts, k, x, y, z)
         before = contacts.push[k]
         gap = contacts.gap[k]
         if eased:
@@ -192,7 +200,7 @@ def push_once(contacts, state, back=False, eased=False):
 
 @jit
 def count_penetrating(contacts, state):
-    """Count the candidates that are left inside a collider, or behind the plane they came from."""
+    """Return the number of candidates that penetrate (see ``corners.is_penetrating``)."""
     count = 0
     for k in range(contacts.count[0]):
         count += is_penetrating(contacts, k, state)
@@ -201,7 +209,12 @@ def count_penetrating(contacts, state):
 
 @jit(inline=True)
 def shortened(sx, sy, sz, sticks, slides):
-    """Return friction's displacement: if longer than what sticks, as long as what slides [m]."""
+    """
+    Return a displacement by friction (sx, sy, sz), clamped to the friction cone [m].
+
+    If its length exceeds ``sticks``, the limit of static friction, it is scaled to ``slides``, the
+    limit of sliding friction.
+    """
     l = sqrt(sx * sx + sy * sy + sz * sz)
     if l > sticks:
         f = slides / l

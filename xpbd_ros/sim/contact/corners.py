@@ -1,17 +1,17 @@
 """
-Corners: the way out for a particle between colliders that pushes in turn do not lead out of.
+Joint projection of a particle that alternating projections leave inside one of its colliders.
 
-Between two surfaces at an angle θ, pushes along one normal and then the other leave cos² θ of what
-is too deep each time. So where a particle is left inside one, it goes along that one's normal n1,
-and then, for the next that it is too deep in, along
+For two surfaces at an angle θ, one projection along each normal leaves cos² θ of the penetration.
+A particle that is left inside is therefore moved along the normal n1 of the collider that it is
+deepest in, and then, for the next deepest one with penetration s and normal n2, along
 
     t = n2 - (n2 · n1) n1,   x += t s / |t|²,
 
-which makes up for what is short there, s, and leaves the distance to the first as it is; a third
-likewise. With curved surfaces the whole is repeated. Here the thickness gives way: no more is
-asked for than that nothing gets in.
+which removes s and keeps the distance to the first one; a third collider likewise. For curved
+surfaces the procedure is repeated. The thickness is relaxed to SHORT of it: the aim is to prevent
+penetration.
 
-Limits: at less than FLAT between two surfaces there is no way out; the particle stays where it is.
+Limits: if the sine of the angle between two normals is below FLAT the particle is not moved.
 """
 
 from math import sqrt
@@ -24,16 +24,21 @@ from xpbd_ros.sim.geometry.quaternion import rotate
 from xpbd_ros.sim.particles.history import invalidate_history
 
 SHORT = 0.01
-"""of the thickness: what is left of it where there is no room for more"""
+"""relaxed gap between several colliders, relative to the thickness"""
 FLAT = 0.03
-"""sine of the angle between two surfaces at least, for a way out between them"""
+"""least sine of the angle between two surfaces that are projected on jointly"""
 ROUNDS = 8
-"""on curved surfaces"""
+"""most repetitions, for curved surfaces"""
 
 
 @jit
-def ahead(contacts, k, x, y, z):
-    """Return how far a place is in front of the collider of a candidate [m], and the normal."""
+def contact_distance(contacts, k, x, y, z):
+    """
+    Return the signed distance of a point to the collider of candidate k [m], and the normal.
+
+    If the candidate's path crosses the collider (``crossed``), it is at most the distance to the
+    tangent plane where it does.
+    """
     poses, c = contacts.after, contacts.collider[k]
     lx, ly, lz = to_local(poses, c, x, y, z)
     phi, nx, ny, nz = signed_distance(contacts.colliders, c, lx, ly, lz)
@@ -48,23 +53,24 @@ def ahead(contacts, k, x, y, z):
 
 @jit(inline=True)
 def is_penetrating(contacts, k, state):
-    """Tell whether a candidate is left inside a collider, or behind the plane it came from."""
+    """Return True if candidate k is inside its collider or behind its tangent plane."""
     i = contacts.particle[k]
-    phi, _ = ahead(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
+    phi, _ = contact_distance(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
     return phi < min(0.0, contacts.gap[k] - SHORT * contacts.thickness[0])
 
 
 @jit
 def leave_corners(contacts, state):
-    """Lead out what several colliders push, and leave inside one; return how many are left."""
+    """Project jointly the particles left inside one of several colliders; return the failures."""
     count = 0
     if contacts.count[3]:
         for k in range(contacts.count[0]):
             i = contacts.particle[k]
-            if contacts.latest[i] == k and contacts.earlier[k] >= 0 and left(contacts, k, state):
+            if (contacts.latest[i] == k and contacts.earlier[k] >= 0
+                    and penetrates_any(contacts, k, state)):
                 x = state.x[0, i], state.x[1, i], state.x[2, i]
-                lead_out(contacts, k, i, state)
-                if left(contacts, k, state):
+                project_jointly(contacts, k, i, state)
+                if penetrates_any(contacts, k, state):
                     count += 1
                     state.x[0, i], state.x[1, i], state.x[2, i] = x
                 invalidate_history(state.history, i)
@@ -72,8 +78,8 @@ def leave_corners(contacts, state):
 
 
 @jit
-def left(contacts, k, state):
-    """Tell whether a particle, whose last candidate is k, is left inside any collider."""
+def penetrates_any(contacts, k, state):
+    """Return True if the particle whose last candidate is k penetrates any of its colliders."""
     while k >= 0:
         if is_penetrating(contacts, k, state):
             return True
@@ -82,8 +88,8 @@ def left(contacts, k, state):
 
 
 @jit
-def lead_out(contacts, last, i, state):
-    """Move a particle in front of its colliders: those it is deepest in first, up to three."""
+def project_jointly(contacts, last, i, state):
+    """Project particle i, whose last candidate is ``last``, on up to three colliders jointly."""
     for _ in range(ROUNDS):
         a, b = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for turn in range(3):
@@ -106,10 +112,10 @@ def lead_out(contacts, last, i, state):
 
 @jit
 def deepest(contacts, k, x, y, z):
-    """Return the most that a place lacks to be in front of a collider [m], and the normal."""
+    """Return the largest deficit of the relaxed gap at a point [m], and the normal there."""
     most, normal, enough = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0]
     while k >= 0:
-        phi, n = ahead(contacts, k, x, y, z)
+        phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
         if short > max(most, 0.1 * enough):
             most, normal = short, n

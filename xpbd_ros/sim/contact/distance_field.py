@@ -1,15 +1,16 @@
 """
-Signed distance to a closed surface of triangles, on a regular grid: built once, then looked up.
+Signed distance to a closed triangle mesh on a regular grid, computed once.
 
-Near the surface each node has the exact distance to its nearest triangle. From there the number of
-the nearest triangle is passed on from node to neighbour, in sweeps along all eight diagonals
-(Tsai 2002), and each node keeps the one that is nearest to it. A node is inside where a ray
-along -x leaves more surfaces than it enters, so overlapping pieces are one body.
+Near the surface each node has the exact distance to its nearest triangle. From there the index of
+the nearest triangle is propagated from node to neighbour, in sweeps along all eight diagonals
+(Tsai 2002), and each node keeps the nearest one. A node is inside if a ray along x that ends there
+has entered more surfaces than it has left, so that overlapping pieces form one body.
 
-Between nodes φ is trilinear. What is thinner than about twice the spacing has no node deep enough
-inside, and particles would pass it; so a grid is made finer until none but sharp edges are lost.
+Between nodes φ is trilinear. Parts thinner than about twice the spacing have no node deep enough
+inside, and particles would pass through them; so the grid is refined until only sharp edges are
+lost.
 
-Limits: edges are rounded. What is sharper than some 20° loses up to ROUNDED spacings.
+Limits: edges are rounded. Edges sharper than some 20° lose up to ROUNDED spacings.
 """
 
 from dataclasses import dataclass
@@ -23,38 +24,41 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.geometry.mesh_repair import orient
 
 MOST_NODES = 16_000_000
-"""64 MB of float32"""
+"""largest number of nodes of a grid: 64 MB of float32"""
 FINEST = 96
-"""nodes along the longest side, unless a spacing is given"""
+"""most nodes along the longest side, unless a spacing is given"""
 DEEP = 0.6
-"""depth of a node [spacings] that a particle does not pass: of 2000 that fell on plates turned
-anyhow, at up to 30 m/s, none did where a plate was 1.28 spacings thick, and 1 where it was 1.12"""
+"""depth of a node that particles do not pass [spacings]: of 2000 particles that fell on plates of
+random orientation at up to 30 m/s, none passed plates 1.28 spacings thick, and one passed those of
+1.12"""
 ROUNDED = 6.0
-"""spacings, of the grid as it is unless it has to be finer, that may be lost at an edge"""
+"""largest distance by which the solid part may fall short of an edge [spacings of the unrefined
+grid]"""
 ASIDE = (0.37e-4, 0.61e-4)
-"""how far rays run beside the nodes [spacings], so that they meet no edge of a tidy mesh"""
+"""offset of the rays from the nodes along y and z [spacings], so that they meet no edges of
+axis-aligned meshes"""
 
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """The signed distance to one surface, in its own axes."""
+    """Signed distance field of one surface, in its own axes."""
 
     values: np.ndarray
     """φ [m], float32, shape (nx, ny, nz)"""
     origin: np.ndarray
-    """place of node 0, 0, 0 [m], shape (3,)"""
+    """position of node (0, 0, 0) [m], shape (3,)"""
     spacing: float
     """[m]"""
     pad: float
-    """least distance from the rim of the grid to the surface [m]"""
+    """least distance from the boundary of the grid to the surface [m]"""
     reach: float
-    """radius of a ball around 0 that holds the surface [m]"""
+    """radius of the bounding sphere around the origin [m]"""
     size: tuple[float, float, float]
     """extents of the surface [m]"""
 
 
 class NoRoomError(InputError):
-    """A grid has more nodes than there is room for."""
+    """A grid needs more nodes than are available."""
 
     def __init__(self, shape, spacing: float, room: int):
         self.nodes = prod(shape)
@@ -65,22 +69,24 @@ class NoRoomError(InputError):
 def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
                    spacing: float | None = None, room: int = MOST_NODES) -> Field:
     """
-    Return the signed distance field of a closed surface; refuse one that particles would pass.
+    Return the signed distance field of a closed surface.
+
+    Raise InputError for an open surface, or one with parts too thin for the largest grid.
 
     Parameters
     ----------
     vertices : [m], shape (vertices, 3)
     triangles : vertex indices, shape (triangles, 3)
-    gap : distance from the surface that matters [m]
-    spacing : of the grid [m]; by default the gap, or what 96 nodes along the longest side give, or
-        as much less as the thinnest part takes
-    room : nodes there may be
+    gap : largest distance from the surface that contacts use, the thickness [m]
+    spacing : of the grid [m]; by default the larger of the gap and the longest side over FINEST,
+        halved until no thin part is lost
+    room : largest number of nodes
 
     """
     vertices, triangles = _closed(np.asarray(vertices, float), triangles)
     usual = grid_around(vertices, gap=gap)[1]
     field = _field(vertices, triangles, gap, spacing, room)
-    while not _keeps_out(field, usual):
+    while not _is_resolved(field, usual):
         try:
             field = _field(vertices, triangles, gap, 0.5 * field.spacing, room)
         except NoRoomError as error:
@@ -96,8 +102,12 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     return field
 
 
-def _keeps_out(field: Field, usual: float) -> bool:
-    """Tell whether all of a surface, but for sharp edges, has nodes deep enough behind it."""
+def _is_resolved(field: Field, usual: float) -> bool:
+    """
+    Return True if all of the surface except sharp edges is close to nodes deeper than DEEP.
+
+    ``usual`` is the spacing of the unrefined grid [m].
+    """
     values, spacing = field.values, field.spacing
     deep = values <= -DEEP * spacing
     if not deep.any():
@@ -117,9 +127,9 @@ def _field(vertices, triangles, gap: float, spacing: float | None, room: int) ->
     _stamp(corners, distance, nearest)
     for _ in range(2):
         for turn in range(8):
-            _pass_on(corners, distance, nearest, *(1 - 2 * (turn >> k & 1) for k in range(3)))
+            _propagate(corners, distance, nearest, *(1 - 2 * (turn >> k & 1) for k in range(3)))
     crossings = np.zeros(shape, np.int32)
-    _cross(corners, crossings, *ASIDE)
+    _count_crossings(corners, crossings, *ASIDE)
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
     return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())),
@@ -127,7 +137,7 @@ def _field(vertices, triangles, gap: float, spacing: float | None, room: int) ->
 
 
 def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = None):
-    """Return shape, spacing and rim [m] of the grid that a surface's field takes."""
+    """Return shape, spacing [m] and padding [m] of a surface's grid."""
     extent = vertices.max(0) - vertices.min(0)
     spacing = spacing or max(gap, float(extent.max()) / FINEST)
     pad = max(4.0 * gap, 2.0 * spacing)
@@ -135,7 +145,7 @@ def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = Non
 
 
 def _closed(vertices, triangles):
-    """Return a surface that is closed and faces outward, or refuse it."""
+    """Return vertices and triangles of a closed surface, oriented outward, or raise InputError."""
     if not np.isfinite(vertices).all() or not len(triangles):
         raise InputError('has no triangles' if not len(triangles) else 'has vertices that are not '
                          'finite')
@@ -155,7 +165,11 @@ def _closed(vertices, triangles):
 
 @jit
 def _stamp(corners, distance, nearest):
-    """Write the exact distance [spacings] at the nodes around each triangle."""
+    """
+    Write the exact distance [spacings] and the triangle to the nodes around each triangle.
+
+    ``corners`` are in units of the spacing, shape (triangles, 3, 3).
+    """
     nx, ny, nz = distance.shape
     for t in range(len(corners)):
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
@@ -172,13 +186,13 @@ def _stamp(corners, distance, nearest):
 
 @jit(inline=True)
 def _around(a, b, c, count):
-    """Return the first node near three coordinates, and the first behind them."""
+    """Return the range of nodes (first, last + 1) around three coordinates along one axis."""
     return (max(0, int(min(a, b, c)) - 1), min(count, int(max(a, b, c)) + 3))
 
 
 @jit
-def _pass_on(corners, distance, nearest, dx, dy, dz):
-    """Let each node look at what its neighbours behind it know, in one direction of sweep."""
+def _propagate(corners, distance, nearest, dx, dy, dz):
+    """Propagate nearest triangles from node to node in a sweep along the diagonal (dx, dy, dz)."""
     nx, ny, nz = distance.shape
     for p in range(nx):
         i = p if dx > 0 else nx - 1 - p
@@ -202,7 +216,7 @@ def _pass_on(corners, distance, nearest, dx, dy, dz):
 
 @jit
 def _to_triangle(x, y, z, a, b, c):
-    """Return the distance of a point to a triangle, by where its foot lies (Ericson 2005, 5.1)."""
+    """Return the distance of a point to a triangle abc (Ericson 2005, 5.1)."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     px, py, pz = x - a[0], y - a[1], z - a[2]
@@ -221,7 +235,7 @@ def _to_triangle(x, y, z, a, b, c):
 
 @jit(inline=True)
 def _to_edge(px, py, pz, ux, uy, uz):
-    """Return the distance of a point to the line from 0 to u."""
+    """Return the distance of a point p to the segment from 0 to u."""
     square = ux * ux + uy * uy + uz * uz
     s = min(max((px * ux + py * uy + pz * uz) / square, 0.0), 1.0) if square > 0.0 else 0.0
     ex, ey, ez = px - s * ux, py - s * uy, pz - s * uz
@@ -229,8 +243,8 @@ def _to_edge(px, py, pz, ux, uy, uz):
 
 
 @jit
-def _cross(corners, crossings, aside_y, aside_z):
-    """Count, at the first node behind it, each surface that a line along x enters (leaves: -1)."""
+def _count_crossings(corners, crossings, aside_y, aside_z):
+    """Add to the first node behind each crossing of a ray along x: 1 on entry, -1 on exit."""
     nx, ny, nz = crossings.shape
     for t in range(len(corners)):
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]

@@ -1,4 +1,4 @@
-"""Bounce: Newton's law of restitution for contacts, in a scene where a collider has one."""
+"""Newton's law of restitution for contacts, compiled only if a collider has a coefficient."""
 
 from math import sqrt
 from typing import NamedTuple
@@ -10,17 +10,17 @@ from xpbd_ros.sim.contact.contacts import surface_motion
 
 
 class Bounce(NamedTuple):
-    """What only bouncing needs."""
+    """Data of restitution."""
 
     restitution: np.ndarray
-    """e by collider, shape (capacity,)"""
+    """e of each collider, shape (capacity,)"""
     approach: np.ndarray
-    """velocity of each candidate before the substep [m/s], shape (room, 3)"""
+    """velocity of each candidate before the substep [m/s], shape (candidates, 3)"""
 
 
 @jit(inline=True)
 def speed_away(contacts, k, state, substep):
-    """Return how fast the particle of contact k leaves the surface [m/s]."""
+    """Return the normal speed of the particle of contact k away from the surface [m/s]."""
     i, v, n, h = contacts.particle[k], state.v, contacts.normal, substep.h
     ux, uy, uz = surface_motion(contacts, k, state, substep)
     return ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
@@ -29,14 +29,18 @@ def speed_away(contacts, k, state, substep):
 
 @jit(inline=True)
 def drive_away(contacts, k, state, speed):
-    """Add a velocity along the normal [m/s]."""
+    """Add ``speed`` along the normal to the velocity of the particle of contact k [m/s]."""
     for a in range(3):
         state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
 
 
 @jit
 def rebound(bounce, contacts, state, substep):
-    """Newton's law of restitution: v_n = -e (v_n before), unless that is what gravity gives."""
+    """
+    Apply v_n = -e v_n⁻ to all contacts, with v_n⁻ the relative normal velocity of approach.
+
+    Approaches slower than 2 |g| h do not bounce: gravity alone causes them in a resting contact.
+    """
     if bounce is not None:
         g, h = state.gravity, substep.h
         least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h

@@ -1,4 +1,4 @@
-"""Signed distance to each shape of collider, and its gradient, the unit normal."""
+"""Signed distance φ to each shape of collider, and its gradient, the unit normal."""
 
 from math import sqrt
 
@@ -40,7 +40,7 @@ def shape_distance(shape, a, b, c, x, y, z):
 
 @jit(inline=True)
 def _round(x, y, z, radius):
-    """Return the distance to a ball around the origin."""
+    """Return φ and the normal of a sphere around the origin."""
     l = sqrt(x * x + y * y + z * z)
     if l > 0.0:
         return l - radius, x / l, y / l, z / l
@@ -49,7 +49,7 @@ def _round(x, y, z, radius):
 
 @jit(inline=True)
 def _cylinder(x, y, z, radius, half):
-    """Return the distance to a cylinder along z, closed by discs."""
+    """Return φ and the normal of a closed cylinder along z."""
     r = sqrt(x * x + y * y)
     rx, ry = (x / r, y / r) if r > 0.0 else (1.0, 0.0)
     up = 1.0 if z >= 0.0 else -1.0
@@ -64,7 +64,7 @@ def _cylinder(x, y, z, radius, half):
 
 @jit(inline=True)
 def _box(x, y, z, a, b, c):
-    """Return the distance to a box of half extents a, b, c."""
+    """Return φ and the normal of a box of half extents a, b, c."""
     sx = 1.0 if x >= 0.0 else -1.0
     sy = 1.0 if y >= 0.0 else -1.0
     sz = 1.0 if z >= 0.0 else -1.0
@@ -82,14 +82,14 @@ def _box(x, y, z, a, b, c):
 
 @jit
 def grid_distance(grids, c, x, y, z):
-    """Return φ and its direction of ascent, trilinear; outside the grid no more than the truth."""
+    """Return φ, trilinear, and its normalised gradient; outside the grid, a lower bound of φ."""
     s, o, n = grids.spacing[c], grids.origin, grids.nodes
     u, v, w = (x - o[c, 0]) / s, (y - o[c, 1]) / s, (z - o[c, 2]) / s
     eu = u - min(max(u, 0.0), n[c, 0] - 1.0)
     ev = v - min(max(v, 0.0), n[c, 1] - 1.0)
     ew = w - min(max(w, 0.0), n[c, 2] - 1.0)
     out = sqrt(eu * eu + ev * ev + ew * ew)
-    if out != 0.0:    # also where it is no number, which no node has
+    if out != 0.0:    # true for nan too
         return out * s + grids.pad[c], eu / out, ev / out, ew / out
     i, j = min(int(u), n[c, 0] - 2), min(int(v), n[c, 1] - 2)
     k = min(int(w), n[c, 2] - 2)
@@ -114,9 +114,13 @@ def grid_distance(grids, c, x, y, z):
 
 @jit
 def ground_distance(heights, c, half_x, half_y, x, y, z):
-    """Return the distance to the plane that touches the ground below; its rim goes on for ever."""
+    """
+    Return the distance to the tangent plane of a height field below the point, and its normal.
+
+    The field is bilinear, and constant beyond its boundary.
+    """
     n, f = heights.nodes, heights.values
-    if x != x or y != y:    # not a number: above no place
+    if x != x or y != y:    # nan
         return x + y, 0.0, 0.0, 1.0
     across, up = 0.5 * (n[c, 0] - 1), 0.5 * (n[c, 1] - 1)
     u = min(max((x / half_x + 1.0) * across, 0.0), n[c, 0] - 1.0)

@@ -1,5 +1,5 @@
 """
-Geometry in plain NumPy and small kernels: triangle meshes and their repair, geodesic distances,
+Geometry in NumPy and small kernels: triangle meshes and their repair, geodesic distances,
 quaternions, closest points.
 
 It imports ``backend`` and ``particles.memory_layout``.

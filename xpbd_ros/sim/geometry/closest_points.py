@@ -1,9 +1,9 @@
 """
-Closest points of two particles' neighbours: of a point and a triangle, of two edges.
+Closest points of a point and a triangle, and of two edges, as barycentric weights.
 
-C. Ericson, "Real-time collision detection", 2005, 5.1. Points are tuples; what comes back are
-weights of the corners, so that the closest points move with them. Works for triangles and edges
-that have shrunk to an edge or a point.
+C. Ericson, "Real-time collision detection", 2005, 5.1. Points are tuples (x, y, z) [m]. The
+weights of the corners are returned, so that closest points can move with the corners. Degenerate
+triangles and edges are allowed.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -29,13 +29,13 @@ def cross(a, b):
 
 @jit(inline=True)
 def share(part, whole):
-    """Return part / whole, within 0 … 1; 0 of nothing."""
+    """Return part / whole clamped to 0 … 1; 0 unless whole > 0."""
     return min(1.0, max(0.0, part / whole)) if whole > 0.0 else 0.0
 
 
 @jit
 def on_triangle(p, a, b, c):
-    """Return the weights of a, b and c at the point of their triangle nearest to p."""
+    """Return the weights of a, b and c at the point of the triangle abc closest to p."""
     ab, ac, ap = minus(b, a), minus(c, a), minus(p, a)
     d1, d2 = dot(ab, ap), dot(ac, ap)
     if d1 <= 0.0 and d2 <= 0.0:
@@ -66,7 +66,7 @@ def on_triangle(p, a, b, c):
 
 @jit
 def on_edges(a, b, c, d):
-    """Return the weight of b and that of d where the edges ab and cd are nearest."""
+    """Return the weights of b and d at the closest points of the edges ab and cd."""
     u, v, r = minus(b, a), minus(d, c), minus(a, c)
     uu, vv, uv, ur, vr = dot(u, u), dot(v, v), dot(u, v), dot(u, r), dot(v, r)
     s = share(uv * vr - ur * vv, uu * vv - uv * uv)

@@ -1,12 +1,12 @@
 """
-Straight lines over a surface of triangles: from a particle across a few edges to another one.
+Straight geodesics on a triangle mesh, from a particle across a few edges to another particle.
 
-The triangles that a line crosses are laid flat beside one another (J. Mitchell, D. Mount,
-C. Papadimitriou, "The discrete geodesic problem", 1987). Each edge that is seen from a particle
-has a window, the directions in which the line of sight crosses it; behind it lies one more
-triangle, and that one's far corner is a straight line away if it is within the window.
+The triangles that a line crosses are unfolded into a plane (J. Mitchell, D. Mount,
+C. Papadimitriou, "The discrete geodesic problem", 1987). Each edge visible from a source particle
+has a window: the range of directions in which lines from the source cross it. A straight line
+reaches the far corner of the triangle behind the edge if that corner's direction is in the window.
 
-Limits: where more than two triangles share an edge, no line crosses it.
+Limits: no line crosses an edge that more than two triangles share.
 """
 
 import numpy as np
@@ -17,26 +17,27 @@ from xpbd_ros.sim.geometry.mesh import length
 def straight_lines(positions: np.ndarray, triangles: np.ndarray, across: int
                    ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return pairs of particles with a straight line between them, and how long it is.
+    Return the pairs of particles connected by a straight line, and its length.
 
     Parameters
     ----------
     positions : [m], shape (particles, 3)
     triangles : particle indices, shape (triangles, 3)
-    across : the most edges that a line crosses
+    across : largest number of edges that a line crosses
 
     Returns
     -------
-    particle indices in rising order, shape (pairs, 2); the shortest line of each pair [m]
+    particle indices in rising order, shape (pairs, 2); length of each pair's shortest line [m],
+    shape (pairs,)
 
     """
-    beyond = _beyond(triangles)
-    side = np.arange(triangles.size)    # a side has the number of the corner opposite to it
+    beyond = _neighbour_corners(triangles)
+    side = np.arange(triangles.size)    # sides are numbered as the corners opposite to them
     source, right, left = (triangles[side // 3, (side + k) % 3] for k in range(3))
     from_right, from_left, base = (length(positions[p] - positions[q]) for p, q in (
         (source, right), (source, left), (right, left)))
     at_right, at_left = np.stack([from_right, 0.0 * base], 1), _apex(from_left, base, from_right)
-    low, high = at_right, at_left    # the window
+    low, high = at_right, at_left    # points on the two rays that bound the window
     pairs, lines = [np.zeros((0, 2), triangles.dtype)], [np.zeros(0)]
     for _ in range(across):
         on = beyond[side] >= 0
@@ -65,18 +66,27 @@ def straight_lines(positions: np.ndarray, triangles: np.ndarray, across: int
 
 
 def _apex(a, b, base) -> np.ndarray:
-    """Return where a triangle's corner is by the side to it: along the base, and off it [m]."""
+    """
+    Return a triangle's corner in coordinates along and perpendicular to its base [m].
+
+    ``a`` and ``b`` are the lengths of the sides from the base's start and end to the corner [m],
+    shape (n,); the result's shape is (n, 2).
+    """
     s = (a * a - b * b + base * base) / (2.0 * base)
     return np.stack([s, np.sqrt(np.maximum(a * a - s * s, 0.0))], 1)
 
 
 def _turn(a, b) -> np.ndarray:
-    """Return a × b in the plane: positive where b lies to the left of a."""
+    """Return a × b of vectors in the plane, shape (n,): positive where b is to the left of a."""
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def _beyond(triangles) -> np.ndarray:
-    """Return the corner beyond the side opposite to each corner; -1 where there is not one."""
+def _neighbour_corners(triangles) -> np.ndarray:
+    """
+    Return the corner behind the side opposite to each corner, shape (3 · triangles,).
+
+    Corner k of triangle t has the number 3 t + k; -1 where the side has not exactly one neighbour.
+    """
     sides = np.sort(triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), 1)
     _, side, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
     order = np.argsort(side.reshape(-1), kind='stable')
@@ -87,7 +97,7 @@ def _beyond(triangles) -> np.ndarray:
 
 
 def shortest(pairs, lines) -> tuple[np.ndarray, np.ndarray]:
-    """Return each pair once, with the shortest of its lines."""
+    """Return the unique pairs (n, 2) and the length of the shortest line of each [m], (n,)."""
     pairs = np.sort(pairs, 1)
     order = np.lexsort((lines, pairs[:, 1], pairs[:, 0]))
     pairs, lines = pairs[order], lines[order]

@@ -1,4 +1,4 @@
-"""The rest shape of a cloth: positions, triangles, hinges, areas; and the grid that builds one."""
+"""Rest shape of a cloth or body: positions, triangles, hinges, tributary areas; flat grids."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 
 SQUARE = 1e-3
-"""by which the sides of a square cell may differ, relative"""
+"""largest relative difference of the sides of a square cell"""
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangulated rest shape in its own frame: a grid, a surface, or the skin of a body."""
+    """Triangulated rest shape in its own coordinates: a grid, a surface or the skin of a body."""
 
     positions: np.ndarray
     """[m], shape (particles, 3)"""
@@ -19,28 +19,29 @@ class Mesh:
     """particle indices, counter-clockwise seen from outside (of a grid: from +z), shape
     (triangles, 3)"""
     area: np.ndarray
-    """tributary area of each particle [m²]; of tetrahedra its volume [m³]; shape (particles,)"""
+    """tributary area of each particle [m²], or tributary volume of tetrahedra [m³]; shape
+    (particles,)"""
     grid: np.ndarray | None = None
     """particle index by row (weft) and column (warp), shape (rows, columns); None if no grid"""
     spacing: tuple[float, float] | None = None
     """rest distance of neighbours along warp and weft [m]; None if no grid"""
     tetrahedra: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
-    """particle indices, of positive volume, shape (tetrahedra, 4); none in cloth"""
+    """particle indices, positive volume, shape (tetrahedra, 4); empty for cloth"""
     warp: tuple[float, float, float] = (1.0, 0.0, 0.0)
     """direction of the warp, a unit vector"""
     notes: tuple[str, ...] = ()
-    """what was mended, or looks wrong"""
+    """repairs and suspicious shapes, messages for the user"""
 
     @cached_property
     def edges(self) -> np.ndarray:
-        """Each edge once, particle indices in rising order, shape (edges, 2)."""
+        """Unique edges, particle indices in rising order, shape (edges, 2)."""
         return edges(np.concatenate([cells[:, pairs].reshape(-1, 2) for cells, pairs in (
             (self.triangles, [[0, 1], [1, 2], [2, 0]]),
             (self.tetrahedra, [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]))]))
 
     @cached_property
     def gap(self) -> float:
-        """Largest distance of neighbours [m]."""
+        """Largest rest distance of neighbours [m]."""
         if self.spacing is not None:
             return max(self.spacing)
         a, b = (self.positions[self.edges[:, k]] for k in (0, 1))
@@ -48,26 +49,26 @@ class Mesh:
 
     @cached_property
     def hinges(self) -> np.ndarray:
-        """Edge start, edge end and the two particles opposite, shape (hinges, 4)."""
+        """Edge start, edge end and the two opposite particles, shape (hinges, 4)."""
         return hinges(self.triangles)
 
     @cached_property
     def rank(self) -> np.ndarray:
-        """Place of each particle in an order that keeps neighbours near, shape (particles,)."""
+        """Position of each particle in Cuthill-McKee order, shape (particles,)."""
         return cuthill_mckee(self.edges, len(self.positions))
 
 
 def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
     """
-    Return a flat rectangle with its corner at the origin; diagonals alternate.
+    Return a flat rectangular grid with its corner at the origin and alternating diagonals.
 
     Parameters
     ----------
     size : extent along warp (x) and weft (y) [m]
     resolution : particles along warp and weft, each at least 1
 
-    Each cell gives a quarter of its area to each of its corners, so that the rim has half the mass
-    of the inside and a hanging strip stretches exactly as the continuum does
+    Each cell gives a quarter of its area to each of its corners, so that particles on the boundary
+    have half the mass of interior ones and a hanging strip stretches exactly as the continuum does
     (doc/numerics.md 5.12).
 
     """
@@ -89,17 +90,17 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
 
 
 def grid_spacing(size: tuple[float, float], resolution: tuple[int, int]) -> tuple[float, float]:
-    """Return the distance of neighbours along warp and weft [m]; of a single one the extent."""
+    """Return the distance of neighbours along warp and weft [m]; the extent if there are none."""
     return tuple(s / (n - 1) if n > 1 else s for s, n in zip(size, resolution))
 
 
 def is_square(spacing: tuple[float, float]) -> bool:
-    """Tell whether the sides of a cell are the same, within a thousandth."""
+    """Return True if the sides of a cell are equal within the relative tolerance SQUARE."""
     return abs(spacing[0] - spacing[1]) <= SQUARE * max(spacing)
 
 
 def _share(count: int, spacing: float) -> np.ndarray:
-    """Return the length that belongs to each point of a row: half a spacing at the ends."""
+    """Return the tributary length of each point of a row [m]: half a spacing at the ends."""
     share = np.full(count, spacing)
     if count > 1:
         share[[0, -1]] = 0.5 * spacing
@@ -107,16 +108,17 @@ def _share(count: int, spacing: float) -> np.ndarray:
 
 
 def edges(pairs: np.ndarray) -> np.ndarray:
-    """Return each pair of particles once, in rising order, shape (edges, 2)."""
+    """Return unique pairs of particles, indices in rising order, shape (edges, 2)."""
     return np.unique(np.sort(pairs, axis=1), axis=0)
 
 
 def cuthill_mckee(edges: np.ndarray, count: int) -> np.ndarray:
     """
-    Return the place of each particle in the order of Cuthill and McKee (1969), shape (count,).
+    Return the position of each particle in the order of Cuthill and McKee (1969), shape (count,).
 
-    From a particle with the fewest neighbours outward, those with fewer first. Written out because
-    the order decides the bits of a run: scipy's sorts by a method that depends on the CPU.
+    The order is breadth first from a particle of least degree, neighbours of lower degree first;
+    it places neighbours near each other. Implemented here because the order determines the bits of
+    a run: scipy's implementation sorts with an algorithm that depends on the CPU.
     """
     both = np.concatenate([edges, edges[:, ::-1]])
     degree = np.bincount(both[:, 0], minlength=count)
@@ -144,7 +146,7 @@ def cuthill_mckee(edges: np.ndarray, count: int) -> np.ndarray:
 
 def hinges(triangles: np.ndarray) -> np.ndarray:
     """
-    Return pairs of triangles that share an edge.
+    Return the hinges of a mesh: pairs of triangles that share an edge.
 
     Returns
     -------
@@ -163,7 +165,16 @@ def hinges(triangles: np.ndarray) -> np.ndarray:
 
 
 def edge_areas(triangles: np.ndarray, edges: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Return the area of the triangles at each edge, (start, end) [m²], shape (edges,)."""
+    """
+    Return the total area of the triangles at each edge [m²], shape (edges,).
+
+    Parameters
+    ----------
+    triangles : particle indices, shape (triangles, 3)
+    edges : particle indices of all edges of the triangles, shape (edges, 2)
+    positions : [m], shape (particles, 3)
+
+    """
     corners = positions[triangles]
     area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
@@ -175,7 +186,7 @@ def edge_areas(triangles: np.ndarray, edges: np.ndarray, positions: np.ndarray) 
 
 
 def length(vectors: np.ndarray) -> np.ndarray:
-    """Return Euclidean lengths along the last axis."""
+    """Return Euclidean norms along the last axis."""
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     return np.sqrt(x * x + y * y + z * z)
 

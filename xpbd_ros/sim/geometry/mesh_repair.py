@@ -1,10 +1,10 @@
 """
-Triangles and tetrahedra as people have them, to a ``Mesh``: mended where that is safe, or refused.
+Conversion of triangles and tetrahedra from a file to a ``Mesh``, with repair or refusal.
 
-Mended and said: vertices that coincide, duplicate and collapsed cells, vertices that no cell uses,
-cells that are turned over. Refused with the number of the cell (counted from 0, as in the file):
-numbers that are not finite, cells without an area or volume to speak of, edges with three
-triangles. No test depends on the unit of length.
+Repaired, with a note: coincident vertices, duplicate and collapsed cells, unused vertices,
+inverted cells. Refused, with the index of the cell in the file (from 0): non-finite coordinates,
+degenerate cells, edges with three triangles, faces with three tetrahedra. All tolerances are
+relative to the mesh, independent of the unit of length.
 """
 
 import numpy as np
@@ -13,21 +13,21 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 
 FLAT = 1e-4
-"""height over longest edge of a triangle (volume over cubed edge), below which it is refused"""
+"""height over longest edge of a triangle (6 volume over cubed edge), below which it is refused"""
 NEEDLE = 0.02
-"""the same, below which it is said"""
+"""the same ratio, below which the mesh gets a note"""
 
 
 def surface_mesh(vertices: np.ndarray, triangles: np.ndarray,
                  warp: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Mesh:
     """
-    Return the mesh of a cloth.
+    Return the mesh of a cloth, repaired.
 
     Parameters
     ----------
     vertices : [m], shape (vertices, 3)
     triangles : vertex indices, shape (triangles, 3)
-    warp : direction of the warp, of any length
+    warp : direction of the warp, of any length > 0
 
     """
     positions, triangles, notes = _clean(vertices, triangles, 'triangle')
@@ -42,13 +42,13 @@ def surface_mesh(vertices: np.ndarray, triangles: np.ndarray,
 def solid_mesh(vertices: np.ndarray, tetrahedra: np.ndarray,
                warp: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> Mesh:
     """
-    Return the mesh of a body; its triangles are its skin.
+    Return the mesh of a solid body, repaired; its triangles are its boundary.
 
     Parameters
     ----------
     vertices : [m], shape (vertices, 3)
     tetrahedra : vertex indices, shape (tetrahedra, 4)
-    warp : direction of the warp, of any length
+    warp : direction of the warp, of any length > 0
 
     """
     positions, tetrahedra, notes = _clean(vertices, tetrahedra, 'tetrahedron')
@@ -70,7 +70,16 @@ def solid_mesh(vertices: np.ndarray, tetrahedra: np.ndarray,
 
 
 def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return positions and cells without what is double, collapsed or unused; and what was."""
+    """
+    Return positions and cells without duplicate, collapsed and unused parts, and notes on these.
+
+    Parameters
+    ----------
+    vertices : [m], shape (vertices, 3)
+    cells : vertex indices, shape (cells, corners)
+    kind : 'triangle' or 'tetrahedron', for messages
+
+    """
     notes = []
     vertices, cells = np.asarray(vertices, float), np.array(cells, np.int64)
     if not len(cells):
@@ -89,7 +98,7 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
     if merged:
         notes.append(f'{_count(merged, "vertex")} at the place of another; merged')
     cells = number[cells]
-    which = np.arange(len(cells))    # their numbers in the file
+    which = np.arange(len(cells))    # indices in the file
     ordered = np.sort(cells, axis=1)
     collapsed = (ordered[:, 1:] == ordered[:, :-1]).any(1)
     if collapsed.any():
@@ -114,20 +123,20 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
         cells = number[cells]
         notes.append('particles are numbered without what is left out')
     positions = vertices[used]
-    notes += _judge_shapes(positions, cells, which, kind)
+    notes += _check_shapes(positions, cells, which, kind)
     return positions, cells, notes
 
 
 def _merge(place: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return for each vertex the first used one at its place, and how many that merges."""
+    """Return the first used vertex at the position of each one, and the number of duplicates."""
     _, first, inverse = np.unique(place[used], axis=0, return_index=True, return_inverse=True)
     number = np.arange(len(place))
     number[used] = used[first[inverse.ravel()]]
     return number, len(used) - len(first)
 
 
-def _judge_shapes(positions, cells, which, kind: str) -> list[str]:
-    """Refuse cells that are flat, and tell of needles; scale-free."""
+def _check_shapes(positions, cells, which, kind: str) -> list[str]:
+    """Raise InputError for degenerate cells; return notes on thin ones (FLAT, NEEDLE)."""
     positions = positions / _size(positions)
     corners = cells.shape[1]
     longest = np.max([length(positions[cells[:, a]] - positions[cells[:, b]])
@@ -148,7 +157,7 @@ def _judge_shapes(positions, cells, which, kind: str) -> list[str]:
 
 
 def _refuse_shared_thrice(facets: np.ndarray, facet: str, kind: str) -> None:
-    """Refuse an edge with three triangles, or a face with three tetrahedra."""
+    """Raise InputError if an edge has three triangles, or a face three tetrahedra."""
     ends = np.sort(facets.reshape(-1, facets.shape[2]), axis=1)
     found, times = np.unique(ends, axis=0, return_counts=True)
     bad = found[times > 2]
@@ -161,11 +170,11 @@ def _refuse_shared_thrice(facets: np.ndarray, facet: str, kind: str) -> None:
 
 def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """
-    Turn triangles so that neighbours agree, and closed surfaces so that they face outward.
+    Orient neighbouring triangles consistently, and closed surfaces outward.
 
     Returns
     -------
-    triangles, and what there is to say
+    triangles, and notes on the changes
 
     """
     directed = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
@@ -174,12 +183,12 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     order = np.lexsort((owner, key[:, 1], key[:, 0]))
     at = np.flatnonzero((key[order][:-1] == key[order][1:]).all(1))
     one, other = order[at], order[at + 1]
-    against = (directed[one] == directed[other]).all(1)    # both run the same way: one is wrong
+    against = (directed[one] == directed[other]).all(1)    # same direction: opposite orientation
     neighbours = [[] for _ in triangles]
     for s, t, disagree in zip(owner[one].tolist(), owner[other].tolist(), against.tolist()):
         neighbours[s].append((t, disagree))
         neighbours[t].append((s, disagree))
-    turned, piece, twisted = _spread(neighbours)
+    turned, piece, twisted = _propagate_orientation(neighbours)
     pieces = piece.max() + 1
     wrong = np.bincount(piece, turned, pieces) * 2.0 > np.bincount(piece, minlength=pieces)
     turned = (turned ^ wrong[piece]) & (not twisted)
@@ -202,8 +211,19 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     return triangles, notes
 
 
-def _spread(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Walk from triangle to triangle; return which to turn, their pieces, and if that failed."""
+def _propagate_orientation(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
+    """
+    Propagate the orientation of a first triangle over each connected piece.
+
+    Parameters
+    ----------
+    neighbours : for each triangle, a list of (neighbour, True if oriented oppositely)
+
+    Returns
+    -------
+    triangles to flip; piece of each triangle; True if a piece has no consistent orientation
+
+    """
     count = len(neighbours)
     turned, piece, twisted, pieces = [False] * count, [-1] * count, False, 0
     for root in range(count):
@@ -224,7 +244,7 @@ def _spread(neighbours: list) -> tuple[np.ndarray, np.ndarray, bool]:
 
 
 def _size(positions) -> float:
-    """Return about the extent [m], a power of two: what is divided by it stays exact and small."""
+    """Return the extent rounded down to a power of two [m]: division by it is exact."""
     extent = np.ptp(positions, axis=0).max()
     if not np.isfinite(extent):
         raise InputError('must have a finite extent (got one beyond all numbers)')
@@ -232,7 +252,7 @@ def _size(positions) -> float:
 
 
 def _normals(positions, triangles) -> np.ndarray:
-    """Return normals as long as twice the area."""
+    """Return normals whose length is twice the area, shape (triangles, 3)."""
     a, b, c = (positions[triangles[:, k]] for k in range(3))
     return cross(b - a, c - a)
 
@@ -243,7 +263,7 @@ def _volumes(positions, tetrahedra) -> np.ndarray:
 
 
 def _tributary(share, cells, count: int) -> np.ndarray:
-    """Return what each particle gets of its cells."""
+    """Return the sum of ``share`` over the cells of each particle, shape (count,)."""
     return np.bincount(cells.ravel(), np.repeat(share, cells.shape[1]), count)
 
 

@@ -1,7 +1,7 @@
 """
-Unit quaternions (x, y, z, w) as plain floats; IEEE operations alone, so same bits anywhere.
+Unit quaternions (x, y, z, w) as floats, with IEEE operations only: same bits on all platforms.
 
-``turns`` are only told to people: they take an arc tangent, and nothing moves by them.
+The exception is ``turns``, which needs an arc tangent and is used for output only.
 """
 
 from math import sqrt
@@ -11,9 +11,9 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 
 SHORT = 0.125
-"""largest component of a turn that goes by its series [rad]"""
+"""largest component of a rotation vector whose exponential is evaluated by its series [rad]"""
 TERMS = 12
-"""of the series: what is left out is below the last bit"""
+"""number of terms of the series; the truncation error is below the last bit"""
 
 
 @jit(inline=True)
@@ -29,7 +29,7 @@ def rotate(qx, qy, qz, qw, x, y, z):
 
 @jit
 def interpolate(p, q, s):
-    """Return the orientation a fraction s of the short way from p to q (normalised lerp)."""
+    """Return the orientation at fraction s of the shorter arc from p to q (normalised lerp)."""
     sign = 1.0 if p[0] * q[0] + p[1] * q[1] + p[2] * q[2] + p[3] * q[3] >= 0.0 else -1.0
     x = p[0] + s * (sign * q[0] - p[0])
     y = p[1] + s * (sign * q[1] - p[1])
@@ -40,7 +40,7 @@ def interpolate(p, q, s):
 
 
 def from_z_axis(normal) -> tuple[float, float, float, float]:
-    """Return the shortest rotation that takes z to a direction (not zero, of any length)."""
+    """Return the shortest rotation from the z axis to a direction (nonzero, of any length)."""
     largest = max(abs(c) for c in normal)
     x, y, z = (c / largest for c in normal)
     n = sqrt(x * x + y * y + z * z)
@@ -53,7 +53,7 @@ def from_z_axis(normal) -> tuple[float, float, float, float]:
 
 
 def multiply(a, b) -> tuple[float, float, float, float]:
-    """Return the rotation b followed by a."""
+    """Return the product a b: rotation by b, then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (aw * bx + ax * bw + ay * bz - az * by,
@@ -63,7 +63,7 @@ def multiply(a, b) -> tuple[float, float, float, float]:
 
 
 def turns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the rotations from a to b, the shorter way, as axis times angle [rad]; rows."""
+    """Return rotation vectors of the shorter rotations from a to b [rad], shape (n, 3)."""
     x, y, z, w = multiply(b.T, conjugate(a.T))
     sine = np.sqrt(x * x + y * y + z * z)
     angle = 2.0 * np.arctan2(sine, np.abs(w)) * np.where(w >= 0.0, 1.0, -1.0)
@@ -72,7 +72,7 @@ def turns(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 product = jit(multiply, inline=True)
-"""for kernels"""
+"""``multiply`` for kernels"""
 
 
 @jit(inline=True)
@@ -83,10 +83,10 @@ def _cross(a, b):
 @jit
 def flow(w, v):
     """
-    Return the rotation q and shift t by which r' = w × r + v takes r to q r + t in unit time.
+    Return the rotation q and translation t such that r' = w × r + v takes r to q r + t in time 1.
 
-    The exponential of a twist: by its series for a part of the time that is short enough, which
-    is then doubled.
+    Exponential map of a twist by scaling and squaring: the series over a time step of 2⁻ⁿ, in
+    which no component of w exceeds SHORT, then n doublings.
     """
     doublings, size = 0, max(abs(w[0]), abs(w[1]), abs(w[2]))
     while size > SHORT:

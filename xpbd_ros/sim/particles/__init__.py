@@ -1,5 +1,5 @@
 """
 Particle state: arrays by slot, their memory layout, time integration and its multistep history.
 
-It imports ``backend``. It knows neither constraints nor effects.
+It imports ``backend`` only; constraints and effects build on it.
 """

@@ -1,8 +1,8 @@
 """
-Accumulators: where methods that move all particles at once add up the moves.
+Displacement accumulators of the methods that move all particles at once (Jacobi, explicit).
 
-They read the positions x as they are, so the moves of a pass are added up elsewhere and applied
-together.
+Constraints read the positions x and add their displacements to an accumulator; the sum is applied
+after the pass.
 """
 
 from typing import NamedTuple
@@ -11,20 +11,20 @@ import numpy as np
 
 
 class Jacobi(NamedTuple):
-    """All constraints move from the same positions."""
+    """Accumulator of a Jacobi pass: all constraints are projected from the same positions."""
 
     move: np.ndarray
-    """sum of the moves of a pass [m], shape (3, slots)"""
+    """sum of the displacements of a pass [m], shape (3, slots)"""
     records: np.ndarray
-    """the same as records, for constraints of meshes; shape (slots, 4)"""
+    """sum of the displacements of mesh constraints [m], as records, shape (slots, 4)"""
     per_relaxation: np.ndarray
     """1 / ω, shape (1,)"""
 
 
 class Explicit(NamedTuple):
-    """Constraints exert the force that they have at x."""
+    """Accumulator of an explicit pass: constraints exert their force F at x."""
 
     move: np.ndarray
-    """H² F / m [m], shape (3, slots)"""
+    """sum of H² F / m [m], shape (3, slots)"""
     records: np.ndarray
-    """the same as records, for constraints of meshes; shape (slots, 4)"""
+    """sum of H² F / m of mesh constraints [m], as records, shape (slots, 4)"""

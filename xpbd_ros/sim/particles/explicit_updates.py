@@ -1,7 +1,7 @@
 """
-Updates of methods that add up moves: Jacobi's sum, and the leapfrog of the explicit method.
+Particle updates from accumulated displacements: the Jacobi sum, and the explicit leapfrog.
 
-The leapfrog keeps velocities half a substep from the positions (doc/numerics.md 2.3).
+The leapfrog's velocities are half a substep behind its positions (doc/numerics.md 2.3).
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -13,15 +13,15 @@ from xpbd_ros.sim.particles.state import State
 
 @jit
 def at_start(state):
-    """Return the state with the particles where the substep starts."""
+    """Return the state with x = x_prev: constraints are evaluated at the substep's start."""
     return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
                  state.gravity, state.reaction, state.history, state.apart, state.team,
                  state.gap)
 
 
 @jit(inline=True)
-def _taken(move, i):
-    """Return moves from index i on, and set them to zero."""
+def _load_and_clear(move, i):
+    """Return the vector of displacements from index i on, and set it to zero."""
     found = load(move, i)
     store(move, i, 0.0)
     return found
@@ -29,22 +29,22 @@ def _taken(move, i):
 
 @jit
 def add_moves(state):
-    """x += the moves that the constraints summed up."""
+    """x += accumulated displacements."""
     x, move, slots = state.x, state.apart.move, len(state.inv_mass)
     first, last = own(state)
     for k in range(3):
         for i in range(k * slots + first, k * slots + last, lanes(x)):
-            store(x, i, load(x, i) + _taken(move, i))
+            store(x, i, load(x, i) + _load_and_clear(move, i))
     wait(state.team)
 
 
 @jit
 def apply_leapfrog_kick(state, substep):
     """
-    v += h F / m, with the moves h² F / m that were summed up, and x as v then says.
+    v += h F / m from the accumulated h² F / m, then x = x_prev + h v.
 
-    The moves themselves, added to x, would lose what is below its last bit, and v with it. What
-    moved x since it was predicted (soft pins) is kept.
+    A sum x + h² F / m would lose the displacement's bits below the last one of x, and so would a v
+    computed from it. A displacement of x since the prediction (soft pins) is kept.
     """
     w, v, move, slots = state.inv_mass, state.v, state.apart.move, len(state.inv_mass)
     h = substep.h
@@ -55,7 +55,7 @@ def apply_leapfrog_kick(state, substep):
             i = k * slots + q
             xi, start, vi = load(state.x, i), load(state.x_prev, i), load(v, i)
             moved = xi - (start + h * vi)
-            vi = vi + _taken(move, i) * (1.0 / h)
+            vi = vi + _load_and_clear(move, i) * (1.0 / h)
             store(v, i, select(free, vi, load(v, i)))
             store(state.x, i, select(free, start + h * vi + moved, xi))
     wait(state.team)
@@ -63,14 +63,14 @@ def apply_leapfrog_kick(state, substep):
 
 @jit(inline=True)
 def stay(state, i, h):
-    """Have a particle keep its velocity in ``half_kick``."""
+    """Let the next ``half_kick`` leave the velocity of particle i unchanged."""
     for k in range(3):
         state.apart.move[k, i] = -h * h * state.gravity[k]
 
 
 @jit
 def half_kick(state, h, share):
-    """v += share h a, with the moves h² F / m that were summed up; pinned particles keep v."""
+    """v += share h (F / m + g) from the accumulated h² F / m; pinned particles keep v."""
     v, w, move, slots = state.v, state.inv_mass, state.apart.move, len(state.inv_mass)
     first, last = own(state)
     for q in range(first, last, lanes(w)):
@@ -78,6 +78,6 @@ def half_kick(state, h, share):
         for k in range(3):
             i = k * slots + q
             vi = load(v, i)
-            change = share / h * _taken(move, i) + share * h * state.gravity[k]
+            change = share / h * _load_and_clear(move, i) + share * h * state.gravity[k]
             store(v, i, select(free, vi + change, vi))
     wait(state.team)

@@ -1,25 +1,26 @@
 """
-What an integrator remembers of earlier substeps, and its formula (``state`` says where it goes).
+Multistep history of the integrators, and their formulas (applied in ``particles.integration``).
 
     backward Euler   H = h        x̄ = x_n
     BDF2             H = 2h/3     x̄ = x_n + (x_n - x_{n-1}) / 3
     NDF2             H = 3h/5     x̄ = x_n + (x_n - x_{n-1}) / 2 - (x_{n-1} - x_{n-2}) / 10
 
 NDF2 is BDF2 with a sixth of the third difference added: x' h = ∇x + ∇²x / 2 + ∇³x / 6. That halves
-the error of BDF2, -h² x''' / 3, is as stable as can be (on the whole imaginary axis), and damps
+the error of BDF2, -h² x''' / 3. It is the largest such term that is still A-stable, and it damps
 less: by (ω h)⁶ / 12 instead of (ω h)⁴ / 4 a step (L. F. Shampine, M. W. Reichelt, "The MATLAB ODE
 suite", 1997, κ₂ = -1/9; V. N. Vatsa et al., "Re-evaluation of an optimized second order backward
 difference scheme", 2010).
 
-A particle without a history takes a step of backward Euler, and then, for NDF2, one of BDF2.
+A particle without a history takes a step of backward Euler, and then, with NDF2, one of BDF2.
 
-NDF2 barely damps period-two oscillations, and a line solve at positions that such an oscillation
-predicts can feed it: edges flip for ever. So a particle takes BDF2 while
+NDF2 barely damps period-two oscillations, and a line solve that starts from positions predicted by
+such an oscillation can excite it: edges flip in every substep. A particle therefore takes BDF2
+(order reduction) while
 
     v_n · v_{n-2} < 0   and   |v_n - 2 v_{n-1} + v_{n-2}| > |v_n - v_{n-2}| > REACH gap / h,
 
-that is while its velocity turns back, less smoothly than any motion that h resolves, and by a good
-part of the distance of its neighbours in a substep.
+that is, while its velocity reverses, less smoothly than any motion that h resolves, and changes by
+more than REACH times the distance of neighbours per substep.
 """
 
 from typing import NamedTuple
@@ -32,13 +33,13 @@ from xpbd_ros.sim.backend.simd import any_lane, both, fma, larger, load, select,
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 FULL, HALF, NONE, TOUCHED = 0.0, 0.5, 1.0, 2.0
-"""values of ``fresh``"""
+"""values of ``History.fresh``"""
 REACH = 0.1
-"""amplitude of a period-two oscillation, relative to the distance of neighbours, that counts"""
+"""least amplitude of a detected period-two oscillation, relative to the distance of neighbours"""
 
 
 class History(NamedTuple):
-    """What is remembered of substeps before the last; in one from x_n, which x_prev is:"""
+    """Positions and velocities of earlier substeps, in a substep that starts at x_n = x_prev."""
 
     x: np.ndarray
     """x_{n-1} [m], shape (3, slots)"""
@@ -49,16 +50,17 @@ class History(NamedTuple):
     older_v: np.ndarray | None
     """v_{n-1} [m/s], shape (3, slots); None with BDF2"""
     fresh: np.ndarray
-    """0: has a history; 0.5: has x_{n-1} alone; 1: has none; 2: was touched in this substep, and
-    will have none; shape (slots,)"""
+    """FULL: complete; HALF: one earlier substep, or order reduction (BDF2); NONE: no history
+    (backward Euler); TOUCHED: invalidated in this substep (backward Euler, then NONE); shape
+    (slots,)"""
 
 
 STEPS = {'backward_euler': 0, 'leapfrog': 0, 'bdf2': 1, 'ndf2': 2}
-"""how many substeps each integrator remembers"""
+"""number of earlier substeps that each integrator uses"""
 
 
 def new_history(integrator: str, slots: int, dtype) -> History | None:
-    """Return room for what an integrator remembers: nothing yet."""
+    """Return an empty history, all particles NONE; None for integrators that need none."""
     steps = STEPS[integrator]
     if steps == 0:
         return None
@@ -69,16 +71,16 @@ def new_history(integrator: str, slots: int, dtype) -> History | None:
 
 @jit
 def invalidate_history(history, i):
-    """Mark a particle as touched in this substep: it ends it with backward Euler."""
+    """Mark particle i as TOUCHED: end this substep with backward Euler, begin the next as NONE."""
     if history is not None:
         history.fresh[i] = TOUCHED
 
 
 def weights(older, w, fresh, h):
     """
-    Return H, a, b of x̄ = x_n + a (x_n - x_{n-1}) - b (x_{n-1} - x_{n-2}) by ``fresh``.
+    Return H, a, b of x̄ = x_n + a (x_n - x_{n-1}) - b (x_{n-1} - x_{n-2}) for a vector ``fresh``.
 
-    ``w`` is any array of the state.
+    ``older`` is ``History.older_x`` (None with BDF2); ``w`` is any array of the state's dtype.
     """
 
 
@@ -99,14 +101,23 @@ def _weights(older, w, fresh, h):
 
 def with_order_reduction(fresh, now, last, older, gap, q, h):
     """
-    Return ``fresh`` of the particles from slot q on, at least HALF for period-two oscillations.
+    Return the vector ``fresh`` from slot q on, raised to HALF for period-two oscillations.
 
-    ``now``, ``last`` (None with BDF2) and ``older`` are velocities, shape (3, slots).
+    The array ``fresh`` is updated too.
+
+    Parameters
+    ----------
+    fresh : shape (slots,)
+    now, last, older : v_n, v_{n-1} (None with BDF2), v_{n-2} [m/s], shape (3, slots)
+    gap : distance of neighbours [m], shape (slots,)
+    q : slot
+    h : substep [s]
+
     """
 
 
 @inline(with_order_reduction)
-def _steadied(fresh, now, last, older, gap, q, h):
+def _with_order_reduction(fresh, now, last, older, gap, q, h):
     if isinstance(last, types.NoneType):
         return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
 
@@ -133,7 +144,12 @@ def _steadied(fresh, now, last, older, gap, q, h):
 
 
 def mean(now, last, older, i, a, b):
-    """Return x̄ (or v̄) of the components from i on, where x_n is ``now``."""
+    """
+    Return x̄, or v̄, as a vector of the components from i on.
+
+    ``now`` is the vector x_n; ``last`` and ``older`` are the arrays x_{n-1} and x_{n-2} (None with
+    BDF2); a and b as in ``weights``.
+    """
 
 
 @inline(mean)
@@ -148,11 +164,11 @@ def _mean(now, last, older, i, a, b):
 
 
 def rotate_history(history, x, x_prev, v):
-    """Return x, x_prev, v and the history of the next substep (``state.turned``)."""
+    """Return x, x_prev, v and history with the roles of the next substep; nothing is copied."""
 
 
 @inline(rotate_history)
-def _turned_history(history, x, x_prev, v):
+def _rotate_history(history, x, x_prev, v):
     if isinstance(history, types.NoneType):
         return lambda history, x, x_prev, v: (x_prev, x, v, None)
     if isinstance(history[history.fields.index('older_x')], types.NoneType):
@@ -165,7 +181,12 @@ def _turned_history(history, x, x_prev, v):
 
 @jit(inline=True)
 def restore_history(home, home_v, history, older_v, v, i):
-    """Write the components from i on to where they were (``state.put_back``)."""
+    """
+    Copy velocities and history from i on into the arrays that held them before the substeps.
+
+    ``home`` and ``home_v`` are the history and velocity arrays of the frame's start; ``history``,
+    ``older_v`` and ``v`` those after its last substep (see ``integration.restore_buffers``).
+    """
     now, before = load(v, i), load(history.v, i)
     if older_v is not None:
         older = load(older_v, i)
@@ -175,12 +196,12 @@ def restore_history(home, home_v, history, older_v, v, i):
     store(home.v, i, before)
 
 
-def aged(older, w, fresh):
-    """Return what ``fresh`` is in the next substep."""
+def next_history_age(older, w, fresh):
+    """Return the vector ``fresh`` of the next substep; parameters as in ``weights``."""
 
 
-@inline(aged)
-def _aged(older, w, fresh):
+@inline(next_history_age)
+def _next_history_age(older, w, fresh):
     if isinstance(older, types.NoneType):
         return lambda older, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
     return lambda older, w, fresh: select(
@@ -189,7 +210,7 @@ def _aged(older, w, fresh):
 
 @jit
 def step_of(history, w, q, h):
-    """Return H of the particles from slot q on: a vector [s]."""
+    """Return the vector H [s] of the particles from slot q on."""
     if history is None:
         return splat(w, h)
     return weights(history.older_x, w, load(history.fresh, q), h)[0]

@@ -6,7 +6,7 @@ All integrators read (doc/numerics.md 2.1; Macklin et al. 2016, algorithm 1 for 
     x = x̄ + H v,   v = v̄ + H (g + forces / m),   then projections with mobilities w H²
 
 and end with v = (x - x̄) / H. Backward Euler has H = h, x̄ = x_n, v̄ = v_n; ``particles.history``
-has the weights of the others. A particle without a history (at the start, after a contact, a
+has the formulas of the others. A particle without a history (at the start, after a contact, a
 grasp, a release or a reset) takes a backward Euler step.
 """
 
@@ -14,8 +14,8 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
 from xpbd_ros.sim.backend.threads import share, wait
 from xpbd_ros.sim.particles.history import (
-    aged,
     mean,
+    next_history_age,
     restore_history,
     rotate_history,
     TOUCHED,
@@ -27,7 +27,7 @@ from xpbd_ros.sim.particles.state import State
 
 @jit(inline=True)
 def own(state):
-    """Return the first of this thread's slots, and the one after its last."""
+    """Return the range of slots (first, last + 1) that this thread updates."""
     count = lanes(state.inv_mass)
     first, last = share(state.team, len(state.inv_mass) // count)
     return first * count, last * count
@@ -36,9 +36,9 @@ def own(state):
 @jit(inline=True)
 def turned(state):
     """
-    Return the state of the next substep, before it begins: what was now is before.
+    Return the state of the next substep with its buffers rotated: x becomes x_prev, and so on.
 
-    The arrays trade places; what was oldest makes room for what comes.
+    The oldest arrays are reused for the new values; nothing is copied.
     """
     x, x_prev, v, history = rotate_history(state.history, state.x, state.x_prev, state.v)
     return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
@@ -47,7 +47,7 @@ def turned(state):
 
 @jit
 def begin(state, substep):
-    """v = v̄ + H g;  x = x̄ + H v;  mobility = w H²; the state is ``turned``."""
+    """v = v̄ + H g;  x = x̄ + H v;  mobility = w H²; after ``turned``."""
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
         _begin(state, state.history, q, substep.h)
@@ -57,10 +57,10 @@ def begin(state, substep):
 @jit
 def predict(state, substep):
     """
-    x = x̄ + H v, where forces changed v since the substep began; what they touched has no history.
+    x = x̄ + H v, after forces changed v; x = x_n + h v where they invalidated the history.
 
-    A force moves x by less than the last bit of it in a short substep. Added to x that would be
-    lost, and to v with it, which is made to fit x in the end.
+    In a short substep a force moves x by less than its last bit. A displacement added to x would
+    be lost to rounding, and the change of v with it, since v is recomputed from x at the end.
     """
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
@@ -70,7 +70,7 @@ def predict(state, substep):
 
 @jit
 def update_velocity(state, substep):
-    """v = (x - x̄) / H; what was touched has no history."""
+    """v = (x - x̄) / H; v = (x - x_n) / h for pinned and touched particles."""
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
         _update_velocity(state, state.history, q, substep.h)
@@ -79,7 +79,7 @@ def update_velocity(state, substep):
 
 @jit
 def update_velocity_and_begin(state, substep):
-    """End a substep and begin the next, in one pass over memory."""
+    """Apply ``update_velocity``, ``turned`` and ``begin`` in one pass over memory."""
     after = turned(state)
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
@@ -164,11 +164,11 @@ def _mean_velocity(now, older_v, oldest, i, a, b):
 @jit(inline=True)
 def velocity(v, now, start, step, per_step):
     """
-    Return v after a step of H that was predicted to end at start + H v and ends at ``now``.
+    Return v + (now - (start + H v)) / H: the velocity after a step of H from ``start`` to ``now``.
 
-    It is what differences of positions say but for rounding: the last bit of x, divided by H, is a
-    part of what gravity adds to v in a short step that adds up, in float32 or far from the origin.
-    So it goes on from the predicted v, which has all its bits.
+    It is (now - start) / H up to rounding. The rounding error of x divided by H is a considerable
+    part of the velocity that gravity adds in a short step, and accumulates, in float32 or far from
+    the origin. A correction of the predicted v keeps the bits of v. ``per_step`` is 1 / H.
     """
     return v + (now - (start + step * v)) * per_step
 
@@ -195,8 +195,8 @@ def _update_euler(state, q, h):
 def _update_multistep(state, history, older_x, q, h):
     v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
     fresh = load(history.fresh, q)
-    store(history.fresh, q, aged(older_x, w, fresh))
-    fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # what is pinned goes as its pin does
+    store(history.fresh, q, next_history_age(older_x, w, fresh))
+    fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # pinned: v = (x - x_n) / h
     as_predicted = fresh < TOUCHED
     step, a, b = weights(older_x, w, fresh, h)
     per_step = 1.0 / step
@@ -209,7 +209,7 @@ def _update_multistep(state, history, older_x, q, h):
 
 @jit
 def write_starts(state, target, h):
-    """Write x̄ of all particles, shape (3, slots)."""
+    """Write x̄ of all particles to ``target`` [m], shape (3, slots)."""
     for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
         _write_start(state, state.history, target, q, h)
 
@@ -234,17 +234,17 @@ def _write_mean(state, history, older_x, target, q, h):
 
 @jit
 def restore_buffers(home, state):
-    """Write what ``turned`` moved to where it was."""
+    """Copy a frame's final state into the arrays of ``home``, which ``turned`` has exchanged."""
     slots = len(state.inv_mass)
     first, last = own(state)
     for q in range(first, last, lanes(state.inv_mass)):
         for k in range(3):
-            _put_back(home, home.history, state, state.history, k * slots + q)
+            _restore_buffers(home, home.history, state, state.history, k * slots + q)
     wait(state.team)
 
 
 @jit(inline=True)
-def _put_back(home, home_history, state, history, i):
+def _restore_buffers(home, home_history, state, history, i):
     x, x_prev = load(state.x, i), load(state.x_prev, i)
     if history is not None:
         restore_history(home_history, home.v, history, history.older_v, state.v, i)

@@ -1,18 +1,19 @@
 """
-Where particles lie in memory: rows of a grid, each split by its columns; or any order.
+Memory layout of particles: grid rows split into interleaved parts, mesh particles by rank.
 
-Split into four, a row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … | 3 7 11
-…: parts of the same length, one after another. Constraints of the same shape, four columns apart,
-then touch neighbouring places in memory and no particle twice: a vector of them is loaded,
-projected and stored without a gather. Parts are padded to whole vectors, since a load that
-overlaps half of a recent store has to wait for it, and a row is split into as many parts as leaves
-the least padding; it takes an odd number of cache lines, so that columns do not crowd into a few
-sets of the cache; and a grid has at least as many rows as a vector has lanes, for the lines that
-run along them. The particles of a mesh lie in the order of their ranks, padded to
-whole vectors at the end. Padding has neither mass nor mobility, so nothing moves it.
+Split into four parts, a row of columns 0 1 2 3 4 5 … is stored as 0 4 8 … | 1 5 9 … | 2 6 10 … |
+3 7 11 …. Constraints of the same shape, four columns apart, then occupy consecutive memory and
+share no particle: a vector of them is loaded, projected and stored without a gather.
 
-A load waits for a store that is under way to the same place of another page. So arrays made one
-after another begin at different places in their pages, and so do x, y and z of one array.
+Parts have equal length and are padded to whole vectors, since a load that overlaps half of a
+recent store has to wait for it. The number of parts is the one with the least padding. A row takes
+an odd number of cache lines, so that a column spreads over the sets of the cache. A grid has at
+least as many rows as a vector has lanes, since the line solver takes one row per lane. Mesh
+particles are stored by rank (Cuthill-McKee order, see ``geometry.mesh``), padded to whole vectors
+at the end. Padding has zero mass and mobility, so it never moves.
+
+A load waits for a pending store to the same offset in another page (4K aliasing). Arrays allocated
+one after another therefore begin at different page offsets, and so do x, y and z of one array.
 """
 
 from dataclasses import dataclass
@@ -23,67 +24,67 @@ import numpy as np
 from xpbd_ros.sim.backend.simd import lane_count
 
 PARTS = range(4, 13)
-"""of a row; the widest constraint (a hinge across an edge) spans three columns"""
+"""numbers of parts of a row; the widest constraint (a hinge across an edge) spans three columns"""
 LINE = 64
 """bytes of a cache line, and of the widest vector"""
 PAGE = 4096
-"""bytes of a page of memory"""
+"""bytes of a memory page"""
 NEXT = 7 * LINE
-"""bytes from where one array begins in its page to where the next does: nine share no place"""
+"""bytes between the page offsets of successive arrays; nine of them have distinct offsets"""
 APART = 4 * LINE
-"""bytes, at least, from a place in a page that x takes to the next one that y takes"""
+"""least distance of the page offsets of x, y and z of one array [bytes]"""
 _MADE = count()
 
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Where one grid lies among all slots."""
+    """Slots of one grid."""
 
     rows: int
     columns: int
     first: int
     """slot of row 0, column 0"""
     parts: int
-    """into how many a row is split"""
+    """number of parts of a row"""
     part: int
     """slots of one part of a row"""
     short: bool
-    """whether a part is no more than a cache line"""
+    """True if a part fits into a cache line"""
     row_stride: int
     """slots from one row to the next"""
     rows_stored: int
-    """rows, padding included"""
+    """number of rows, padding included"""
 
     @property
     def size(self) -> int:
-        """Slots of the whole grid."""
+        """Number of slots, padding included."""
         return self.rows_stored * self.row_stride
 
     def slot(self, row, column):
-        """Return the slot of a particle, or of arrays of them."""
+        """Return the slots of particles by row and column, integers or arrays."""
         return (self.first + row * self.row_stride + column % self.parts * self.part
                 + column // self.parts)
 
     @property
     def slots(self) -> np.ndarray:
-        """All slots, shape (rows, columns)."""
+        """Slots of all particles, shape (rows, columns)."""
         return self.slot(np.arange(self.rows)[:, None], np.arange(self.columns))
 
 
 @dataclass(frozen=True, eq=False)
 class Span:
-    """Where one mesh lies among all slots."""
+    """Slots of one mesh."""
 
     first: int
     """slot of the particle of rank 0"""
     rank: np.ndarray
-    """place of each particle in memory, in natural order; shape (particles,)"""
+    """position in memory of each particle in natural order, shape (particles,)"""
     size: int
     """slots, padding included"""
 
     @property
     def slots(self) -> np.ndarray:
-        """All slots in natural order, shape (particles,)."""
+        """Slots of all particles in natural order, shape (particles,)."""
         return self.first + self.rank
 
 
@@ -93,12 +94,13 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
 
     Parameters
     ----------
-    shapes : rows and columns of a grid, or the ranks of a mesh's particles
-    dtype : of all numbers
+    shapes : (rows, columns) of a grid, or the ranks of a mesh's particles, shape (particles,)
+    dtype : of the state's arrays
 
     Returns
     -------
-    a block or span for each, and the slots of all, with room to load a vector past the end
+    a block or span for each, and the total number of slots, which allows to load a vector past the
+    last particle
 
     """
     lanes = lane_count(dtype)
@@ -118,20 +120,20 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
 
 
 def _off_page(slots: int, dtype) -> int:
-    """Return at least so many slots, not close to whole pages."""
+    """Return the slot count, increased until rows x, y, z are APART from equal page offsets."""
     per_page = PAGE // np.dtype(dtype).itemsize
     apart = APART // np.dtype(dtype).itemsize
-    over = (slots + apart) % per_page    # from the last place that is too close
+    over = (slots + apart) % per_page    # distance from the last offset that is too close
     return slots + max(2 * apart - over, 0)
 
 
 def _parts(columns: int, dtype) -> int:
-    """Return the fewest parts of whole cache lines with the least padding, whatever the lanes."""
+    """Return the smallest number of parts with the least padding, whatever the vector width."""
     return min(PARTS, key=lambda parts: parts * _round_up(-(-columns // parts), _per_line(dtype)))
 
 
 def _odd(slots: int, dtype) -> int:
-    """Return at least so many slots, an odd number of cache lines."""
+    """Return the slot count rounded up to an odd number of cache lines."""
     return (-(-slots // _per_line(dtype)) | 1) * _per_line(dtype)
 
 
@@ -145,9 +147,9 @@ def _round_up(number: int, unit: int) -> int:
 
 def zeros(shape, dtype) -> np.ndarray:
     """
-    Return zeros that begin on a cache line, so that no vector of a row straddles two.
+    Return zeros aligned to a cache line, so that no vector of a row straddles two.
 
-    Arrays made one after another begin at different places in their pages.
+    Arrays allocated one after another begin at different page offsets.
     """
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     room = np.zeros(size + PAGE, np.uint8)

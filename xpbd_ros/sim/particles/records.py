@@ -1,9 +1,9 @@
 """
-Particles as records x y z m: what a constraint on any mesh loads and stores by index.
+Particles as records (x, y, z, mobility), which mesh constraints load and store by index.
 
-A particle scattered over four arrays costs four gathers; a record is one short load, and as many
-of them as a vector has lanes are transposed in registers into vectors of x, y, z and m, four by
-four of them: any other order takes a processor twice the shuffles.
+A particle scattered over four arrays costs four gathers; a record is one short load. As many
+records as a vector has lanes are transposed in registers into vectors x, y, z, m, in blocks of
+four by four: any other order takes twice the shuffles.
 """
 
 from numba import types
@@ -22,12 +22,24 @@ from xpbd_ros.sim.particles.memory_layout import zeros
 
 
 def new_records(slots: int, dtype) -> np.ndarray:
-    """Return records for all slots, shape (slots, 4)."""
+    """Return zeroed records for all slots, shape (slots, 4)."""
     return zeros((slots, _FIELDS), dtype)
 
 
 def put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
-    """Move by step d from x, y, z; where moves are added up, add them to those."""
+    """
+    Store x + step dx of a vector of particles, or add step dx to the accumulator.
+
+    Parameters
+    ----------
+    records : shape (slots, 4)
+    apart : accumulator (``particles.accumulators``) or None
+    index, start : the particles are index[start:start + lanes]
+    x, y, z, m : vectors of their positions [m] and mobilities [m/N]
+    step : multiplier step
+    dx, dy, dz : vectors of displacement per unit of step
+
+    """
 
 
 @inline(put_records)
@@ -47,11 +59,11 @@ def _put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
 
 @jit
 def to_records(state, records, first, last):
-    """Copy positions and mobilities of the slots from first to last, or a few more."""
+    """Copy positions and mobilities of the slots first:last, rounded up to whole vectors."""
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
     for i in range(first, last, lanes(m)):
         store_row(records, i, load(x, i), load(y, i), load(z, i), load(m, i))
-    _zero(state.apart, first, last + lanes(m))    # as many as ``_back`` adds
+    _zero(state.apart, first, last + lanes(m))    # covers the whole vectors of ``_back``
 
 
 @jit
@@ -62,13 +74,13 @@ def _zero(apart, first, last):    # Numba prunes a branch on None where that is 
 
 @jit
 def to_positions(state, records, first, last):
-    """Copy positions back, whatever the method."""
+    """Copy positions from records to x, with any method."""
     _back(state, None, records, first, last)
 
 
 @jit
 def from_records(state, records, first, last):
-    """Copy positions back, or add the moves to those of the other constraints."""
+    """Copy positions from records to x, or add accumulated displacements to ``apart.move``."""
     _back(state, state.apart, records, first, last)
 
 

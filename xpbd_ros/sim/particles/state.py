@@ -1,4 +1,4 @@
-"""Particle state: arrays of all particles by slot, and what their solver needs besides."""
+"""Particle state: arrays of all particles by slot, and the storage of integrator and solver."""
 
 from typing import NamedTuple
 
@@ -30,19 +30,19 @@ class State(NamedTuple):
     """[m/s²], shape (3,)"""
     reaction: np.ndarray | None
     """constraint force on each pinned particle, mean over the frame [N], shape (3, slots);
-    None in a scene without pins"""
+    None if forces are not requested"""
     history: History | None
-    """None with backward Euler"""
+    """None with backward Euler and leapfrog"""
     apart: Jacobi | Explicit | None
-    """where constraints add up their moves; None where each moves its particles at once"""
+    """displacement accumulator; None with Gauss-Seidel methods"""
     team: ThreadTeam | None = None
-    """None where one thread does it all"""
+    """None with one thread"""
     gap: np.ndarray | None = None
-    """distance of neighbours [m], shape (slots,); None unless the integrator needs it"""
+    """distance of neighbours [m], shape (slots,); None unless the integrator is NDF2"""
 
 
 class Substep(NamedTuple):
-    """One substep: its length and its place in the frame."""
+    """Length of a substep and its position in the frame."""
 
     h: float
     """[s]"""
@@ -61,11 +61,11 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
     ----------
     x : positions [m], shape (particles, 3)
     mass : [kg], shape (particles,), > 0
-    gravity : [m/s²], 3 numbers
-    slot : where each particle goes, shape (particles,)
-    slots : how many there are
-    pins : whether forces on pinned particles will be asked for
-    dtype : of all numbers
+    gravity : [m/s²], shape (3,)
+    slot : slot of each particle, shape (particles,)
+    slots : number of slots
+    pins : True to allocate ``reaction``, the forces on pinned particles
+    dtype : of all arrays
 
     """
     def vectors():
@@ -87,15 +87,15 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
 def with_solver_storage(state: State, *, integrator: str, apart: type | None, constraints,
               gap=np.inf) -> State:
     """
-    Return the same particles, with what their solver needs besides.
+    Return the state with the storage of an integrator (history) and a method (accumulator).
 
     Parameters
     ----------
-    state : of ``new_state``
-    integrator : says what is remembered of earlier substeps
-    apart : Jacobi or Explicit, where moves are added up
-    constraints : particles of all constraints, a list of (constraints, particles of one)
-    gap : distance of neighbours [m], at each slot or everywhere
+    state : from ``new_state``
+    integrator : key of ``history.STEPS``
+    apart : Jacobi, Explicit or None: type of the accumulator
+    constraints : slots of all constraints, arrays of shape (constraints, particles of each)
+    gap : distance of neighbours [m], shape (slots,) or a scalar
 
     """
     slots, dtype = state.x.shape[1], state.x.dtype
@@ -114,9 +114,10 @@ def with_solver_storage(state: State, *, integrator: str, apart: type | None, co
 
 def _most_constraints(constraints, there: np.ndarray) -> float:
     """
-    Return the most constraints at a particle.
+    Return the largest number n of constraints at a particle.
 
-    With J M Jᵀ + α = A, x A x ≤ most · Σ x² diag(A), so Jacobi with ω = 1 / most never overshoots.
+    With A = J W Jᵀ + α̃ (W: inverse masses), xᵀ A x ≤ n Σ xᵢ² Aᵢᵢ, so Jacobi with ω = 1 / n never
+    overshoots.
     """
     count = np.zeros(len(there))
     for particles in constraints:
@@ -125,13 +126,23 @@ def _most_constraints(constraints, there: np.ndarray) -> float:
 
 
 def places(array: np.ndarray, slots=slice(None)) -> np.ndarray:
-    """Return rows x, y, z of some slots, in float64; shape (slots, 3)."""
+    """Return vectors of an array (3, slots) for some slots as float64, shape (slots, 3)."""
     return array[:, slots].T.astype(float)
 
 
 @jit
 def gather(x, v, inv_mass, slots, natural_x, natural_v, natural_inv_mass):
-    """Write some slots, one after another, in float64: x and v of shape (slots, 3)."""
+    """
+    Write the state of some slots in float64.
+
+    Parameters
+    ----------
+    x, v, inv_mass : arrays of the state
+    slots : shape (n,)
+    natural_x, natural_v : output, shape (n, 3)
+    natural_inv_mass : output, shape (n,)
+
+    """
     for i in range(len(slots)):
         slot = slots[i]
         for k in range(3):
@@ -141,7 +152,7 @@ def gather(x, v, inv_mass, slots, natural_x, natural_v, natural_inv_mass):
 
 
 def history_arrays(state: State) -> list[np.ndarray]:
-    """Return what the next substep starts from besides x and v; each of shape (3, slots)."""
+    """Return the arrays besides x and v that determine the next substep, each (3, slots)."""
     if state.history is None:
         return []
     last = [state.x_prev, state.history.v]
@@ -151,7 +162,7 @@ def history_arrays(state: State) -> list[np.ndarray]:
 
 
 def forget(state: State, particles=slice(None)) -> None:
-    """Clear the history of particles: their next substep is one of backward Euler."""
+    """Clear the history of particles: their next substep is a backward Euler step."""
     if state.history is not None:
         state.history.fresh[particles] = NONE
 

@@ -1,6 +1,7 @@
 """
-Contact of cloth with cloth: neighbour lists, narrow phase, pair contacts with friction, and the
-bound that lets nothing pass through.
+Contact of cloth with cloth: neighbour list, narrow phase, pair contacts with friction, and the
+motion limit that prevents passing through.
 
-It imports ``contact`` and what is below, since what colliders and cloth push must agree.
+It imports ``contact`` and the subpackages below it: projections of pair contacts and of contacts
+with colliders alternate.
 """

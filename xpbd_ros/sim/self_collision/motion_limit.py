@@ -1,12 +1,13 @@
 """
-Holding back: what is left where pushes between cloths and those of colliders do not agree.
+Motion limit: the last resort where projections of pair contacts and colliders do not converge.
 
-A plane parts the sides of each pair where the substep starts, and what still crosses goes only its
-share of the way up to its planes (A. Chen et al., "Offset geometric contact", 2025, bound the way
-itself); then what that gets in the way of. The planes move as what the pairs rest on, colliders
-and pins, so that no collider is passed either. It takes momentum.
+At the substep's start a plane separates the two sides of each pair. Particles of pairs that would
+still cross move only the fraction of their displacement that keeps them behind their planes
+(A. Chen et al., "Offset geometric contact", 2025, bound the displacement itself); so do particles
+that these then obstruct. The planes move with the common displacement of the colliders and pins on
+which the pairs rest, so that no particle passes a collider either. Momentum is not conserved.
 
-What pins and colliders still force through one another is counted.
+Pairs that pins and colliders still force through each other are counted.
 """
 
 import numpy as np
@@ -19,12 +20,13 @@ from xpbd_ros.sim.self_collision.neighbour_list import gone
 from xpbd_ros.sim.self_collision.separating_planes import parts
 
 ALONE, PINNED, BESIDE, PUSHED = range(4)
-"""what a held particle moves with, by rank: itself, a pin, a collider near it, one that pushes"""
+"""source of held particles' common displacement, by rank: themselves, a pin, a collider nearby, a
+collider that pushes"""
 
 
 @jit
 def mark(planes, near, state):
-    """Mark the particles of all pairs that do not part; return how many that are more."""
+    """Set ``held`` for the particles of all pairs that cross; return how many are new."""
     more = 0
     if planes is not None:
         for m in range(planes.count[0]):
@@ -38,8 +40,13 @@ def mark(planes, near, state):
 
 
 @jit
-def share_out(planes, near, state):
-    """Find how much of its way each particle may go, as seen from what moves by ``step``."""
+def compute_shares(planes, near, state):
+    """
+    Compute ``share``: the fraction of its displacement relative to ``step`` a particle may make.
+
+    The separating plane of each pair is midway between its sides at the substep's start, moved as
+    far as pinned particles require.
+    """
     start, step, slot, n, x, w = (near.x, near.step, near.slot, planes.normal, state.x,
                                   state.inv_mass)
     planes.share[:] = 1.0
@@ -56,7 +63,7 @@ def share_out(planes, near, state):
                 below = max(below, at)
         clear = 0.51 * planes.need[m]
         plane = 0.5 * (above + below)
-        for turn in range(2):    # what is pinned goes its way, and the plane makes room for it
+        for turn in range(2):    # first move the plane for pinned particles, then limit the others
             for p in range(4):
                 i = number[p]
                 j, at, go = slot[i], 0.0, 0.0
@@ -77,8 +84,8 @@ def share_out(planes, near, state):
 
 @jit
 def hold_back(planes, near, state):
-    """Let what is marked go only its share of the way; then what that gets in the way of."""
-    share_out(planes, near, state)
+    """Limit the displacement of held particles, and then of those that they obstruct."""
+    compute_shares(planes, near, state)
     for i in range(len(near.slot)):
         if planes.stays[near.slot[i]]:
             planes.share[i] = 0.0
@@ -94,7 +101,7 @@ def hold_back(planes, near, state):
 
 @jit
 def go_share(near, state, i, share):
-    """Let a particle go only a share of its way, and no further than it was sought for."""
+    """Limit a particle's displacement relative to ``step`` to a share of it, and to ``travel``."""
     j = near.slot[i]
     moved = gone(state.x, near.x, near.step, j, i)
     if moved > near.travel[i]:
@@ -110,7 +117,12 @@ def go_share(near, state, i, share):
 
 @jit
 def rest_step(near, held, contacts, state, substep):
-    """Find how far what is held moves with what pushes it, or else is near, pins, or by itself."""
+    """
+    Set ``near.step`` to the mean displacement in this substep of what held particles rest on.
+
+    That is, of the highest rank present: colliders that push them, colliders nearby, pinned
+    particles among them, or the held particles themselves.
+    """
     step, rank, count, x = near.step, ALONE, 0, state.x
     step[:] = 0.0
     for i in range(len(near.slot)):
@@ -130,7 +142,7 @@ def rest_step(near, held, contacts, state, substep):
 
 @jit(inline=True)
 def add_to_step(step, rank, count, one, way):
-    """Add what ranks as high as what came before; begin again with what ranks higher."""
+    """Add a displacement of rank ``one`` to the sum of the highest rank; return rank and count."""
     if one > rank:
         rank, count = one, 0
         step[:] = 0.0
@@ -143,7 +155,7 @@ def add_to_step(step, rank, count, one, way):
 
 @jit
 def mark_penetrating(contacts, marks, state):
-    """Mark the particles that are behind a collider."""
+    """Set ``marks`` for the particles that penetrate a collider, shape (slots,)."""
     if contacts is not None:
         for k in range(contacts.count[0]):
             if is_penetrating(contacts, k, state):
@@ -152,16 +164,16 @@ def mark_penetrating(contacts, marks, state):
 
 @jit
 def left_over(planes, near, contacts, state):
-    """Count pairs and particles that what is pinned and colliders leave no room for."""
+    """Return the number of pairs that cross and of contacts that penetrate."""
     count = 0
     for m in range(planes.count[0]):
         count += not parts(planes, m, near, state.x)
-    return count + behind(contacts, state)
+    return count + count_collider_penetrations(contacts, state)
 
 
 @jit
-def behind(contacts, state):
-    """Count the particles that are behind a collider."""
+def count_collider_penetrations(contacts, state):
+    """Return the number of contacts that penetrate a collider."""
     if contacts is None:
         return 0
     else:    # Numba prunes the branch that is not taken

@@ -1,11 +1,11 @@
 """
-Nearby: pairs of particles, or of triangles and edges, that can get close before the next search.
+Neighbour list (Verlet list): pairs of particles, or of triangles and edges, that may come close.
 
-Sought at positions y, listed if nearer than thickness + margin. Later, with U the way that all
-have gone together and s_i = |x_i - y_i - U|, a pair is no nearer than its distance then less its
-two largest s; so while s ≤ margin / 2 everywhere, what is not listed is further than the
-thickness. Pairs come in rising order, particles counted in natural order, so that neither the
-cells nor the layout in memory decide about bits.
+A pair is listed if it is closer than thickness + margin at the positions y of the build. Later,
+with the common displacement U and s_i = |x_i - y_i - U|, its distance has decreased by at most the
+sum of its two largest s; so while s ≤ margin / 2 for all particles, pairs that are not listed are
+further apart than the thickness. Pairs are in rising order of particles in natural order, so that
+neither hash cells nor memory layout affect the bits.
 """
 
 from math import sqrt
@@ -18,79 +18,90 @@ from xpbd_ros.sim.geometry.closest_points import dot, minus, on_edges, on_triang
 from xpbd_ros.sim.self_collision.spatial_hash import Cells, fill, in_order, look_up, new_cells
 
 REST_SHARE = 0.5
-"""of the distance at rest: nearer than that, cloth touches what it is joined to"""
+"""largest distance to be kept, relative to a pair's distance at rest"""
 POINTS, TRIANGLES, EDGES = range(3)
-"""a pair of particles, of a particle and a triangle, of two edges"""
+"""kinds of pairs: two particles, particle and triangle, two edges"""
 CELL = 0.5
-"""size of a cell, over that of the longest edge with what is sought round it"""
+"""size of a hash cell, relative to the longest edge plus the search distance"""
 HALVINGS = 8
-"""of a margin that finds more pairs than there is room for"""
+"""most halvings of a margin that yields more pairs than the capacity"""
 
 
 class Surface(NamedTuple):
-    """What particles span, all cloths together; particles in natural order."""
+    """Triangles and edges of all cloths; particles in natural order."""
 
     triangles: np.ndarray
     """shape (triangles, 3)"""
     edges: np.ndarray
     """shape (edges, 2)"""
     outer: np.ndarray
-    """whether a particle is a corner of any, shape (particles,)"""
+    """True if a particle is a corner of a triangle, shape (particles,)"""
     middle: np.ndarray
-    """of the edges [m], shape (edges, 3)"""
+    """midpoints of the edges [m], shape (edges, 3)"""
     cells: Cells
-    """of the middles"""
+    """spatial hash of the midpoints"""
 
 
 class NeighbourList(NamedTuple):
-    """The list, and what it was made from; particles in natural order."""
+    """The list, the positions of its build, and motion since; particles in natural order."""
 
     slot: np.ndarray
-    """where each particle lies, shape (particles,)"""
+    """slot of each particle, shape (particles,)"""
     cloth: np.ndarray
     """index of each particle's cloth, shape (particles,)"""
     rest: np.ndarray
-    """unstressed positions [m], shape (particles, 3)"""
+    """rest positions [m], shape (particles, 3)"""
     reach: float
-    """margin that saves searching again, as far as that is worth it [m]"""
+    """largest margin, unless two substeps' motion needs more [m]"""
     x: np.ndarray
-    """where the substep starts [m], shape (particles, 3)"""
+    """positions at the substep's start [m], shape (particles, 3)"""
     seen: np.ndarray
-    """y: where particles were when pairs were sought [m], shape (particles, 3)"""
+    """y: positions at the build [m], shape (particles, 3)"""
     drift: np.ndarray
-    """U: the way that all have gone together since [m], shape (3,)"""
+    """U: common displacement since the build [m], shape (3,)"""
     step: np.ndarray
-    """the same of this substep: of what is pinned, or of all; [m], shape (3,)"""
+    """common displacement in this substep: mean of the pinned particles, or of all without pinned
+    ones [m], shape (3,)"""
     drift_since_build: np.ndarray
     """s at the substep's start [m], shape (particles,)"""
     travel: np.ndarray
-    """how far each may get from x + step in this substep [m], shape (particles,)"""
+    """bound of each particle's distance from x + step in this substep [m], shape (particles,)"""
     margin: np.ndarray
-    """[m]; 0: not sought; shape (1,)"""
+    """[m]; 0: the list is not built; shape (1,)"""
     count: np.ndarray
-    """of this frame: searches; pairs that found no room; particles held back; particles and pairs
-    for which that was not enough; shape (4,)"""
+    """in this frame: builds; pairs beyond the capacity; particles held back; particles and pairs
+    that penetrate nevertheless; shape (4,)"""
     kind_end: np.ndarray
-    """where each kind's pairs end, shape (3,)"""
+    """end of the pairs of each kind in the list, shape (3,)"""
     first: np.ndarray
-    """particle or edge, shape (room,)"""
+    """particle or edge, shape (capacity,)"""
     second: np.ndarray
-    """particle, triangle or edge, shape (room,)"""
+    """particle, triangle or edge, shape (capacity,)"""
     distance: np.ndarray
-    """when they were sought [m], shape (room,)"""
+    """distance at the build [m], shape (capacity,)"""
     keep: np.ndarray
-    """distance to be kept [m], -1 while not known; shape (room,)"""
+    """distance to be kept [m], -1: not computed yet; shape (capacity,)"""
     cells: Cells
-    """of the particles"""
+    """spatial hash of the particles"""
     surface: Surface | None
-    """None where only particles are looked at"""
+    """None if only particles collide"""
     kin: np.ndarray | None
-    """the same number for particles that are sewn together, shape (particles,); None: none are"""
+    """weld group: equal for particles that a seam joins, shape (particles,); None without seams"""
 
 
 def new_neighbour_list(cloths, room: int, surface: bool,
                        kin: np.ndarray | None = None) -> NeighbourList:
-    """Return room for that many pairs of particles, or of what they span."""
+    """
+    Return an empty list.
+
+    Parameters
+    ----------
+    cloths : all cloths
+    room : capacity in pairs
+    surface : True for pairs of triangles and edges, False for pairs of particles
+    kin : weld groups, shape (particles,), or None
+
+    """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
     count, span = len(rest), None
     edges = [cloth.mesh.edges + cloth.first for cloth in cloths]
@@ -120,8 +131,8 @@ def at(x, i):
 
 
 @jit(inline=True)
-def same(kin, a, b):
-    """Tell whether two particles are one, or sewn together."""
+def are_welded(kin, a, b):
+    """Return True if two particles are the same or in one weld group."""
     if kin is None:
         return a == b
     else:    # Numba prunes the branch that is not taken
@@ -130,7 +141,7 @@ def same(kin, a, b):
 
 @jit(inline=True)
 def corners(surface, kind, a, b):
-    """Return the particles of a pair, those of the one side first; a pair of particles has two."""
+    """Return the four particles of a pair, one side first; (a, b, b, b) for two particles."""
     if surface is None:
         return a, b, b, b
     else:    # Numba prunes the branch that is not taken
@@ -142,7 +153,7 @@ def corners(surface, kind, a, b):
 
 @jit
 def weights(kind, p, q, r, s):
-    """Return the weights of a pair's particles whose sum is the way between its closest points."""
+    """Return weights b of a pair's particles: Σ b x is the vector between the closest points."""
     if kind == POINTS:
         return 1.0, -1.0, 0.0, 0.0
     if kind == TRIANGLES:
@@ -153,23 +164,23 @@ def weights(kind, p, q, r, s):
 
 
 @jit(inline=True)
-def way(kind, x, i, j, k, l):
-    """Return the vector between a pair's closest points, and the weights that make it."""
+def closest_vector(kind, x, i, j, k, l):
+    """Return the vector between a pair's closest points [m] and its weights; x: (particles, 3)."""
     return between(kind, at(x, i), at(x, j), at(x, k), at(x, l))
 
 
 @jit(inline=True)
-def way_now(kind, x, i, j, k, l):
-    """Return the same of particles in these slots; x of shape (3, slots)."""
+def closest_vector_of_slots(kind, x, i, j, k, l):
+    """Return the same for particles by slot; x: positions [m], shape (3, slots)."""
     return between(kind, (x[0, i], x[1, i], x[2, i]), (x[0, j], x[1, j], x[2, j]),
                    (x[0, k], x[1, k], x[2, k]), (x[0, l], x[1, l], x[2, l]))
 
 
 @jit(inline=True)
 def between(kind, p, q, r, s):
-    """Return the vector between the closest points of a pair in these places, and the weights."""
+    """Return the vector between the closest points of a pair at these points, and its weights."""
     b = weights(kind, p, q, r, s)
-    # differences first, so that a place far from the origin costs no digits
+    # differences first: no loss of digits far from the origin
     q, r, s = minus(q, p), minus(r, p), minus(s, p)
     return (b[1] * q[0] + b[2] * r[0] + b[3] * s[0], b[1] * q[1] + b[2] * r[1] + b[3] * s[1],
             b[1] * q[2] + b[2] * r[2] + b[3] * s[2]), b
@@ -183,7 +194,7 @@ def length(v):
 
 @jit
 def common_step(near, state):
-    """Note where the substep starts, and how far what is pinned moves in it; or else all."""
+    """Store the positions at the substep's start and the common displacement in the substep."""
     before, x, n = state.x_prev, state.x, len(near.slot)
     held = 0
     near.step[:] = 0.0
@@ -203,14 +214,26 @@ def common_step(near, state):
 
 @jit
 def track_motion(near, x, slack):
-    """Note how far each may get, apart from what all do; return the most, and a side's most."""
+    """
+    Update the bounds of the particles' motion, ``travel`` and ``drift_since_build``.
+
+    Parameters
+    ----------
+    x : predicted positions [m], shape (3, slots)
+    slack : least motion that projections are assumed to add [m]
+
+    Returns
+    -------
+    largest travel; largest sum of travel and s
+
+    """
     most, side = 0.0, 0.0
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.travel[i] = moved + max(moved, slack)
         near.drift_since_build[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
-                                  near.x[i, 1] - near.seen[i, 1] - near.drift[1],
-                                  near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
+                                            near.x[i, 1] - near.seen[i, 1] - near.drift[1],
+                                            near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
         most = max(most, near.travel[i])
         side = max(side, near.travel[i] + near.drift_since_build[i])
     return most, side
@@ -218,14 +241,14 @@ def track_motion(near, x, slack):
 
 @jit(inline=True)
 def gone(x, start, step, j, i):
-    """Return how far a particle has moved in this substep, apart from what all have [m]."""
+    """Return |x_j - start_i - step|: a particle's motion relative to the common one [m]."""
     return length((x[0, j] - start[i, 0] - step[0], x[1, j] - start[i, 1] - step[1],
                    x[2, j] - start[i, 2] - step[2]))
 
 
 @jit
 def seek(near, thickness, left):
-    """Rebuild the list of all pairs; ``left`` is how many substeps the list should last."""
+    """Build the list, with a margin for ``left`` substeps of the present motion."""
     top = 0.0
     for i in range(len(near.slot)):
         top = max(top, near.travel[i])
@@ -250,9 +273,9 @@ def seek(near, thickness, left):
 @jit
 def list_pairs(near, surface, thickness, margin, to_the_end):
     """
-    List what is nearer than thickness + margin; return how many found no room.
+    List the pairs closer than thickness + margin; return the number beyond the capacity.
 
-    Unless it is to go on ``to_the_end``, that is where the first finds none.
+    Unless ``to_the_end``, the search ends at the first pair beyond the capacity.
     """
     if surface is None:
         return list_particles(near, thickness, margin, to_the_end)
@@ -261,8 +284,8 @@ def list_pairs(near, surface, thickness, margin, to_the_end):
 
 
 @jit(inline=True)
-def put(near, end, first, second, distance, keep):
-    """Write a pair where there is room; return the end of the list."""
+def append_pair(near, end, first, second, distance, keep):
+    """Append a pair if the capacity allows; return the new end of the list."""
     if end < len(near.first):
         near.first[end], near.second[end] = first, second
         near.distance[end], near.keep[end] = distance, keep
@@ -270,8 +293,8 @@ def put(near, end, first, second, distance, keep):
 
 
 @jit
-def closed(near, end, kind):
-    """End the list of a kind; return how many found no room."""
+def end_kind(near, end, kind):
+    """Store the end of a kind's pairs; return the number of pairs beyond the capacity."""
     room = len(near.first)
     for k in range(kind, 3):
         near.kind_end[k] = min(end, room)
@@ -280,7 +303,7 @@ def closed(near, end, kind):
 
 @jit
 def list_particles(near, thickness, margin, to_the_end):
-    """List pairs of particles."""
+    """List pairs of particles (see ``list_pairs``)."""
     x, size, end = near.x, thickness + margin, 0
     fill(near.cells, x, size)
     for i in range(len(x)):
@@ -291,30 +314,34 @@ def list_particles(near, thickness, margin, to_the_end):
         found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, size, low, high, i + 1)):
             j = found[f]
-            if length(minus(at(x, i), at(x, j))) < size and not same(near.kin, i, j):
+            if length(minus(at(x, i), at(x, j))) < size and not are_welded(near.kin, i, j):
                 found[close] = j
                 close += 1
         in_order(found, close)
         for f in range(close):
             j = found[f]
-            keep = kept(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
+            keep = required_distance(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
             distance = length(minus(at(x, i), at(x, j)))
             if distance < keep + margin:
-                end = put(near, end, i, j, distance, keep)
-    return closed(near, end, POINTS)
+                end = append_pair(near, end, i, j, distance, keep)
+    return end_kind(near, end, POINTS)
 
 
 @jit
-def kept(cloth, rest, kind, thickness, i, j, k, l):
-    """Return the distance that a pair has to keep: not more than a share of that at rest."""
+def required_distance(cloth, rest, kind, thickness, i, j, k, l):
+    """
+    Return the distance that a pair has to keep [m].
+
+    It is the thickness, and within a cloth at most REST_SHARE of the pair's distance at rest.
+    """
     if cloth[i] != cloth[l]:
         return thickness
-    return min(thickness, REST_SHARE * length(way(kind, rest, i, j, k, l)[0]))
+    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)[0]))
 
 
 @jit
 def list_surface(near, surface, thickness, margin, to_the_end):
-    """List pairs of particle and triangle, then of edges; none that share a particle."""
+    """List pairs of particle and triangle, then of edges, that share no particle or weld group."""
     x, size, longest = near.x, thickness + margin, 0.0
     edges, triangles, middle = surface.edges, surface.triangles, surface.middle
     for e in range(len(edges)):
@@ -338,16 +365,16 @@ def list_surface(near, surface, thickness, margin, to_the_end):
         found, close = near.cells.found, 0
         for f in range(look_up(near.cells, x, cell, low, high, 0)):
             v = found[f]
-            if (surface.outer[v] and not (same(near.kin, v, i) or same(near.kin, v, j)
-                                          or same(near.kin, v, k))
-                    and length(way(TRIANGLES, x, v, i, j, k)[0]) < size):
+            if (surface.outer[v] and not (are_welded(near.kin, v, i) or are_welded(near.kin, v, j)
+                                          or are_welded(near.kin, v, k))
+                    and length(closest_vector(TRIANGLES, x, v, i, j, k)[0]) < size):
                 found[close] = v
                 close += 1
         in_order(found, close)
         for f in range(close):
-            distance = length(way(TRIANGLES, x, found[f], i, j, k)[0])
-            end = put(near, end, found[f], t, distance, -1.0)
-    closed(near, end, TRIANGLES)
+            distance = length(closest_vector(TRIANGLES, x, found[f], i, j, k)[0])
+            end = append_pair(near, end, found[f], t, distance, -1.0)
+    end_kind(near, end, TRIANGLES)
     near.kind_end[POINTS] = 0
     for e in range(len(edges)):
         if end > len(near.first) and not to_the_end:
@@ -361,24 +388,24 @@ def list_surface(near, surface, thickness, margin, to_the_end):
             other = found[f]
             k, l = edges[other, 0], edges[other, 1]
             if apart(p, q, at(x, k), at(x, l), size) or (
-                    same(near.kin, i, k) or same(near.kin, i, l)
-                    or same(near.kin, j, k) or same(near.kin, j, l)):
+                    are_welded(near.kin, i, k) or are_welded(near.kin, i, l)
+                    or are_welded(near.kin, j, k) or are_welded(near.kin, j, l)):
                 continue
-            if length(way(EDGES, x, i, j, k, l)[0]) < size:
+            if length(closest_vector(EDGES, x, i, j, k, l)[0]) < size:
                 found[close] = other
                 close += 1
         in_order(found, close)
         for f in range(close):
             other = found[f]
             k, l = edges[other, 0], edges[other, 1]
-            distance = length(way(EDGES, x, i, j, k, l)[0])
-            end = put(near, end, e, other, distance, -1.0)
-    return closed(near, end, EDGES)
+            distance = length(closest_vector(EDGES, x, i, j, k, l)[0])
+            end = append_pair(near, end, e, other, distance, -1.0)
+    return end_kind(near, end, EDGES)
 
 
 @jit(inline=True)
 def apart(p, q, r, s, size):
-    """Tell whether the boxes round two edges are further apart than this along an axis."""
+    """Return True if the bounding boxes of the edges pq and rs are further apart than ``size``."""
     return (max(p[0], q[0]) + size < min(r[0], s[0]) or max(r[0], s[0]) + size < min(p[0], q[0])
             or max(p[1], q[1]) + size < min(r[1], s[1]) or max(r[1], s[1]) + size < min(p[1], q[1])
             or max(p[2], q[2]) + size < min(r[2], s[2])

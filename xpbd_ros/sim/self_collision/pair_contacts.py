@@ -1,12 +1,13 @@
 """
-Touches: two points of cloths, each a mean of particles, that must keep a gap along a normal.
+Pair contacts: two points of cloths, weighted means of particles, that keep a gap along a normal.
 
 C = n · Σ b x - r ≥ 0, with weights b > 0 on one side and b < 0 on the other, ∇C = b n; then
-Coulomb's law for what moves across n (as ``effects.friction``, with W = Σ w b²):
+Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with W = Σ w b²):
 
     Δd = max(-C, -d),   d += Δd,   x += w b n Δd / W        (d ≥ 0: the push so far, never a pull)
 
-What undoes an old overlap must not become velocity: that part is taken back at the substep's end.
+Depenetration of an earlier overlap must not become velocity: that part is removed from v at the
+substep's end.
 """
 
 from typing import NamedTuple
@@ -19,49 +20,49 @@ from xpbd_ros.sim.particles.history import invalidate_history
 
 
 class PairFriction(NamedTuple):
-    """What only friction needs."""
+    """Friction data of pair contacts."""
 
     cloth: np.ndarray
     """index of each particle's cloth, shape (slots,)"""
     kinetic: np.ndarray
-    """μ_k by cloth and cloth, shape (cloths, cloths)"""
+    """μ_k of each pair of cloths, shape (cloths, cloths)"""
     static: np.ndarray
-    """μ_s likewise"""
+    """μ_s of each pair of cloths, shape (cloths, cloths)"""
     slip: np.ndarray
-    """s, friction's displacement so far in this substep [m], shape (room, 3)"""
+    """displacement s by friction, accumulated in this substep [m], shape (capacity, 3)"""
 
 
 class PairContacts(NamedTuple):
-    """The pairs that may touch in this substep; those with a push > 0 do."""
+    """The pairs that may touch in this substep; those with push > 0 are in contact."""
 
     count: np.ndarray
-    """how many, and how many found no room in this frame; shape (2,)"""
+    """number of pairs; of pairs beyond the capacity in this frame; shape (2,)"""
     particles: np.ndarray
-    """slots, those of the one side first; shape (room, particles of a pair)"""
+    """slots, one side first, shape (capacity, particles of a pair)"""
     weight: np.ndarray
-    """b, same shape"""
+    """b, shape (capacity, particles of a pair)"""
     normal: np.ndarray
-    """n, fixed through the substep, shape (room, 3)"""
+    """n, constant in the substep, shape (capacity, 3)"""
     gap: np.ndarray
-    """r, the distance to be kept [m], shape (room,)"""
+    """r, the distance to be kept [m], shape (capacity,)"""
     overlap: np.ndarray
-    """part of the push that must not become velocity [m], shape (room,)"""
+    """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
-    """d, so far in this substep [m], shape (room,)"""
+    """d, accumulated in this substep [m], shape (capacity,)"""
     rubbing: PairFriction | None
     """None in a scene without friction"""
 
 
 def new_pair_contacts(room: int, particles: int) -> PairContacts:
-    """Return room for that many pairs of that many particles, none of them in use."""
+    """Return an empty list with the capacity of ``room`` pairs of so many particles."""
     return PairContacts(np.zeros(2, np.int64), np.zeros((room, particles), np.int64),
-                   np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
-                   np.zeros(room), np.zeros(room), None)
+                        np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
+                        np.zeros(room), np.zeros(room), None)
 
 
 @jit(inline=True)
 def mobility_of(touches, k, state):
-    """Return W = Σ w b²."""
+    """Return W = Σ w b² of pair k [1/kg]."""
     total = 0.0
     for p in range(touches.particles.shape[1]):
         total += state.inv_mass[touches.particles[k, p]] * touches.weight[k, p]**2
@@ -70,7 +71,7 @@ def mobility_of(touches, k, state):
 
 @jit
 def push_apart(touches, state):
-    """Push each pair that is too near apart along its normal."""
+    """Project C ≥ 0 of all pairs once, by the formulas of the module."""
     x, n = state.x, touches.normal
     for k in range(touches.count[0]):
         distance = 0.0
@@ -95,7 +96,7 @@ def push_apart(touches, state):
 
 @jit
 def rub(rubbing, touches, state):
-    """Take back motion across the normals, within the cone |s| ≤ μ d."""
+    """Oppose motion perpendicular to the normals, within the friction cone |s| ≤ μ d."""
     if rubbing is not None:
         x, before, n, s = state.x, state.x_prev, touches.normal, rubbing.slip
         last = touches.particles.shape[1] - 1
@@ -128,7 +129,7 @@ def rub(rubbing, touches, state):
 
 @jit
 def remove_depenetration_velocity(touches, state, substep):
-    """Take back the velocity that came from undoing an old overlap."""
+    """Remove the normal velocity that results from depenetration of earlier overlaps."""
     v, n = state.v, touches.normal
     for k in range(touches.count[0]):
         still = min(touches.overlap[k], touches.push[k]) / substep.h
@@ -152,7 +153,7 @@ def remove_depenetration_velocity(touches, state, substep):
 
 @jit
 def press(touches, state, substep):
-    """Forces on pinned particles: b (n d + s) / (W h²)."""
+    """Add the forces on pinned particles, b (n d + s) / (W h²), to the mean over the frame."""
     part = (substep.end - substep.begin) / substep.h**2
     for k in range(touches.count[0]):
         if touches.push[k] == 0.0:
@@ -169,7 +170,7 @@ def press(touches, state, substep):
 
 @jit(inline=True)
 def slip_of(rubbing, k, a):
-    """Return friction's displacement of a pair along an axis."""
+    """Return component a of the displacement by friction of pair k [m]; 0 without friction."""
     if rubbing is None:
         return 0.0
     else:    # Numba prunes the branch that is not taken

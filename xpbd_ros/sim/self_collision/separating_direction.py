@@ -1,15 +1,15 @@
 """
-Parting: a direction along which the two sides of a pair lie apart through a whole substep.
+Search for a direction that separates the two sides of a pair throughout a substep.
 
-A side is a particle, an edge or a triangle. Particles go straight from where the substep starts to
-where it ends, so every vector from the one side to the other, at any time in between, is a mean of
-the vectors p between their particles at the start and at the end. If n · p > 0 for all of these,
-nothing crosses within the substep; if there is no such n, the hull of p holds the origin.
+A side is a particle, an edge or a triangle. Particles move in straight lines within a substep, so
+any vector from one side to the other, at any time in between, is a convex combination of the
+vectors p between their particles at the start and at the end. If n · p > 0 for all p, the sides do
+not cross within the substep; if there is no such n, the convex hull of the p contains the origin.
 
-The point v of that hull nearest to the origin is found after B. Mitchell, V. Demyanov,
-V. Malozemov, "Finding the point of a polyhedron closest to the origin", 1974: v is a mean of the
-p; weight goes from the p furthest ahead along v to the one furthest back, as long as that brings v
-nearer.
+The point v of the hull closest to the origin is found by the algorithm of B. Mitchell,
+V. Demyanov, V. Malozemov, "Finding the point of a polyhedron closest to the origin", 1974: v is a
+convex combination of the p, and each step shifts weight from the p with the largest v · p to the
+one with the smallest, as far as that shortens v.
 """
 
 from math import inf, sqrt
@@ -18,26 +18,26 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.geometry.closest_points import dot, minus
 
 STEPS = 40
-"""at most; what they do not part counts as crossing"""
+"""most steps of the search; a pair that is not separated by then counts as crossing"""
 
 
 @jit
 def write_vectors(points, side, number, start, slot, x):
     """
-    Write the vectors between a pair's sides, at the substep's start and then at its end [m].
+    Write the vectors p between a pair's sides, at the substep's start and then at its end [m].
 
     Parameters
     ----------
-    points : room for them, shape (8, 3)
-    side : how many particles are on the one side
-    number : of its particles in natural order, those of that side first, shape (4,)
-    start : where particles were, in natural order [m], shape (particles, 3)
-    slot : where each particle lies, shape (particles,)
-    x : where they are [m], shape (3, slots)
+    points : output, shape (8, 3)
+    side : number of particles on the first side
+    number : the pair's particles in natural order, the first side first, shape (4,)
+    start : positions at the substep's start in natural order [m], shape (particles, 3)
+    slot : slot of each particle, shape (particles,)
+    x : positions at the substep's end [m], shape (3, slots)
 
     Returns
     -------
-    how many there are at the start; as many more are at the end
+    number of vectors at the start; as many follow for the end
 
     """
     count = side * (4 - side)
@@ -57,7 +57,7 @@ def write_vectors(points, side, number, start, slot, x):
 
 @jit(inline=True)
 def least_along(points, first, last, n):
-    """Return the smallest n · p of some vectors, and which it is of."""
+    """Return the smallest n · p of points[first:last], and its index."""
     least, which = dot(at(points, first), n), first
     for k in range(first + 1, last):
         along = dot(at(points, k), n)
@@ -69,20 +69,20 @@ def least_along(points, first, last, n):
 @jit
 def part(points, share, count, n, need):
     """
-    Return whether the sides part, and the best direction there is.
+    Return whether a direction separates a pair's sides throughout the substep, and the best one.
 
     Parameters
     ----------
-    points : of ``write_vectors``
-    share : room for their weights, shape (8,)
-    count : how many are at the start
-    n : a direction that parts the sides there by ``need``
+    points : output of ``write_vectors``
+    share : scratch for their weights, shape (8,)
+    count : number of vectors at the start
+    n : unit vector that separates the sides at the start by ``need``
     need : distance to be kept [m]
 
     Returns
     -------
-    whether the sides are that far apart along the direction at both ends; and the direction, which
-    at the start parts them by so much in any case
+    True if the sides are at least ``need`` apart along the direction at start and end; the
+    direction, which separates them by ``need`` at the start in any case
 
     """
     best, most = n, least_along(points, count, 2 * count, n)[0]
@@ -94,7 +94,7 @@ def part(points, share, count, n, need):
         v = add(v, share[k], at(points, k))
     for _ in range(STEPS):
         size = sqrt(dot(v, v))
-        if size < need:    # and the nearest point is nearer: nothing parts them
+        if size < need:    # the closest point of the hull is closer still: no direction suffices
             break
         m = v[0] / size, v[1] / size, v[2] / size
         first, k = least_along(points, 0, count, m)

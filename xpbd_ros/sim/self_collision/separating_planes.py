@@ -1,10 +1,10 @@
 """
-Planes: what parts the two sides of a near pair of surfaces, so that neither gets past the other.
+Separating planes between the two sides of close pairs, so that surfaces do not pass through.
 
-What matters is how a pair's sides move against each other: they must be apart along one direction
-where the substep starts and where it ends (``self_collision.separating_direction``); then nothing
-crosses in between, and cloth that falls or is carried as a whole is not held. A pair that does not
-part is pushed apart along the direction that asks for least, which keeps momentum.
+Only the relative motion of a pair's sides matters: if one direction separates them at the
+substep's start and end (``self_collision.separating_direction``), they do not cross in between;
+cloth that falls or is carried as a whole is not restrained. A pair without such a direction is
+pushed apart along the best direction found, which conserves momentum.
 """
 
 from typing import NamedTuple
@@ -16,40 +16,41 @@ from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 CLEAR = 0.1
-"""of a pair's distance: what is left of it after a substep"""
+"""least distance of a pair after a substep, relative to that at its start"""
 AIM = 1.5
-"""of what is left: what pushes aim at, so that pushes in turn with colliders' come to an end"""
+"""target of pushes, relative to the required distance: more than 1, so that alternating pushes of
+pairs and colliders terminate"""
 LEAST = 0.02
-"""of the distance that a pair has to keep: nearer than that nothing is pressed"""
+"""least distance of a pair after a substep, relative to the distance to be kept"""
 
 
 class Planes(NamedTuple):
-    """The pairs that can get through one another in this substep."""
+    """The pairs that may pass through each other in this substep."""
 
     count: np.ndarray
-    """how many, shape (1,)"""
+    """number of pairs, shape (1,)"""
     side: np.ndarray
-    """how many of a pair's particles are on the one side, shape (room,)"""
+    """number of particles on a pair's first side, shape (capacity,)"""
     number: np.ndarray
-    """particles in natural order, those of that side first; shape (room, 4)"""
+    """particles in natural order, the first side first, shape (capacity, 4)"""
     normal: np.ndarray
-    """direction along which its sides part, shape (room, 3)"""
+    """direction that separates the sides, shape (capacity, 3)"""
     need: np.ndarray
-    """how far they stay apart [m], shape (room,)"""
+    """required distance along it [m], shape (capacity,)"""
     held: np.ndarray
-    """whether a particle is held back, shape (slots,)"""
+    """True if the motion of a particle is limited, shape (slots,)"""
     stays: np.ndarray
-    """whether it goes no way at all, shape (slots,)"""
+    """True if it must not move relative to the planes, shape (slots,)"""
     share: np.ndarray
-    """of its way, that a particle may go if it is; shape (particles,)"""
+    """fraction of its displacement that a held particle may make, shape (particles,)"""
     points: np.ndarray
-    """room for the vectors between a pair's sides [m], shape (8, 3)"""
+    """scratch: vectors between a pair's sides [m], shape (8, 3)"""
     shares: np.ndarray
-    """room for their weights, shape (8,)"""
+    """scratch: their weights, shape (8,)"""
 
 
 def new_planes(room: int, particles: int, slots: int) -> Planes:
-    """Return room for that many pairs, and none of them."""
+    """Return an empty list with the capacity of ``room`` pairs."""
     return Planes(np.zeros(1, np.int64), np.zeros(room, np.int64), np.zeros((room, 4), np.int64),
                   np.zeros((room, 3)), np.zeros(room), np.zeros(slots, np.bool_),
                   np.zeros(slots, np.bool_), np.zeros(particles), np.zeros((8, 3)), np.zeros(8))
@@ -57,7 +58,17 @@ def new_planes(room: int, particles: int, slots: int) -> Planes:
 
 @jit
 def add_plane(planes, side, i, j, k, l, normal, distance, keep):
-    """List a pair that can get through in this substep; normal: from where it starts."""
+    """
+    Append a pair that may pass through each other in this substep.
+
+    Parameters
+    ----------
+    side : number of particles on the first side
+    i, j, k, l : particles, the first side first
+    normal, distance : direction between the closest points at the substep's start, distance [m]
+    keep : distance to be kept [m]
+
+    """
     m = planes.count[0]
     planes.count[0] = m + 1
     planes.side[m] = side
@@ -70,7 +81,7 @@ def add_plane(planes, side, i, j, k, l, normal, distance, keep):
 
 @jit(inline=True)
 def apart_now(planes, m, near, x):
-    """Return how far a pair's sides are apart along its direction where particles are now [m]."""
+    """Return the distance of a pair's sides along its direction at the positions x [m]."""
     number, n, start, slot = planes.number, planes.normal, near.x, near.slot
     first, above, below = number[m, 0], np.inf, -np.inf
     for p in range(4):
@@ -87,7 +98,7 @@ def apart_now(planes, m, near, x):
 
 @jit
 def parts(planes, m, near, x):
-    """Tell whether a pair's sides part, if need be along another direction than before."""
+    """Return True if a direction separates a pair's sides; update the pair's direction."""
     if apart_now(planes, m, near, x) >= planes.need[m]:
         return True
     points, n = planes.points, planes.normal
@@ -99,7 +110,7 @@ def parts(planes, m, near, x):
 
 @jit
 def part_sides(planes, near, state):
-    """Push apart the sides of each pair that does not part; return how many there are."""
+    """Push apart the sides of each pair that crosses once; return the number of such pairs."""
     count = 0
     if planes is not None:
         for m in range(planes.count[0]):
@@ -115,7 +126,7 @@ def part_sides(planes, near, state):
 
 @jit
 def push_pair(planes, m, i, j, state):
-    """Push two particles of a pair's two sides apart along its direction."""
+    """Push particles i and j, on either side of pair m, to AIM need apart along its direction."""
     x, w, n = state.x, state.inv_mass, planes.normal
     total = w[i] + w[j]
     missing = AIM * planes.need[m] - (n[m, 0] * (x[0, i] - x[0, j]) + n[m, 1] * (x[1, i] - x[1, j])
