@@ -30,9 +30,9 @@ def commands_of(verb: str, log: str, scene, frames: int) -> dict:
     What else differs from the recorded run, which the study may mean to, is said.
     """
     from xpbd_ros.scene.compare import differences, told
-    recording = recording_of(verb, log).from_its_start()
+    recording = recording_of(verb, log).checked_repeatable()
     found = [one for one in differences(scene, recording.scene)
              if not one[0].startswith('solver.')]
-    for text in [*told(found), *recording.beyond(frames)]:
+    for text in [*told(found), *recording.inputs_after(frames)]:
         print(f'xpbd_ros {verb}: {recording.path}: {text}', file=sys.stderr)
     return recording.commands

@@ -52,9 +52,9 @@ def run(arguments) -> int:
     """Step through the scene and record it."""
     need_ros('run')
     from xpbd_ros.ros.diagnostics import percentile
+    from xpbd_ros.ros.error_monitor import ErrorMonitor
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
-    from xpbd_ros.ros.watch import ErrorMonitor
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
@@ -68,8 +68,8 @@ def run(arguments) -> int:
     scene = load_scene(arguments.scene, overrides)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
     if recording is not None:
-        if recording.late:
-            print(f'xpbd_ros run: {recording.late}', file=sys.stderr)
+        if recording.not_repeatable:
+            print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
             return 1
         if arguments.duration is None:
             overrides['duration'] = recording.last / scene.top.frame_rate
@@ -91,7 +91,7 @@ def run(arguments) -> int:
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
-    watch = ErrorMonitor(simulation, target=scene.top.solver.error_target,
+    monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                   most=scene.top.solver.max_substeps)
     try:
         simulation.compile()
@@ -100,9 +100,9 @@ def run(arguments) -> int:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
                 inputs = repeat.commands(index) if repeat else ()
-                frame = simulation.step([*inputs, *watch.commands()], keep=watch.due())
+                frame = simulation.step([*inputs, *monitor.commands()], keep=monitor.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
-                watch.look(1e-3 * step_ms[-1])
+                monitor.look(1e-3 * step_ms[-1])
                 refused += len(frame.refused)
                 if repeat:
                     repeat.look(frame)
@@ -113,7 +113,7 @@ def run(arguments) -> int:
                 if signals:
                     raise KeyboardInterrupt
     finally:
-        watch.close()
+        monitor.close()
         recorder.close()
     wall = time.perf_counter() - begin
     numbers = {
@@ -123,7 +123,7 @@ def run(arguments) -> int:
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
         'refused': refused,
-        'error': watch.summary(),
+        'error': monitor.summary(),
         **{name: count for name, count in simulation.stats().items() if name in GUARDS},
         'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
@@ -142,7 +142,7 @@ def run(arguments) -> int:
               f'solver   {simulation.solver.method}, {simulation.solver.integrator}, '
               f'{simulation.solver.substeps} × {simulation.solver.iterations} '
               f'({simulation.solver.reason})\n'
-              f'error    {watch}\n'
+              f'error    {monitor}\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
         for file in numbers.get('pictures', ()):

@@ -1,4 +1,4 @@
-"""Being told to end: SIGINT and SIGTERM interrupt whatever runs, once."""
+"""SIGINT and SIGTERM end the node: the first one raises KeyboardInterrupt, others are ignored."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,24 +10,24 @@ _at_once = False
 
 
 def interrupt_on_signals() -> None:
-    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM; the log has to be finished after."""
+    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM only, so that the log is closed."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, _leave)    # rclpy calls these after its own
 
 
 def ignore_signals() -> None:
-    """Let no further signal end a process that is done: Python, as it ends, gives them back."""
+    """Ignore further signals at exit, where Python restores the handlers that end the process."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
 
 
 @contextmanager
-def nothing_to_finish() -> Iterator[None]:
+def exit_at_once_on_signals() -> Iterator[None]:
     """
-    Let a signal end the process at once, with 0: there is nothing to finish yet.
+    Let a signal end the process at once, with exit code 0, where no log is open yet.
 
-    While the compiler works, an exception may come up inside its callbacks, where Python drops it
-    or leaves the compiler in pieces.
+    For compilation: an exception raised inside the compiler's callbacks is dropped by Python, or
+    leaves the compiler in an inconsistent state.
     """
     global _at_once
     _at_once = True
