@@ -106,5 +106,5 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(number, scene, tm
     process.send_signal(number)
     said, error = process.communicate(timeout=20)    # its processes hold stderr too
     assert (process.returncode, said) == (130, '')
-    assert error == ('xpbd_ros accuracy: interrupted; the same command with -o out goes on\n')
+    assert error == ('xpbd_ros accuracy: interrupted; continue with the same command and -o out\n')
     assert results.read_text().count('\n') >= 3

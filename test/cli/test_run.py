@@ -100,7 +100,7 @@ def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, t
     words = ['run', str(scene), '-o', str(tmp_path / 'again'), '--commands', str(damaged)]
     assert main(words) == 0
     assert capsys.readouterr().err == (
-        'xpbd_ros run: damaged log: the mark at its end is missing or damaged; '
+        'xpbd_ros run: damaged log: the magic bytes at its end are missing or damaged; '
         'inputs may be lost\n')
     assert main([*words[:3], str(tmp_path / 'whole'), '--commands', str(whole)]) == 0
     assert capsys.readouterr().err == ''

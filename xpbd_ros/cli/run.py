@@ -1,10 +1,11 @@
 """
-Run a scene as fast as it can, without DDS, and write the same log as the node.
+Simulate a scene as fast as possible, without DDS, and write the same log as the node.
 
-The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log,
-at the frames that they acted on, for as long as the log goes. Then the exit code is 0 where scene
-and states are those of the log, bit for bit, and else 1: another scene, other keys (--set too), a
-log that began in the midst of a run, an input that is refused.
+The motions in the scene file move pins and colliders. --commands applies the inputs of an earlier
+log instead, at the frames that they acted on, and compares the run with that log.
+
+Exit code: 0. With --commands it is 1 if the run is not bit-identical to the log: another scene,
+other keys (--set included), a log that begins in the middle of a run, or refused inputs.
 """
 
 from collections.abc import Iterator
@@ -24,32 +25,34 @@ from xpbd_ros.log.folder import fresh_folder
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
 
-GUARDS = {'frames_taken_back': 'were not finite and were taken back',
-          'explicit_redone': 'were too rough for explicit and were done again with line'}
-"""what guards count, where there is something to count"""
+GUARDS = {'frames_taken_back': 'were not finite and were rolled back',
+          'explicit_redone': 'were unstable with explicit and were computed again with line'}
+"""texts for the counters of guards, by counter"""
 LONGEST = 1e6
-"""[s]; stamps and disks end not far behind"""
+"""duration of a run, at most [s]"""
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
-    parser.add_argument('-o', '--output', metavar='RUN', help='folder of the log; must not exist')
+    parser.add_argument('-o', '--output', metavar='RUN',
+                        help='new folder for the log; default: one named by time')
     parser.add_argument('--duration', type=float, metavar='S',
-                        help="simulated seconds, instead of the scene's")
+                        help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--commands', metavar='LOG',
-                        help='apply the inputs of this log, and compare with its states')
+                        help='apply the inputs of this log (a folder or an .mcap file), and '
+                             'compare the states with its states')
     parser.add_argument('--settings', metavar='FILE',
-                        help="a file with a 'solver:' block, to override the scene's keys")
+                        help="a file with a 'solver:' block, which overrides the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     parser.add_argument('--picture', metavar='FILE',
-                        help='draw three instants of the run as a PNG; must not exist')
+                        help='draw three instants of the run to this new PNG file')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Step through the scene and record it."""
+    """Simulate, record and, with ``--commands``, compare the scene."""
     need_ros('run')
     from xpbd_ros.ros.diagnostics import percentile
     from xpbd_ros.ros.error_monitor import ErrorMonitor
@@ -165,7 +168,7 @@ def run(arguments) -> int:
 
 @contextmanager
 def signals_wait() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM, to be seen to between frames: else they cut the log short."""
+    """Collect SIGINT and SIGTERM in a list, so that the run ends between frames."""
     signals: list[int] = []
     before = {number: signal.signal(number, lambda number, _: signals.append(number))
               for number in (signal.SIGINT, signal.SIGTERM)}
@@ -177,7 +180,7 @@ def signals_wait() -> Iterator[list[int]]:
 
 
 def count_frames(scene) -> int:
-    """Return how many frames the scene's duration is, or refuse it."""
+    """Return the number of frames in the scene's duration; refuse a duration out of range."""
     duration, rate = scene.top.duration, scene.top.frame_rate
     if duration * rate < 0.5 or duration > LONGEST:
         raise InputError(f'{scene.where}: duration: must be from a frame ({1.0 / rate:.3g} s) to '
@@ -186,7 +189,7 @@ def count_frames(scene) -> int:
 
 
 def parse_keys(pairs: list[str]) -> dict:
-    """Return ``key=value`` overrides, the values read as YAML."""
+    """Return the overrides of ``--set`` by key, with values parsed as YAML."""
     from xpbd_ros.scene.load import parse_yaml
     found = {}
     for pair in pairs:

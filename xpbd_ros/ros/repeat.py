@@ -3,7 +3,7 @@
 import numpy as np
 
 from xpbd_ros.ros.logged_commands import Recording
-from xpbd_ros.scene.compare import as_text, differences, first_of, told, with_solver
+from xpbd_ros.scene.compare import as_text, difference_texts, differences, first_texts, with_solver
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Frame, Simulation
 
@@ -105,7 +105,7 @@ class Repeat:
     @property
     def problems(self) -> list[str]:
         """Differences from the recording, as texts, in the order in which a run meets them."""
-        found = told(self.differences)
+        found = difference_texts(self.differences)
         if self.first is not None:
             where = 'the start' if self.first == 0 else f'frame {self.first}'
             found.append(
@@ -118,7 +118,7 @@ class Repeat:
         elif self.missing:
             found.append(f'{self.missing} of {self.missing + self.compared} frames have no state '
                          'hash in the log and are not compared')
-        return found + first_of(self.refused, 'inputs are refused')
+        return found + first_texts(self.refused, 'inputs are refused')
 
     def numbers(self) -> dict:
         """Return the result as JSON keys."""

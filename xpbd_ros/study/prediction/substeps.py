@@ -1,16 +1,16 @@
 """
-How many substeps a setting needs.
+Predict the substeps that a solver setting needs.
 
-Two things ask for them. The edges must be as stiff as asked (``stiffness``): the error falls as
-1 / N². And BDF2 or NDF2 must follow the waves: the sweeps that they go with are within about a
-millimetre on a metre with a ``share`` of the substeps that an explicit solver would need, and an
-error of second order allows √10 fewer for each digit less (NUMERICS 5.8).
+There are two requirements. The edges must be as stiff as asked (``stiffness``): that error falls
+as 1 / N². And BDF2 or NDF2 must resolve the stretch waves: with ``substep_ratio`` times the
+substeps of an explicit solver the error is about 1e-3 of the length, and as it is of second
+order, √10 fewer substeps make it 10 times as large (NUMERICS 5.8).
 """
 
 from dataclasses import replace
 from math import ceil, inf, sqrt
 
-from xpbd_ros.scene.auto import largest_rate, share
+from xpbd_ros.scene.auto import largest_rate, substep_ratio
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.study.prediction.stiffness import Row, stiffness
@@ -18,7 +18,7 @@ from xpbd_ros.study.prediction.stiffness import Row, stiffness
 MOST = 10_000
 """the most that a scene may ask for"""
 RESOLVED = 1e-3
-"""relative error that ``share`` stands for"""
+"""relative error that ``substep_ratio`` stands for"""
 STRETCH = ('stretch', 'membrane', 'pressure')
 SWEEPS = 6
 """corrections of a first guess"""
@@ -58,7 +58,7 @@ def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
                for name, built in simulation.effects.items() if name in ('shear', 'stretch'))
     if rate == inf:
         return 1.0
-    wanted = share(solver.method, solver.integrator) * simulation.frame_dt * sqrt(rate)
+    wanted = substep_ratio(solver.method, solver.integrator) * simulation.frame_dt * sqrt(rate)
     if solver.method == 'explicit':    # stable or not
         return wanted
     return wanted * min(1.0, sqrt(RESOLVED / error))
