@@ -41,8 +41,8 @@ def add_arguments(parser):
     parser.add_argument('--duration', type=float, metavar='S',
                         help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--times', metavar='S,S,…',
-                        help='times in s at which positions are compared; default: spread over '
-                             'the time for which trajectories are predictable')
+                        help='times in s at which positions are compared; default: 1/4, 1/2 and '
+                             'the whole of the time for which trajectories are predictable')
     parser.add_argument('--methods', metavar='NAME,…',
                         help='try only these methods, such as line,gauss_seidel')
     parser.add_argument('--by', choices=('position', 'shape'),

@@ -1,8 +1,9 @@
 """
 Simulate a scene as fast as possible, without DDS, and write the same log as the node.
 
-The motions in the scene file move pins and colliders. --commands applies the inputs of an earlier
-log instead, at the frames that they acted on, and compares the run with that log.
+The motions in the scene file move pins and colliders. --commands also applies the inputs of an
+earlier log, at the frames that they acted on, and compares the run with that log, for its duration
+unless --duration is given.
 
 Exit code: 0. With --commands it is 1 if the run is not bit-identical to the log: another scene,
 other keys (--set included), a log that begins in the middle of a run, or refused inputs.

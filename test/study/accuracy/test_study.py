@@ -281,7 +281,7 @@ def test_it_says_why_trajectories_part(growth, text):
     truth = Truth('own limit', '', 1.0, 10, nothing, nothing, nothing, nothing, nothing, 1.0,
                   nothing, 0.0, 0.0, nothing, np.full(31, growth), 1.0)
     (said,) = remarks(sheet(), truth, 30, 0.1)
-    assert said.startswith('trajectories part after 1 s: ')
+    assert said.startswith('trajectories are predictable for 1 s: ')
     assert text in said
     truth.horizon = 30
     assert remarks(sheet(), truth, 30, 0.1) == []
