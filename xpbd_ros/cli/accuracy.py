@@ -89,7 +89,7 @@ def run(arguments) -> int:
         found = study(scene, frames, folder, times=times, commands=commands, methods=methods,
                       baselines=arguments.baselines, by=arguments.by, processes=jobs,
                       progress=progress)
-        return tell(arguments, found, folder, commands)
+        return finish(arguments, found, folder, commands)
     except KeyboardInterrupt:
         print(f'xpbd_ros accuracy: interrupted; continue with the same command and -o {folder}',
               file=sys.stderr)
@@ -127,7 +127,7 @@ def methods_of(names: str | None) -> tuple[str, ...]:
     return found
 
 
-def tell(arguments, found, folder: Path, commands: dict) -> int:
+def finish(arguments, found, folder: Path, commands: dict) -> int:
     """Recommend a setting, run it again, write all files and print a summary."""
     from xpbd_ros.scene.load import settings_overrides
     from xpbd_ros.study.accuracy.choose import recommend, Row

@@ -1,4 +1,4 @@
-"""What verbs share that need ROS or the inputs of a log."""
+"""Functions for verbs that need ROS or the inputs of a log."""
 
 import importlib.util
 import sys

@@ -33,7 +33,7 @@ def verdict(name: str, tested: NodeUnderTest, home: np.ndarray, told: str, *,
     name : setting, as listed
     tested : the node and what it has published
     home : positions at rest [m], shape (particles, 3)
-    told : message that the node gave the user; required
+    told : message of the node to the user; required
     frames : clouds that must have arrived
     since : number of the first cloud from which on stamps must rise
 

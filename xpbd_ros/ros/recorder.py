@@ -54,7 +54,7 @@ class Recorder:
         self._later: set[str] = set()
         """channels that were added with their first message"""
         self._counts: dict[str, int] = {}
-        self._moved_ns, self._told_ns = 0, -SECOND    # stamp less log_time, as last written; when
+        self._moved_ns, self._told_ns = 0, -SECOND    # shift of stamps as last written, when
         frame = outputs.simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)

@@ -25,7 +25,7 @@ LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps of method ``line`` over those that an explicit solver needs for all edges, by
 integrator; constraints that are in no line need all of theirs"""
 NDF2_STABLE = 0.08
-"""the same ratio, from which on NDF2 is as stable as BDF2 after a rough start"""
+"""smallest such ratio with which NDF2 is as stable as BDF2 after a violent start"""
 TAUT = 1 / 3
 """the same ratio, where colliders or wind may stretch the cloth: particles in contact take
 backward Euler, with which lines that zigzag are stable up to a strain of about 3/4 of the ratio's

@@ -23,7 +23,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.solver_setting import Setting
-from xpbd_ros.study.reference import Edges, problem_of, Slants, Sums
+from xpbd_ros.study.reference import Edges, LinearSums, problem_of, Slants
 
 SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}
 KEPT = 0.95
@@ -78,7 +78,7 @@ class Baseline:
         self._w = np.where(problem.pinned, 0.0, 1.0 / problem.mass)
         self._pinned = np.flatnonzero(problem.pinned)
         self._edges = problem.all_of(Edges) or (np.zeros((0, 2), np.int64), *np.zeros((2, 0)))
-        self._bends = problem.all_of(Sums) or (
+        self._bends = problem.all_of(LinearSums) or (
             np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0))
         self._multiplier = np.zeros(len(self._edges[0]))
         self._moment = np.zeros((len(self._bends[0]), 3))
