@@ -9,10 +9,7 @@ Exit code: 0. With --commands it is 1 if the run is not bit-identical to the log
 other keys (--set included), a log that begins in the middle of a run, or refused inputs.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-import signal
 import sys
 import time
 
@@ -59,6 +56,7 @@ def run(arguments) -> int:
     from xpbd_ros.ros.error_monitor import ErrorMonitor
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
+    from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
@@ -100,7 +98,7 @@ def run(arguments) -> int:
     try:
         simulation.compile()
         begin = time.perf_counter()
-        with signals_wait() as signals:
+        with collected_signals() as signals:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
                 inputs = repeat.commands(index) if repeat else ()
@@ -165,19 +163,6 @@ def run(arguments) -> int:
     for text in repeat.problems:
         print(f'xpbd_ros run: {recording.path}: {text}', file=sys.stderr)
     return 0 if repeat.identical else 1
-
-
-@contextmanager
-def signals_wait() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list, so that the run ends between frames."""
-    signals: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: signals.append(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def count_frames(scene) -> int:

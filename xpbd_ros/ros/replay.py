@@ -12,7 +12,6 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 import importlib
 import re
-import signal
 import time
 
 from builtin_interfaces.msg import Time
@@ -31,7 +30,7 @@ from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
 from xpbd_ros.log.replay_clock import Playhead
 from xpbd_ros.ros.logged_commands import is_input
-from xpbd_ros.ros.signals import ignore_signals
+from xpbd_ros.ros.signals import collected_signals, ignore_signals
 
 NODE = 'xpbd_ros_replay'
 CLOCK = '/clock'
@@ -83,13 +82,10 @@ def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[C
 def stop_flag() -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether SIGINT or SIGTERM came; they interrupt nothing."""
     received: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: received.append(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(received)
+        with collected_signals() as received:
+            yield lambda: bool(received)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         if received:
             ignore_signals()
 

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM end the node: the first one raises KeyboardInterrupt, others are ignored."""
+"""Handle SIGINT and SIGTERM: raise KeyboardInterrupt once, collect them, or ignore them."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +19,19 @@ def ignore_signals() -> None:
     """Ignore further signals at exit, where Python restores the handlers that end the process."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
+
+
+@contextmanager
+def collected_signals() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM in a list, so that they interrupt nothing."""
+    received: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: received.append(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

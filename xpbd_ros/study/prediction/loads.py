@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from xpbd_ros.sim.geometry.mesh import Mesh
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.numbering import natural_indices
 
 SOFT = 1e-9
 """stiffness of a spring that holds each particle, over the mean stiffness of the cloth"""
@@ -77,8 +78,7 @@ def _diagonal(blocks: np.ndarray) -> sparse.csr_matrix:
 
 def sheets(simulation: Simulation) -> list[Sheet]:
     """Return the cloths of a simulation with their constraints, linearised about rest."""
-    number = np.full(simulation.state.x.shape[1], -1)
-    number[simulation.slot] = np.arange(len(simulation.slot))
+    number = natural_indices(simulation)
     count = np.zeros(simulation.state.x.shape[1], int)
     for built in simulation.effects.values():
         if built.constraints is not None:

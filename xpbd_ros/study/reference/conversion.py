@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.reference.elements import (
     Areas,
     Edges,
@@ -48,7 +49,7 @@ def problem_of(simulation: Any) -> Problem:
     for name in simulation.effects:
         if name in NO_ENERGY:
             raise InputError(f'effects.{name}: has no energy, being {NO_ENERGY[name]}')
-    numbers = _numbers(simulation)
+    numbers = natural_indices(simulation)
     elements = []
     for name, built in simulation.effects.items():
         elements += _elements(name, built, numbers)
@@ -140,13 +141,6 @@ def _inverse(name: str, compliance: Array) -> Array:
         raise InputError(f'effects.{name}: the reference solver has no rigid constraints; '
                          'compliance must be > 0 m/N (got 0)')
     return 1.0 / compliance
-
-
-def _numbers(simulation: Any) -> Array:
-    """Return the natural index of the particle in each slot; -1 for empty slots."""
-    numbers = np.full(len(simulation.state.mass), -1)
-    numbers[simulation.slot] = np.arange(len(simulation.slot))
-    return numbers
 
 
 class _Path:

@@ -26,6 +26,7 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.particles.state import forget
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.textbook import advance, BOX, CAPSULE, Model, PLANE, SPHERE
 from xpbd_ros.study.stress.trajectory import Trajectory
@@ -276,18 +277,11 @@ class Trial:
 _BASELINES: dict = {}
 
 
-def _numbers(simulation) -> np.ndarray:
-    """Return the natural index of the particle in each slot; -1 for empty slots."""
-    found = np.full(len(simulation.state.mass), -1)
-    found[simulation.slot] = np.arange(len(simulation.slot))
-    return found
-
-
 def _particles(simulation, name: str) -> np.ndarray:
     """Return the natural indices of the particles that a pin of the scene holds at the start."""
     entry = simulation.effects['pin'].entries[name]
     cloth = simulation.effects['pin'].cloths[entry.cloth]
-    return _numbers(simulation)[cloth.at(entry.at, name)]
+    return natural_indices(simulation)[cloth.at(entry.at, name)]
 
 
 def _track(simulation, x) -> Trajectory:
@@ -329,7 +323,7 @@ def _energy_scale(simulation, elastic: float) -> float:
 
 def _model(trial: Trial, simulation) -> Model:
     """Return the particles, constraints and colliders of a case for the textbook solver."""
-    number = _numbers(simulation)
+    number = natural_indices(simulation)
     edges, rest, alpha = [], [], []
     hinges, angle, hinge_alpha = [np.zeros((0, 4), np.int64)], [np.zeros(0)], [np.zeros(0)]
     for name in ('stretch', 'shear'):

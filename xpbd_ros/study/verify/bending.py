@@ -9,6 +9,7 @@ from scipy.integrate import solve_bvp, trapezoid
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
 
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.verify.build import build, crossing, G, hold, place, run
 from xpbd_ros.study.verify.case import case, order, value
 
@@ -21,9 +22,7 @@ def patch():
     B, curvature, h = 2e-3, 0.2, 0.05
     simulation = build((12, 12), (11 * h, 11 * h), {'bend': {'stiffness': B}}, method='auto')
     x, bends = simulation.frame().x, simulation.effects['bend'].constraints
-    number = np.full(simulation.state.x.shape[1], -1)
-    number[simulation.slot] = np.arange(len(x))
-    there = x[number[bends.particles], :2]
+    there = x[natural_indices(simulation)[bends.particles], :2]
     inside = ((there > 0.5 * h) & (there < 10.5 * h)).all((1, 2))    # full width
     curved = bends.weight[:, 0] == 0.0    # constraints of three particles
     for degrees in (0.0, 22.5, 45.0, 90.0, 135.0):
@@ -77,9 +76,7 @@ def patch_of_a_mesh():
             simulation = build(mesh=file.name, effects={'bend': {'warp': warp, 'weft': weft}},
                                method='auto')
         bends, x = simulation.effects['bend'].constraints, simulation.frame().x
-        number = np.full(simulation.state.x.shape[1], -1)
-        number[simulation.slot] = np.arange(len(x))
-        particles = number[bends.particles]
+        particles = natural_indices(simulation)[bends.particles]
         fold = sparse.csr_matrix((bends.weight.ravel(), (
             np.repeat(np.arange(len(particles)), 4), particles.ravel())))
         stiffness = (fold.T @ sparse.diags(1.0 / bends.compliance) @ fold).tocsc()

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 from scipy.optimize import brentq
 
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.verify.build import build, DOWN, G, hold, place, run
 from xpbd_ros.study.verify.case import case, order, value
 
@@ -47,9 +48,8 @@ def artificial_compliance():
         simulation = hanging(n, modulus, substeps=substeps, iterations=iterations)
         run_to_rest(simulation, 1e-12)
         edges = simulation.effects['stretch'].constraints
-        number = np.full(simulation.state.x.shape[1], -1)
-        number[simulation.slot] = np.arange(n + 1)
-        return edges.residual(simulation.state.x), number[edges.particles]
+        return (edges.residual(simulation.state.x),
+                natural_indices(simulation)[edges.particles])
 
     mass = 0.2 / n * np.array([1.0] * n + [0.5])
     h2 = {k: (1 / 60 / k)**2 / (1.0 + 10.0 / 60 / k) for k in (4, 8, 16, 32)}
