@@ -60,7 +60,7 @@ class ErrorMonitor:
         self._work = 0.0    # time of all frames [s]
         self._pending: Future | None = None
         self._asked = 0    # frame of the pending estimate
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix='watch')
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='error_estimate')
 
     def due(self) -> bool:
         """Return whether the next frame's error is due: then its start is kept while stepping."""

@@ -68,8 +68,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
 
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
     the edges at a particle along one direction. For an error of 1e-3 of the length, the line sweep
-    needs about a quarter of them with BDF2 (NUMERICS 5.8), a fifth with NDF2, and a third where
-    colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
+    needs about a quarter of them with BDF2 (doc/numerics.md 3.2), a fifth with NDF2, and a third
+    where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
     asked, also for the constraints that are in no line. An effect may need a number of substeps
     of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
     ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.

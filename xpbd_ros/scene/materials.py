@@ -9,10 +9,10 @@ the shear modulus at 45° (half of the fourth number, which multiplies the tenso
 bending stiffness is the mean of warp, weft and 45° at the smallest curvature. Paper has the
 nominal values of ARCSim's file.
 
-The effect ``membrane`` takes all of these values. A lattice of edges cannot (NUMERICS 2.7): with
-square cells it has C12 = C66, with oblong ones C12 = 0, so Poisson's ratio is not free. A lattice
-keeps the moduli of a strip pulled along warp and along weft, and the shear modulus. At small
-strains a knit is softer than these values, by up to a factor of 10.
+The effect ``membrane`` takes all of these values. A lattice of edges cannot (doc/numerics.md 5.2):
+with square cells it has C12 = C66, with oblong ones C12 = 0, so Poisson's ratio is not free. A
+lattice keeps the moduli of a strip pulled along warp and along weft, and the shear modulus. At
+small strains a knit is softer than these values, by up to a factor of 10.
 """
 
 from dataclasses import dataclass

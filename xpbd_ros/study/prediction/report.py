@@ -158,7 +158,7 @@ def _width(entry: Entry, shape: Field | np.ndarray | None) -> float:
 
 
 def _coarse(scene: Scene, simulation: Simulation) -> list[str]:
-    """Return a warning if float32 loses gravity (NUMERICS 0.10)."""
+    """Return a warning if float32 loses gravity (doc/numerics.md 2.5)."""
     if simulation.solver.precision != 'float32':
         return []
     h = simulation.frame_dt / simulation.solver.substeps

@@ -11,9 +11,9 @@ displacement: -T = (I - G^K) f∞ with (A + α) f∞ = -(C + A T). Hence
 
 for each constraint and any sweep, linearised about the present positions. For a single
 Gauss-Seidel pass this is C_j = α_j T_j - Σ A_jk T_k over the constraints k that are swept after j
-(NUMERICS 0.2): later constraints displace the particles of earlier ones. The edges of a line,
-solved directly, do not disturb one another. The three constraints of a triangle are solved as one
-block: there T and C are vectors, and α is a matrix.
+(doc/numerics.md 4.1): later constraints displace the particles of earlier ones. The edges of a
+line, solved directly, do not disturb one another. The three constraints of a triangle are solved
+as one block: there T and C are vectors, and α is a matrix.
 """
 
 from dataclasses import dataclass, field
@@ -83,7 +83,7 @@ class StaticResponse:
 
         operator = LinearOperator(system.shape, lambda e: e - remaining(np.ravel(e)), dtype=float)
         y = np.zeros_like(tension)
-        for _ in range(REFINEMENTS):    # the tolerance has other names in older SciPy: default
+        for _ in range(REFINEMENTS):    # SciPy versions name the tolerance differently
             y += gmres(operator, tension - (y - remaining(y)), restart=60, maxiter=20)[0]
         return alpha @ y + A @ remaining(y)
 

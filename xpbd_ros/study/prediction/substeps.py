@@ -4,7 +4,7 @@ Predict the substeps that a solver setting needs.
 There are two requirements. The edges must be as stiff as asked (``stiffness``): that error falls
 as 1 / N². And BDF2 or NDF2 must resolve the stretch waves: with ``substep_ratio`` times the
 substeps of an explicit solver the error is about 1e-3 of the length, and as it is of second
-order, √10 fewer substeps make it 10 times as large (NUMERICS 5.8).
+order, √10 fewer substeps make it 10 times as large (doc/numerics.md 3.2).
 """
 
 from dataclasses import replace

@@ -1,5 +1,5 @@
 """
-Elastic elements: each kind with its energy, as in NUMERICS 2.
+Elastic elements: each kind with its energy, as in doc/numerics.md 5.
 
 The energy of an element is a function of a few vectors that are linear in the positions of its
 particles, z = Σ w_i (x_i - x_0): an edge, two sides of a triangle, the columns of a deformation
@@ -126,7 +126,7 @@ class Elements:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Edges(Elements):
-    """E = k (|x1 - x0| - L)² / 2 (NUMERICS 2.1)."""
+    """E = k (|x1 - x0| - L)² / 2 (doc/numerics.md 5.1)."""
 
     rest_length: Array
     """L [m], shape (m,)"""
@@ -159,7 +159,7 @@ class LinearSums(Elements):
     """
     E = B |Σ w_i x_i|² / 2, with weights of sum 0.
 
-    For isometric hinges (NUMERICS 2.5), and for springs of zero length such as seams.
+    For isometric hinges (doc/numerics.md 5.5), and for springs of zero length such as seams.
     """
 
     weight: Array
@@ -178,7 +178,7 @@ class LinearSums(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Membranes(Elements):
     """
-    E = Cᵀ K C / 2 of Green's strain C = (E11, E22, γ12) (NUMERICS 2.6).
+    E = Cᵀ K C / 2 of Green's strain C = (E11, E22, γ12) (doc/numerics.md 5.4).
 
     F = (f1, f2) = (x1 - x0, x2 - x0) D⁻¹,  E11 = (f1·f1 - 1) / 2,  γ12 = f1·f2.
     """
@@ -202,9 +202,9 @@ class Membranes(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Hinges(Elements):
     """
-    E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite (NUMERICS 2.4).
+    E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite.
 
-    θ is chosen modulo whole turns to be closest to θ0.
+    As doc/numerics.md 5.6; θ is chosen modulo whole turns to be closest to θ0.
     """
 
     rest_angle: Array
@@ -238,7 +238,9 @@ class Areas(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tetrahedra(Elements):
     """
-    Neo-Hookean (NUMERICS 2.8), with a term that opens a collapsed body: J = det F, n² = tr FᵀF,
+    Neo-Hookean (doc/numerics.md 5.9), with a term that opens a collapsed body.
+
+    With J = det F and n² = tr FᵀF,
 
     E = μ (n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3) / 2 + λ (J - 1)² / 2.
     F = (x_i - x_0) Dm⁻¹.
@@ -266,10 +268,11 @@ class Tetrahedra(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gas(Elements):
     """
-    E = (V - V*)² / (2 α) of the volume in a closed surface, V = Σ x0·(x1×x2) / 6 (NUMERICS 2.9).
+    E = (V - V*)² / (2 α) of the volume in a closed surface, V = Σ x0·(x1×x2) / 6.
 
-    There is one energy for all triangles. Its Hessian is p ∇²V + ∇V ∇Vᵀ / α, with
-    p = (V - V*) / α. Corners are relative to their mean, which changes no volume or derivative.
+    There is one energy for all triangles (doc/numerics.md 5.10). Its Hessian is
+    p ∇²V + ∇V ∇Vᵀ / α, with p = (V - V*) / α. Corners are relative to their mean, which changes no
+    volume or derivative.
     """
 
     rest_volume: Array

@@ -1,9 +1,9 @@
 """
 Forces of each kind of element for leapfrog, with gradients derived by hand.
 
-They follow NUMERICS 2, independently of the formulas of ``elements``, against which they are
-tested. A position is x + low, where ``low`` is the rounding error of x. Each kernel adds -∇E [N]
-to ``f``.
+They follow doc/numerics.md 5, independently of the formulas of ``elements``, against which they
+are tested. A position is x + low, where ``low`` is the rounding error of x. Each kernel adds
+-∇E [N] to ``f``.
 """
 
 from math import atan2, pi, sqrt

@@ -1,5 +1,5 @@
 """
-Backward Euler, BDF2 and equilibria by Newton's method (NUMERICS 3.6).
+Backward Euler, BDF2 and equilibria by Newton's method (doc/numerics.md 11).
 
 Each step minimises its energy with a sparse factorisation, without multipliers or sweeps. The
 first step of BDF2 is backward Euler, with a local error O(dt²), so the order remains 2.

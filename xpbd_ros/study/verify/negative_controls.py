@@ -2,7 +2,7 @@
 Schemes that are known to be wrong, in NumPy, for negative controls.
 
 They are a chain of distance constraints with Gauss-Seidel, as XPBD but for one mistake, and a
-particle on a plane with friction that scales velocities (NUMERICS 1, rows 3, 10, 18, 47).
+particle on a plane with friction that scales velocities (doc/numerics.md 4.4).
 """
 
 import numpy as np
