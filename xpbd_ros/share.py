@@ -1,4 +1,4 @@
-"""Where the shipped files are: scenes, launch files, views and the node's parameters."""
+"""Find the installed files: scenes, launch files, views and the node's parameters."""
 
 import os
 from pathlib import Path
@@ -7,18 +7,18 @@ import sys
 from xpbd_ros.errors import InputError
 
 PACKAGE = 'xpbd_ros'
-MARKER = 'cloth_node.yaml'    # lies in the folder that we look for, and in no other
+MARKER = 'cloth_node.yaml'    # identifies the folder
 
 
 def share_folder() -> Path:
     """
     Return the folder that holds ``scenes/``, ``launch/``, ``views/`` and ``cloth_node.yaml``.
 
-    In a checkout it is ``config/``, beside the package. Installed it is ``share/xpbd_ros`` of the
-    prefix that the package lies in, which a walk up from here meets whether pip put it there (in
-    a virtual environment, with ``--user``, ``--prefix`` or ``--target``) or colcon did. The
-    interpreter's prefix and those of a sourced workspace come last, for a layout that keeps code
-    and data apart. Needs no ROS.
+    In a checkout it is ``config/`` beside the package. Once installed it is ``share/xpbd_ros`` in
+    the prefix of the package, which is one of the parent folders of this file, both with pip (in
+    a virtual environment, with ``--user``, ``--prefix`` or ``--target``) and with colcon. The
+    prefixes of the interpreter and of a sourced workspace are tried last, for installations that
+    keep code and data apart. No ROS is needed.
     """
     package = Path(__file__).resolve().parent
     for folder in candidates(package):
@@ -30,7 +30,7 @@ def share_folder() -> Path:
 
 
 def candidates(package: Path) -> list[Path]:
-    """Return the folders to try, best first, for a package that lies at this path."""
+    """Return the folders to try for a package at this path, in order of preference."""
     sourced = [path for path in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if path]
     prefixes = [*package.parents, Path(sys.prefix), *map(Path, sourced)]
     return [package.parent / 'config', *(prefix / 'share' / PACKAGE for prefix in prefixes)]

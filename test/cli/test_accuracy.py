@@ -83,7 +83,7 @@ def test_a_finished_study_answers_other_questions(done, scene, capsys):
     good = [row for row in numbers['settings'] if row['error_m'] <= 0.01]
     assert chosen['ms_p50'] == min(row['ms_p50'] for row in good)
     assert main([*words, '--max-error', '1e-12']) == 1
-    assert 'found      no setting gives this' in capsys.readouterr().out
+    assert 'found      no setting meets this' in capsys.readouterr().out
     assert not (folder / 'settings.yaml').exists()
     assert main(words) == 0
     assert (folder / 'settings.yaml').exists()
@@ -106,5 +106,5 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(number, scene, tm
     process.send_signal(number)
     said, error = process.communicate(timeout=20)    # its processes hold stderr too
     assert (process.returncode, said) == (130, '')
-    assert error == ('xpbd_ros accuracy: interrupted; the same command with -o out goes on\n')
+    assert error == ('xpbd_ros accuracy: interrupted; continue with the same command and -o out\n')
     assert results.read_text().count('\n') >= 3

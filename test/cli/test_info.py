@@ -58,11 +58,12 @@ def test_a_damaged_log_is_listed_and_fails(write_log, capsys):
     file.write_bytes(file.read_bytes()[:-5])
     assert main(['info', str(run)]) == 1
     out = capsys.readouterr().out
-    assert out.startswith(f'{file}: damaged\n  the mark at its end is missing or damaged\n')
+    assert out.startswith(
+        f'{file}: damaged\n  the magic bytes at its end are missing or damaged\n')
     assert main(['info', str(run), '--json', '-']) == 1
     found = json.loads(capsys.readouterr().out)
     assert (found['whole'], found['messages']) == (False, 121)
-    assert found['damage'] == ['the mark at its end is missing or damaged']
+    assert found['damage'] == ['the magic bytes at its end are missing or damaged']
 
 
 def test_a_log_of_nothing_is_listed(write_log, capsys):

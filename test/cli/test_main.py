@@ -111,7 +111,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     out, err = capsys.readouterr()
     assert (out, err.count('\n')) == ('', 1)
     assert err.startswith('xpbd_ros run: not enough memory (Unable to allocate 2.00 PiB')
-    assert err.endswith('give it fewer particles\n')
+    assert err.endswith('use fewer particles\n')
 
 
 def test_an_interrupt_is_one_line(monkeypatch, capsys):
@@ -146,7 +146,7 @@ def test_without_ros_a_verb_says_how_to_get_it(words, without_ros, tmp_path):
     assert done.returncode == 2
     assert done.stdout == ''
     assert done.stderr == (
-        f"xpbd_ros {words[0]}: '{words[0]}' needs ROS 2, and rclpy is not there; source "
+        f"xpbd_ros {words[0]}: '{words[0]}' needs ROS 2, and rclpy is not installed; source "
         "/opt/ros/jazzy/setup.bash, or pip install 'xpbd_ros[ros]'\n")
     assert list(tmp_path.iterdir()) == []
 

@@ -37,7 +37,7 @@ def test_a_new_folder_is_made_before_the_work_and_goes_if_nothing_came_of_it(tmp
         raise InputError('unknown')
     assert not (tmp_path / 'c').exists()
     (tmp_path / 'file').touch()
-    with pytest.raises(InputError, match=r'd: cannot be made \(Not a directory\)'), new_folder(
+    with pytest.raises(InputError, match=r'd: cannot be created \(Not a directory\)'), new_folder(
             tmp_path / 'file' / 'd'):
         pass
 

@@ -20,7 +20,7 @@ def test_what_info_names_makes_a_killed_log_whole(write_log, tmp_path, capsys, m
     run = write_log()
     cut(run, -500)
     assert main(['info', str(run)]) == 1
-    assert f"\n'xpbd_ros recover {run}' makes a whole log of what can be read\n" in (
+    assert f"\n'xpbd_ros recover {run}' writes a whole log of the readable part\n" in (
         capsys.readouterr().out)
     assert main(['recover', str(run)]) == 0
     (folder,) = (path for path in tmp_path.iterdir() if path.name.startswith('xpbd_ros_recover_'))
@@ -37,7 +37,7 @@ def test_a_program_gets_the_same_as_json(write_log, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert (found['run'], found['from']) == (str(tmp_path / 'whole'), str(run))
     assert found['whole'] is True
-    assert found['damage'] == ['the mark at its end is missing or damaged']
+    assert found['damage'] == ['the magic bytes at its end are missing or damaged']
     assert (found['messages'], found['frames']) == (121, 60)
     assert found['topics']['/cloth/count'] == {'type': 'std_msgs/msg/UInt64', 'count': 60}
     assert found['start_ns'] == 1_700_000_000_000_000_000

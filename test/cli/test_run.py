@@ -100,7 +100,7 @@ def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, t
     words = ['run', str(scene), '-o', str(tmp_path / 'again'), '--commands', str(damaged)]
     assert main(words) == 0
     assert capsys.readouterr().err == (
-        'xpbd_ros run: damaged log: the mark at its end is missing or damaged; '
+        'xpbd_ros run: damaged log: the magic bytes at its end are missing or damaged; '
         'inputs may be lost\n')
     assert main([*words[:3], str(tmp_path / 'whole'), '--commands', str(whole)]) == 0
     assert capsys.readouterr().err == ''
@@ -352,13 +352,13 @@ def test_a_shorter_run_is_compared_as_far_as_it_goes(log, scene, capsys):
 
 def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(scene, tmp_path, capsys):
     log = recorded(scene, tmp_path / 'late', COMMANDS, begin=4)
-    why = (f'{log}/late_0.mcap: begins in the midst of a run, with frame 4: what was grasped and '
-           'moved before is not in it, so that it cannot be repeated; record from the start, with '
+    why = (f'{log}/late_0.mcap: begins in the middle of a run, with frame 4: inputs before that '
+           'are not in it, so it cannot be repeated; record from the start, with '
            "the node's parameter record.path")
     assert repeated(log, scene, capsys=capsys) == (1, {}, [f'xpbd_ros run: {why}'])
     assert main(['cost', str(scene), '--commands', str(log)]) == 2
     assert capsys.readouterr().err == f'xpbd_ros cost: {why}\n'
-    with pytest.raises(InputError, match='begins in the midst'):
+    with pytest.raises(InputError, match='begins in the middle'):
         commands_of('accuracy', str(log), load_scene(str(scene)), 10)
     assert [path.name for path in tmp_path.iterdir()] == ['late']
 

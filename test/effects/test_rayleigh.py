@@ -160,7 +160,7 @@ def test_a_scene_without_it_has_no_damping_in_its_data():
 
 def test_methods_that_do_without_it_are_refused_and_auto_takes_another():
     for method, integrator in (('line', 'bdf2'), ('explicit', 'leapfrog')):
-        with pytest.raises(InputError, match=f"'{method}' does without rayleigh"):
+        with pytest.raises(InputError, match=f"'{method}' cannot be combined with rayleigh"):
             pair(TAU, method=method, integrator=integrator)
     simulation = pair(TAU, method='auto', integrator='bdf2')
     assert simulation.solver.method == 'gauss_seidel_symmetric'

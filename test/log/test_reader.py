@@ -142,7 +142,7 @@ def test_a_damaged_chunk_is_named_and_its_messages_counted(run, damaged):
     data[chunks(run / 'run_0.mcap')[0] + IN_CHUNK] ^= 0xff
     reader = damaged(data)
     place, lost = reader.damage
-    assert 'are of no use: the chunk is damaged (' in place
+    assert 'are unreadable: the chunk is damaged (' in place
     assert lost == f'{121 - reader.count} of 121 messages are lost'
     assert 0 < 121 - reader.count <= 10
     assert reader.topics['/cloth/count'].type == 'std_msgs/msg/UInt64'    # from the summary
@@ -154,7 +154,7 @@ def test_a_wrong_length_hides_no_chunk_but_its_own(run, damaged):
     first, _, third, *_ = chunks(run / 'run_0.mcap')
     data[first + 1:first + 9] = (third - first).to_bytes(8, 'little')    # swallows the second
     reader = damaged(data)
-    assert reader.damage[0].endswith('are of no use: a record is damaged')
+    assert reader.damage[0].endswith('are unreadable: a record is damaged')
     assert 0 < 121 - reader.count <= 10
 
 
@@ -172,7 +172,7 @@ def test_a_damaged_summary_describes_nothing(run, damaged):
 def test_what_follows_the_end_is_no_part_of_the_log(run, damaged):
     data = (run / 'run_0.mcap').read_bytes()
     reader = damaged(data + b'something else')
-    assert reader.damage == ['14 bytes after its end are of no use']
+    assert reader.damage == ['14 bytes after its end are ignored']
     assert reader.count == 121
 
 
@@ -183,7 +183,7 @@ def test_a_log_cut_short_may_end_in_anything(run, damaged, tail):
     cut = chunks(run / 'run_0.mcap')[-1]
     reader = damaged(data[:cut] + tail)
     assert reader.damage == [
-        f'bytes {cut} to {cut + len(tail)} are of no use: no whole record', NO_END]
+        f'bytes {cut} to {cut + len(tail)} are unreadable: no whole record', NO_END]
     assert reader.count > 100
 
 
@@ -291,5 +291,5 @@ def test_much_damage_is_not_listed_place_by_place(run, write_log, damaged):
         data[start + IN_CHUNK] ^= 0xff
     reader = damaged(data)
     assert reader.count == 0
-    assert reader.damage[20:] == [f'{len(starts) - 20} more places are damaged',
+    assert reader.damage[20:] == [f'{len(starts) - 20} more ranges are damaged',
                                   '601 of 601 messages are lost']

@@ -101,6 +101,6 @@ def test_a_bag_of_another_program_is_refused(tmp_path):
         other = Writer(file)
         other.start('ros2')
         other.finish()
-    with pytest.raises(InputError, match="there is 'mcap recover'"):
+    with pytest.raises(InputError, match="use 'mcap recover'"):
         recover(LogReader(tmp_path / 'other.mcap'), tmp_path / 'whole')
     assert not (tmp_path / 'whole').exists()

@@ -29,7 +29,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.node_stress.node import PATIENCE, SCENE
+from xpbd_ros.node_stress.node import SCENE, TIMEOUT as PATIENCE
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TOWEL = SCENE.replace('SUBSTEPS', '20')

@@ -171,6 +171,6 @@ def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(cloth, scene, tm
          tmp_path / 'again'], env=child_environment(), capture_output=True, text=True,
         check=False)
     assert (done.returncode, done.stdout) == (1, '')
-    assert f'begins in the midst of a run, with frame {first}: ' in done.stderr
+    assert f'begins in the middle of a run, with frame {first}: ' in done.stderr
     assert done.stderr.count('\n') == 1
     assert not (tmp_path / 'again').exists()

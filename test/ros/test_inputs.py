@@ -88,9 +88,9 @@ def lengths(names: int, transforms: int, twists: int) -> MultiDOFJointState:
     ({'ns': 'ä'}, "marker ä/0: bad name 'ä'"),
     ({'id': -1}, "marker a/-1: bad name 'a_-1'"),
     ({'action': 7}, 'marker a/0: unknown action 7'),
-    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns make no sense'),
-    ({'lifetime__nanosec': 2**32 - 1}, 'marker a/0: lifetime: 0 s and 4294967295 ns make no '
-                                       'sense'),
+    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns are not a valid time'),
+    ({'lifetime__nanosec': 2**32 - 1},
+     'marker a/0: lifetime: 0 s and 4294967295 ns are not a valid time'),
 ])
 def test_a_grasp_that_makes_no_sense(changes, reason):
     good = pin('good', (0.0, 0.0, 0.0))
@@ -117,7 +117,7 @@ def test_a_grasp_that_makes_no_sense(changes, reason):
     ({'ns': 'no good!'}, "bad name 'no good!'"),
     ({'id': -1}, "bad name 'a_-1'"),
     ({'action': 7}, 'marker a/0: unknown action 7'),
-    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns make no sense'),
+    ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns are not a valid time'),
 ])
 def test_a_collider_that_makes_no_sense(changes, reason):
     good = pin('good', (0.0, 0.0, 0.0))
@@ -148,7 +148,8 @@ def test_markers_become_colliders():
     (lengths(2, 2, 1), '2 names but 2 transforms and 1 twists'),
     (targets(left=(0, 0, 0), twist=twist(x=nan)), 'left: twist is not finite'),
     (targets(left=(0, 0, 0), twist=twist(z=1e200)), 'is faster than 1e+06'),
-    (targets(left=(0, 0, 0), stamp=-1), 'header: stamp: -1 s and 999999999 ns make no sense'),
+    (targets(left=(0, 0, 0), stamp=-1),
+     'header: stamp: -1 s and 999999999 ns are not a valid time'),
     (changed(targets(left=(0, 0, 0)), header__stamp__nanosec=10**9), '0 s and 1000000000 ns'),
     (targets(**{'a/b': (0, 0, 0)}), "joint_names: bad name 'a/b'"),
     (targets(**{'': (0, 0, 0)}), "joint_names: bad name ''"),
@@ -263,7 +264,7 @@ def test_a_log_that_counts_more_resets_than_there_can_be_is_refused(count):
     assert read(kind(data=4096), 'world') == [Reset()] * 4096
 
 
-# the inbox
+# the command queue
 
 
 @pytest.fixture
@@ -274,12 +275,12 @@ def said():
 
 @pytest.fixture
 def box(said):
-    """Return an inbox that nothing has come to."""
+    """Return an empty command queue."""
     return CommandQueue(said.append, max_message_bytes=1000, max_names=4)
 
 
 def take(box, message, topic='/t'):
-    """Give an inbox a message of ~/pin_targets."""
+    """Give a command queue a message of ~/pin_targets."""
     box.take(topic, serialize_message(message), MultiDOFJointState,
              lambda m: read_targets(m, 'world', MovePin))
 
@@ -308,11 +309,11 @@ def test_a_newer_target_does_not_make_an_older_message_something_else(box):
 
 
 def test_of_a_stream_with_stamps_the_latest_are_kept(box):
-    for k in range(3 * command_queue.KEPT):
+    for k in range(3 * command_queue.MAX_STAMPED):
         take(box, targets(stamp=1 + k, left=(k, 0, 0)))
         take(box, targets(stamp=1 + k, right=(k, 0, 0)))
     places = [group[0].pose.position[0] for group in box.drain() if group[0].pin == 'left']
-    assert places == list(range(2 * command_queue.KEPT, 3 * command_queue.KEPT))
+    assert places == list(range(2 * command_queue.MAX_STAMPED, 3 * command_queue.MAX_STAMPED))
 
 
 def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
@@ -361,7 +362,7 @@ def test_refuses_what_is_too_long_or_too_much(box, said):
 
 
 def test_refuses_what_no_frame_takes_away(box, said, monkeypatch):
-    monkeypatch.setattr(command_queue, 'ROOM', 6)
+    monkeypatch.setattr(command_queue, 'MAX_WAITING', 6)
     for k in range(4):
         take(box, targets(**{f'a{k}': (0, 0, 0), f'b{k}': (0, 0, 0)}))
     assert said == ['/t: refused: more than 6 commands wait for the next frame']

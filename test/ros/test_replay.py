@@ -294,7 +294,7 @@ def test_a_log_of_nothing_is_refused(write_log, replay):
     file = run / 'run_0.mcap'
     file.write_bytes(file.read_bytes()[:300])
     out, err = replay(run).communicate(timeout=PATIENCE)
-    assert (out, err) == ('', f'xpbd_ros replay: {file}: holds no message that can be read\n')
+    assert (out, err) == ('', f'xpbd_ros replay: {file}: holds no readable message\n')
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])

@@ -88,5 +88,5 @@ def test_a_log_of_inputs_alone_is_refused_with_the_way_out(tmp_path):
                           env=child_environment(), capture_output=True,
                           text=True, check=False)
     assert (done.returncode, done.stdout) == (2, '')
-    assert done.stderr.endswith('run_0.mcap: holds nothing but inputs (/cloth/collider/ball/pose);'
+    assert done.stderr.endswith('run_0.mcap: holds only inputs (/cloth/collider/ball/pose);'
                                 ' --inputs publishes them\n')

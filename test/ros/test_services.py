@@ -71,7 +71,7 @@ def test_a_pause_is_not_made_up_for(running):
 
 def test_step_is_refused_while_it_runs(running):
     assert running.trigger('step') == (
-        False, 'it runs by itself; ~/pause first, or use mode lockstep')
+        False, 'the node steps by itself; call ~/pause first, or use mode lockstep')
     assert running.set(mode='fast') == (True, '')
     assert not running.trigger('step')[0]
 
@@ -98,7 +98,7 @@ def test_step_is_one_frame_in_lockstep(stepping):
 def test_play_says_that_lockstep_waits(stepping):
     good, said = stepping.trigger('play')
     assert good
-    assert said.endswith('(mode lockstep: only ~/step moves on)')
+    assert said.endswith('(mode lockstep: only ~/step advances)')
     assert not more_frames(stepping)
 
 

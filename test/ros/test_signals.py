@@ -8,14 +8,14 @@ from ros.rig import child_environment
 
 PROGRAM = """
 import ctypes, signal, time
-from xpbd_ros.ros.signals import interrupt_on_signals, nothing_to_finish
+from xpbd_ros.ros.signals import interrupt_on_signals, exit_at_once_on_signals
 interrupt_on_signals()
 @ctypes.CFUNCTYPE(None)
 def callback():
     signal.raise_signal(signal.{name})
     for _ in range(100):
         pass
-with nothing_to_finish():
+with exit_at_once_on_signals():
     print('compiling')
     {early}
 try:
@@ -36,7 +36,7 @@ def run(name, early='pass', late='pass'):
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
-def test_with_nothing_to_finish_it_ends_even_within_a_callback(name):
+def test_with_exit_at_once_on_signals_it_ends_even_within_a_callback(name):
     done = run(name, early='callback()')
     assert (done.returncode, done.stdout, done.stderr) == (0, 'compiling\n', '')
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from sim.small import simulate
 
-from xpbd_ros.ros.watch import ErrorMonitor, LATER, SHARE, substeps_for
+from xpbd_ros.ros.error_monitor import ErrorMonitor, LATER, SHARE, substeps_for
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import stiffness_given
 from xpbd_ros.sim.simulation import Solver
@@ -43,13 +43,13 @@ def test_looking_changes_nothing():
     assert not done
     assert [found.frame for found in watch.all] == [10]
     assert 0.0 < watch.all[0].rms < watch.all[0].largest
-    found = watch.found()
+    found = watch.diagnostics()
     assert found['error_m'] == watch.latest.rms
     assert 0.5 < found['effective_stiffness_share'] <= 1.1
     assert found['residual_m'] >= 0.0
     assert found['estimates_share'] > 0.0
-    assert not watch.trouble
-    assert 'm in a frame at most, of 1 looked at' in str(watch)
+    assert not watch.warning
+    assert 'm in a frame at most (RMS), of 1 estimated' in str(watch)
 
 
 def test_at_rest_it_is_as_stiff_as_it_was_asked_to_be():
@@ -83,8 +83,8 @@ def test_a_target_is_held_and_the_same_again(target):
 def test_what_cannot_be_held_is_said():
     watch, done = watched(swing(4), 400, target=1e-9, most=6)
     assert list(done.values()) == [[('solver.substeps', 6)]]
-    assert 'error_target 1e-09 m is not held' in watch.trouble
-    assert 'max_substeps 6' in watch.trouble
+    assert 'error_target 1e-09 m is not held' in watch.warning
+    assert 'max_substeps 6' in watch.warning
 
 
 def test_what_is_not_resolved_is_said():
@@ -92,9 +92,9 @@ def test_what_is_not_resolved_is_said():
     watch = ErrorMonitor(simulation, target=None, most=64)
     watch.latest = replace(FINE, resolved=False)
     watch.all.append(watch.latest)
-    assert watch.trouble.startswith('under-resolved: with 16 substeps')
-    assert watch.found()['error_m'] == 'under-resolved'
-    assert str(watch) == 'under-resolved in 1 of 1 frames looked at; see xpbd_ros check'
+    assert watch.warning.startswith('under-resolved: with 16 substeps')
+    assert watch.diagnostics()['error_m'] == 'under-resolved'
+    assert str(watch) == 'under-resolved in 1 of 1 frames estimated; see xpbd_ros check'
 
 
 def test_substeps_go_with_the_order():

@@ -59,8 +59,8 @@ def test_a_cloth_lies_where_its_pose_says_and_weighs_what_its_density_says():
 def test_a_cloth_too_heavy_or_too_light_for_numbers_is_refused(size, weight):
     with np.errstate(over='ignore'), pytest.raises(InputError) as error:
         simulate((2, 2), (size, size))
-    assert str(error.value) == (f'small.yaml: cloths: a particle would weigh {weight} kg; size, '
-                                'density and resolution do not fit together')
+    assert str(error.value) == (f'small.yaml: cloths: a particle would weigh {weight} kg; correct '
+                                'size, density or resolution')
 
 
 def test_what_is_wrong_with_a_pin_is_told_with_the_file():

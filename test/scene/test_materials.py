@@ -234,5 +234,5 @@ def test_a_sheet_is_no_material_for_a_body(tmp_path, meshio):
     with pytest.raises(InputError) as error:
         compile_scene(scene)
     assert str(error.value) == (
-        f'f.yaml: cloths.c.material: is that of a sheet, and {tmp_path}/b.vtk has tetrahedra; '
-        'give density (kg/m³) and the effects themselves')
+        f'f.yaml: cloths.c.material: materials are sheets, and {tmp_path}/b.vtk has tetrahedra; '
+        'give density (kg/m³) and the parameters of the effects')

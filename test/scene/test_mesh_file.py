@@ -85,7 +85,7 @@ def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, ca
 def test_cells_that_cannot_be_simulated_are_refused(tmp_path, meshio):
     meshio.write_points_cells(tmp_path / 'm.vtk', np.random.default_rng(1).normal(size=(8, 3)),
                               [('hexahedron', np.arange(8)[None])])
-    with pytest.raises(InputError, match="cells of the kind 'hexahedron'; only triangles"):
+    with pytest.raises(InputError, match="cells of type 'hexahedron'; only triangles"):
         read_mesh_file(tmp_path / 'm.vtk')
 
 

@@ -1,12 +1,14 @@
 """
-Error against time for a scene, and the setting to take.
+Measure error against time for a scene, and recommend a solver setting.
 
-The scene runs under a ladder of methods, integrators, substeps, iterations and precisions; each
-run is compared with the independent solver's answer, or with our own limit for dt → 0, then timed
-alone. Recommended is the most accurate setting within --budget, or the cheapest within
---max-error; the exit code is 1 where no setting gives what was asked. Into the output folder go a
-settings file for 'run --settings' and the node, a CSV, a picture and a report. A study that was
-interrupted goes on with the same -o; a finished one answers other questions at once.
+The scene runs with many combinations of method, integrator, substeps, iterations and precision.
+Each run is compared with an independent reference solver, or with this solver's own limit for
+dt → 0, and then timed on its own. The recommendation is the most accurate setting within --budget,
+or the cheapest one within --max-error. The output folder gets a settings file for 'run --settings'
+and the node, a CSV, a picture and a report. With -o of an interrupted study it continues; with -o
+of a finished one another --budget or --max-error is answered without new runs.
+
+Exit code: 0, or 1 if no setting meets the budget or the error.
 """
 
 import math
@@ -24,35 +26,41 @@ EXAMPLE = 'xpbd_ros accuracy swing --budget 4 -o swing_accuracy'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
     parser.add_argument('--budget', type=float, metavar='MS',
-                        help="CPU time of a frame (95th percentile); the scene's budget_ms, or "
-                             'half a frame, unless given')
+                        help='longest CPU time per frame (95th percentile), in ms; default: the '
+                             "scene's solver.budget_ms, else half of the frame period")
     parser.add_argument('--max-error', type=float, metavar='M',
-                        help='take the cheapest setting with no larger error')
-    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+                        help='recommend the cheapest setting whose error is at most this, in m')
+    parser.add_argument('--commands', metavar='LOG',
+                        help='apply the inputs of this log, a folder or an .mcap file')
     parser.add_argument('-o', '--output', metavar='DIR',
-                        help='folder of what is found; new, or of the same study to go on with')
+                        help='folder for the results: a new one, or that of the same study to '
+                             'continue; default: a new one, named by time')
     parser.add_argument('--duration', type=float, metavar='S',
-                        help="simulated seconds, instead of the scene's")
+                        help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--times', metavar='S,S,…',
-                        help='when positions are compared; as far as trajectories can be, unless '
-                             'given')
-    parser.add_argument('--methods', metavar='NAME,…', help='only these methods')
+                        help='times in s at which positions are compared; default: 1/4, 1/2 and '
+                             'the whole of the time for which trajectories are predictable')
+    parser.add_argument('--methods', metavar='NAME,…',
+                        help='try only these methods, such as line,gauss_seidel')
     parser.add_argument('--by', choices=('position', 'shape'),
-                        help='judge settings by positions, or by means of the shape')
+                        help='error measure: positions of particles, or time means of the shape, '
+                             'for chaotic scenes; default: chosen by the scene')
     parser.add_argument('--baselines', action='store_true',
-                        help='draw PBD, textbook XPBD, decayed multipliers and mass-spring beside')
+                        help='also run and draw PBD, textbook XPBD, XPBD with decayed multipliers '
+                             'and an explicit mass-spring solver')
     parser.add_argument('--jobs', type=int, metavar='N',
-                        help='processes that errors are found in (all cores); timings have one')
+                        help='parallel processes for the errors (default: all cores); timings '
+                             'always use one')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene')
+                        help='override one key of the scene, such as gravity=[0,0,-1.62]')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Study the scene, choose, and write what was found."""
+    """Measure the settings, recommend one, and write the results."""
     from xpbd_ros.cli.run import count_frames, parse_keys
     from xpbd_ros.scene.load import load_scene
     from xpbd_ros.study.machine import machine
@@ -81,9 +89,9 @@ def run(arguments) -> int:
         found = study(scene, frames, folder, times=times, commands=commands, methods=methods,
                       baselines=arguments.baselines, by=arguments.by, processes=jobs,
                       progress=progress)
-        return tell(arguments, found, folder, commands)
+        return finish(arguments, found, folder, commands)
     except KeyboardInterrupt:
-        print(f'xpbd_ros accuracy: interrupted; the same command with -o {folder} goes on',
+        print(f'xpbd_ros accuracy: interrupted; continue with the same command and -o {folder}',
               file=sys.stderr)
         return 130
     finally:
@@ -91,7 +99,7 @@ def run(arguments) -> int:
 
 
 def frames_of(times: str | None, scene, frames: int) -> list[int]:
-    """Return the frames that times are at."""
+    """Return the frames at the times of ``--times``, ascending; empty without any."""
     found = []
     for text in (times or '').split(',') if times is not None else ():
         try:
@@ -107,7 +115,7 @@ def frames_of(times: str | None, scene, frames: int) -> list[int]:
 
 
 def methods_of(names: str | None) -> tuple[str, ...]:
-    """Return the methods that are named."""
+    """Return the methods of ``--methods``; all without any."""
     from xpbd_ros.scene.read import unknown
     from xpbd_ros.study.accuracy.solver_setting import METHODS
     if names is None:
@@ -119,8 +127,8 @@ def methods_of(names: str | None) -> tuple[str, ...]:
     return found
 
 
-def tell(arguments, found, folder: Path, commands: dict) -> int:
-    """Choose a setting, run it again, write all files and print what matters."""
+def finish(arguments, found, folder: Path, commands: dict) -> int:
+    """Recommend a setting, run it again, write all files and print a summary."""
     from xpbd_ros.scene.load import settings_overrides
     from xpbd_ros.study.accuracy.choose import recommend, Row
     from xpbd_ros.study.accuracy.measure import again
@@ -178,7 +186,7 @@ def tell(arguments, found, folder: Path, commands: dict) -> int:
 
 
 def budgets(arguments, found) -> tuple[float | None, float]:
-    """Return the time that was asked for, None where an error was; and the one to draw."""
+    """Return the budget to recommend by (None with --max-error alone) and that to draw [ms]."""
     usual = (found.scene.raw.get('solver') or {}).get('budget_ms', 500.0 * found.frame_dt)
     if arguments.budget is None and arguments.max_error is not None:
         return None, usual
@@ -186,7 +194,7 @@ def budgets(arguments, found) -> tuple[float | None, float]:
 
 
 def lines(found, chosen, budget: float) -> list[str]:
-    """Return the front, the scene's own setting, the best of each curve, and what failed."""
+    """Return the printed table: Pareto front, the scene's own setting, best of each curve."""
     from xpbd_ros.study.accuracy.picture import within
     from xpbd_ros.study.accuracy.report import cells, heads, name_of
     best = list(within(found.rows, found.by, budget).values())

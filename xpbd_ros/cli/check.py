@@ -1,10 +1,11 @@
 """
-Check a scene, and predict how it will be before anything runs.
+Check a scene, and predict its behaviour without running it.
 
-Predicted are the stiffness that the setting really gives, beside what was asked (unconverged XPBD
-is softer), how fast its integrator damps what nothing else does, the substeps needed and the time
-of a frame. The exit code is 1 where there is something to warn about, 2 where the scene is
-refused.
+It predicts the stiffness that the solver setting really gives beside the one asked for
+(unconverged XPBD is softer), the numerical damping of the integrator, the substeps needed for a
+given error of the stretch, and the time per frame.
+
+Exit code: 0, 1 if there are warnings, 2 if the scene is refused.
 """
 
 from pathlib import Path
@@ -15,17 +16,17 @@ EXAMPLE = 'xpbd_ros check towel --set solver.substeps=8'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
     parser.add_argument('--settings', metavar='FILE',
-                        help="a file with a 'solver:' block, to override the scene's keys")
+                        help="a file with a 'solver:' block, which overrides the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Predict and print."""
+    """Predict and print the report."""
     from xpbd_ros.cli.run import parse_keys
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.study.prediction import check
@@ -48,7 +49,7 @@ def run(arguments) -> int:
 
 
 def lines(name: str, found) -> list[str]:
-    """Return what there is to say."""
+    """Return the printed report."""
     solver = found.solver
     text = [f'{name}: {found.particles} particles, {found.constraints} constraints',
             f'solver      {solver.method}, {solver.integrator}, {solver.substeps} × '
@@ -64,10 +65,10 @@ def lines(name: str, found) -> list[str]:
         text.append(f'  {row.cloth:<10} {effect:<13} {asked:>12} {row.effective:>12.4g} '
                     f'{row.effective_min:>10.4g} {row.effective_max:>10.4g} {row.unit}')
     for row in found.decay:
-        text.append(f'  {row.cloth:<10} the integrator takes {100 * row.lost_per_second:.3g} % '
-                    f'a second from a {row.mode} of {row.frequency_hz:.2g} Hz')
+        text.append(f'  {row.cloth:<10} numerical damping takes {100 * row.lost_per_second:.3g} % '
+                    f'per second from the amplitude of a {row.mode} of {row.frequency_hz:.2g} Hz')
     counts = ', '.join(f'{100 * float(error):g} %: {count or "out of reach"}'
                        for error, count in found.substeps_for.items())
-    text += ['', f'substeps for a stretch true to  {counts}']
+    text += ['', f'substeps for an error of the stretch of  {counts}']
     return text + [*(f'note: {note}' for note in found.notes),
                    *(f'warning: {warning}' for warning in found.warnings)]

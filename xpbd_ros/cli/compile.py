@@ -1,10 +1,9 @@
 """
-Compile scenes ahead of time, and say where the compiled kernels are kept.
+Compile scenes ahead of time, and print the folder of the compiled kernels.
 
-A scene compiles in seconds to half a minute the first time; later runs of the same scene, by any
-process that shares the folder, read the kernels from it. For container images, and for robots
-whose home is read-only: set NUMBA_CACHE_DIR, there and where the node runs. Without scenes all
-shipped ones are compiled.
+The first run of a scene compiles its kernels, which takes from seconds to half a minute. Later
+runs, by any process that uses the same folder, load them from it. For container images and for
+robots with a read-only home, set NUMBA_CACHE_DIR for this command and for the node.
 """
 
 import time
@@ -13,9 +12,9 @@ EXAMPLE = 'xpbd_ros compile towel demo'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scenes', nargs='*', metavar='SCENE',
-                        help='a scene file, or the name of a shipped scene; default: all shipped')
+                        help='scene files, or names of shipped scenes; default: all shipped ones')
 
 
 def run(arguments) -> int:
@@ -27,7 +26,7 @@ def run(arguments) -> int:
     from xpbd_ros.sim.backend.jit import WHY_PLAIN
     names = arguments.scenes or sorted(
         file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
-    scenes = [load_scene(name) for name in names]    # so that a mistake costs no time
+    scenes = [load_scene(name) for name in names]    # all, before the first one is compiled
     for name, scene in zip(names, scenes):
         begin = time.perf_counter()
         compile_scene(scene).compile()

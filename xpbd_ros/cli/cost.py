@@ -1,12 +1,12 @@
 """
-What each effect of a scene costs on this machine: time, memory, code.
+Measure the cost of each effect of a scene on this machine: time, memory, code.
 
-The scene runs for its duration, five times over, with a clock between the effects' kernels; a
-second simulation without one runs in turn, and says what the whole takes. Effects that the scene
-does not name are listed as absent: they have no arrays and no machine code.
+The scene runs for its duration five times, with a clock read between the kernels of the effects.
+A second simulation without those readings runs alternately and gives the total time. Effects that
+the scene does not name are listed as absent: they have no arrays and no machine code.
 
-Beside the time of a constraint stands the least that memory takes for it at this machine's
-bandwidth from cache, and how many operations would fit into its time at the machine's rate.
+Next to the time per constraint the table has a lower bound, its memory traffic at this machine's
+cache bandwidth, and the floating-point operations that this machine could do in the measured time.
 All on one thread.
 """
 
@@ -20,19 +20,21 @@ EXAMPLE = 'xpbd_ros cost towel --duration 2'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
     parser.add_argument('--duration', type=float, metavar='S',
-                        help="simulated seconds, instead of the scene's")
-    parser.add_argument('--commands', metavar='LOG', help='apply the inputs of this log')
+                        help="simulated time in s, instead of the scene's duration")
+    parser.add_argument('--commands', metavar='LOG',
+                        help='apply the inputs of this log, a folder or an .mcap file')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
-    parser.add_argument('--picture', metavar='FILE', help='draw the table as a PNG')
+    parser.add_argument('--picture', metavar='FILE',
+                        help='draw the table to this new PNG file')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Measure and print."""
+    """Measure the scene and print the table."""
     from xpbd_ros.cli.run import count_frames, parse_keys
     from xpbd_ros.scene.load import load_scene
     overrides = parse_keys(arguments.keys)
@@ -70,14 +72,14 @@ def run(arguments) -> int:
 
 
 def numbers_of(row, most: dict) -> dict:
-    """Return a row as JSON has it."""
+    """Return the JSON keys of a row."""
     return {**vars(row), 'ns_per_constraint': row.ns_per_constraint,
             'least_ns': row.least_ns(most['cache_gb_s']),
             'flops_in_time': row.flops_in_time(most['fma_gflop_s'])}
 
 
 def lines(name: str, found, machine: str, most: dict) -> list[str]:
-    """Return the table."""
+    """Return the printed table."""
     text = [f'{name}: {found.particles} particles, {found.substeps} substeps, {found.frames} '
             f'frames, {found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
             machine, '',
@@ -98,8 +100,9 @@ def lines(name: str, found, machine: str, most: dict) -> list[str]:
                        f'{row.kernels:>7}')
         text.append(f'  {row.name:<12} {row.us_per_substep:>8.2f} ± {row.us_spread:<4.2f} '
                     f'{100 * row.share:>5.1f} %{amounts}')
-    text += ['', '  least: ns that memory takes; flops: what fits into ns each; limits:',
-             f'  particles themselves: {found.state_bytes / 1024:.0f} KiB',
+    text += ['', '  least: ns for its memory traffic from cache; flops: operations possible in '
+             '"ns each"',
+             f'  state of the particles: {found.state_bytes / 1024:.0f} KiB',
              f'  one core of this machine: {most["memory_gb_s"]:.0f} GB/s from memory, '
-             f'{most["cache_gb_s"]:.0f} GB/s from its cache, {most["fma_gflop_s"]:.0f} Gflop/s']
+             f'{most["cache_gb_s"]:.0f} GB/s from cache, {most["fma_gflop_s"]:.0f} Gflop/s']
     return text

@@ -1,9 +1,12 @@
 """
-Start the node, drive it over DDS as a robot would, and show what happened.
+Start the node, drive it over DDS as a robot would, and report the result.
 
-Three processes on a ROS domain of their own, on loopback: the node with a towel on a table; a
-robot that grasps two corners, lifts, holds, sweeps a ball through the towel, carries it over a
-stool and lets go; an onlooker that reads the clouds. The run is recorded, checked and drawn.
+Three processes run on a private ROS domain, on loopback only: the node with a towel on a table; a
+robot that grasps two corners of it, lifts and holds it, sweeps a ball through it, carries it over
+a stool and releases it; an observer that subscribes to the point clouds. The run is recorded,
+checked and drawn.
+
+Exit code: 0, or 1 if a check fails.
 """
 
 from pathlib import Path
@@ -22,20 +25,22 @@ EXAMPLE = 'xpbd_ros demo --output my_demo'
 SCENE = 'demo'
 COMPILE_SECONDS = 150.0
 END_SECONDS = 30.0
-PATIENCE = 20.0
-"""how much slower than real time a machine may be"""
+SLOWEST = 20.0
+"""wall time over simulated time that is allowed"""
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('--output', metavar='DIR', help='folder for everything; must not exist')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('--output', metavar='DIR',
+                        help='new folder for log, picture and node output; default: one named by '
+                             'time')
     parser.add_argument('--duration', type=float, default=12.0, metavar='S',
-                        help='simulated seconds of the story (default 12, at least 5)')
+                        help='simulated time of the demo in s, 5 to 600 (default: 12)')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Play the story, check it, draw it."""
+    """Run the demo, check and draw it."""
     need_ros('demo')
     if not 5.0 <= arguments.duration <= 600.0:
         raise InputError(f'--duration: must be from 5 to 600 s (got {arguments.duration:g})')
@@ -55,7 +60,7 @@ def run(arguments) -> int:
 
 
 def play(folder: Path, duration: float, say) -> None:
-    """Run the three processes to the end of the story."""
+    """Run the three processes to the end of the demo."""
     from xpbd_ros.demo.domain import private_environment
     environment = private_environment()
     node_log = (folder / 'node.log').open('w')
@@ -71,7 +76,7 @@ def play(folder: Path, duration: float, say) -> None:
     try:
         node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
                      '-p', f'record.path:={folder / "run"}',
-                     '-p', 'publish_clock:=true',    # a slow machine tells the story slowly
+                     '-p', 'publish_clock:=true',    # stamps do not depend on the machine's speed
                      stdout=node_log, stderr=subprocess.STDOUT)
         observer = start('xpbd_ros.demo.observer', str(folder / 'observed.npz'),
                          stdout=subprocess.PIPE, text=True)
@@ -79,14 +84,14 @@ def play(folder: Path, duration: float, say) -> None:
         robot = start('xpbd_ros.demo.robot', str(duration), str(folder / 'robot.json'),
                       stdout=subprocess.PIPE, text=True)
         follow(lambda: [say(f'  robot: {line.strip()}') for line in robot.stdout], robot, node,
-               folder, END_SECONDS + PATIENCE * duration)
+               folder, END_SECONDS + SLOWEST * duration)
         if ended(robot) != 0:
-            raise InputError(f'the robot ended with {robot.returncode}')
+            raise InputError(f'the robot process failed with exit code {robot.returncode}')
         for process in (observer, node):
             process.send_signal(signal.SIGINT)
             if ended(process) != 0:
-                raise InputError(f'{process.args[2]} ended with {process.returncode}; see '
-                                 f'{folder / "node.log"}')
+                raise InputError(f'{process.args[2]} failed with exit code {process.returncode}; '
+                                 f'see {folder / "node.log"}')
     finally:
         for process in processes:
             process.terminate()
@@ -96,7 +101,7 @@ def play(folder: Path, duration: float, say) -> None:
 
 
 def ended(process: subprocess.Popen) -> int:
-    """Wait for the end of a process that was asked to, and make sure of it."""
+    """Wait for a process that was told to end; kill it after END_SECONDS; return its exit code."""
     try:
         return process.wait(END_SECONDS)
     except subprocess.TimeoutExpired:
@@ -105,14 +110,14 @@ def ended(process: subprocess.Popen) -> int:
 
 
 def follow(read, process, node, folder: Path, seconds: float) -> None:
-    """Read what a process says to the end, as long as the node lives and time is left."""
+    """Call ``read`` in a thread until it returns; raise if the node ends or time runs out [s]."""
     reader = threading.Thread(target=read, daemon=True)
     reader.start()
     end = time.monotonic() + seconds
     while reader.is_alive():
         if node.poll() is not None:
             log = (folder / 'node.log').read_text().strip().splitlines()
-            raise InputError(f'the node ended early: {log[-1] if log else "it said nothing"}')
+            raise InputError(f'the node ended early: {log[-1] if log else "without output"}')
         if time.monotonic() > end:
             raise InputError(f'{process.args[2]}: not done after {seconds:.0f} s; see '
                              f'{folder / "node.log"}')

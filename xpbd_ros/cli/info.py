@@ -1,8 +1,10 @@
 """
-What a log holds, and whether it is whole.
+List the content of a log, and check that it is complete and undamaged.
 
-The exit code is 1 for a log that is damaged or was cut short; it is listed as far as it can be
-read, and ``xpbd_ros recover`` makes a whole one of that.
+A log that is damaged or was cut short is listed as far as it is readable; 'xpbd_ros recover'
+writes its readable part to a new log.
+
+Exit code: 0, or 1 for a log that is damaged or was cut short.
 """
 
 from datetime import datetime, timezone
@@ -18,13 +20,13 @@ EXAMPLE = 'xpbd_ros info drape_run'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap in it')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap file in it')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Read the log and print what it holds."""
+    """Read the log and print its content."""
     log = LogReader(arguments.run)
     write_json(arguments.json, {
         'run': Path(arguments.run),
@@ -40,7 +42,7 @@ def run(arguments) -> int:
 
 
 def content(log: LogReader) -> dict:
-    """Return the keys of ``--json`` that describe what a log holds."""
+    """Return the JSON keys about the content of a log."""
     return {'messages': log.count,
             'topics': {name: {'type': topic.type, 'count': topic.count}
                        for name, topic in log.topics.items()},
@@ -51,12 +53,12 @@ def content(log: LogReader) -> dict:
 
 
 def lines(log: LogReader, run: str) -> list[str]:
-    """Return what there is to say about a log, which the user named ``run``."""
+    """Return the printed description of a log, which the user gave as ``run``."""
     found = [f'{log.path}: {"whole" if log.whole else "damaged"}',
              *(f'  {text}' for text in log.damage)]
     if not log.whole:
-        found.append(f"'xpbd_ros recover {shlex.quote(str(run))}' makes a whole log of what can "
-                     'be read')
+        found.append(f"'xpbd_ros recover {shlex.quote(str(run))}' writes a whole log of the "
+                     'readable part')
     rows = [('size', f'{log.path.stat().st_size * 1e-6:.3f} MB')]
     if log.start_ns is not None:
         start = datetime.fromtimestamp(log.start_ns * 1e-9, timezone.utc)
@@ -72,14 +74,14 @@ def lines(log: LogReader, run: str) -> list[str]:
 
 
 def table(rows: list[tuple[str, ...]]) -> list[str]:
-    """Return rows of text with their columns in line."""
+    """Return rows of text with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return ['  ' + '  '.join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()
             for row in rows]
 
 
 def scene_rows(text: str) -> list[tuple[str, str]]:
-    """Return the keys of a scene, each with its value or with the names that it holds."""
+    """Return the top-level keys of a scene, each with its value or the names in it."""
     try:
         scene = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -90,7 +92,7 @@ def scene_rows(text: str) -> list[tuple[str, str]]:
 
 
 def brief(value: object) -> str:
-    """Return a value of a scene; of one that holds others their names, and what is simple."""
+    """Return a value of a scene as text; of nested mappings only the names."""
     if isinstance(value, dict):
         return ', '.join(str(name) if isinstance(item, dict | list) else f'{name} {item}'
                          for name, item in value.items())

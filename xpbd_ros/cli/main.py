@@ -1,9 +1,9 @@
 """
-The command line: one program, one verb per file.
+The command line: one program, one verb per module of this package.
 
-A verb is a module of this package with ``HELP`` (one line), ``EXAMPLE``, ``add_arguments(parser)``
-and ``run(arguments) -> int``. It is imported only when it is called, so that a verb which needs
-ROS costs nothing to the others.
+The module of a verb has a docstring, which is its help, ``EXAMPLE``, ``add_arguments(parser)`` and
+``run(arguments) -> int``; or ``main(argv) -> int`` if it parses its own arguments. It is imported
+only when the verb is called, so only verbs that need ROS import it.
 """
 
 import argparse
@@ -14,23 +14,23 @@ import sys
 from xpbd_ros import __version__
 from xpbd_ros.errors import brief, InputError
 
-# Before numpy is there. Vectors of some ten thousand numbers gain nothing from threads, and lose
-# much where those wait for a core that is busy.
+# To be set before NumPy is imported. Vectors of some ten thousand numbers gain nothing from BLAS
+# threads, and lose much where these wait for a busy core.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 VERBS = {
-    'demo': 'start the node, drive it as a robot would, record the run and draw it',
-    'node': 'the node: the same as ros2 run xpbd_ros cloth_node',
-    'run': 'run a scene as fast as it can, without DDS, and write the same log as the node',
-    'replay': 'publish a log again',
-    'info': 'what a log holds, and whether it is whole',
-    'recover': 'make a log whole again that was cut short or damaged',
-    'verify': 'compare the simulation with answers that are known',
-    'accuracy': 'error against time for a scene, and the setting to take',
-    'stress': 'the hard cases that break solvers, at every setting',
+    'demo': 'start the node, drive it as a robot would, record and draw the run',
+    'node': 'start the node, as ros2 run xpbd_ros cloth_node does',
+    'run': 'simulate a scene as fast as possible, without DDS, and write the same log as the node',
+    'replay': 'publish a log, as ros2 bag play does',
+    'info': 'list the content of a log, and check that it is whole',
+    'recover': 'write the readable part of a damaged or incomplete log to a new one',
+    'verify': 'compare the simulation with known solutions',
+    'accuracy': 'measure error against time for a scene, and recommend a solver setting',
+    'stress': 'run hard cases that break solvers, with every setting',
     'compile': 'compile scenes ahead of time, for images and read-only homes',
-    'check': 'check a scene, and predict what its setting will give',
-    'cost': 'what each effect of a scene costs: time, memory, code',
+    'check': 'check a scene, and predict its stiffness, damping and time per frame',
+    'cost': 'measure the cost of each effect of a scene: time, memory, code',
 }
 
 
@@ -51,10 +51,10 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_verb(name: str, argv: list[str]) -> int:
-    """Run one verb; turn bad input into one line and exit code 2."""
+    """Run one verb; report bad input in one line, with exit code 2."""
     verb = importlib.import_module(f'xpbd_ros.cli.{name}')
     try:
-        if hasattr(verb, 'main'):    # a verb that hands its arguments on
+        if hasattr(verb, 'main'):    # parses its own arguments
             return verb.main(argv)
         return verb.run(parse(name, verb, argv))
     except InputError as error:
@@ -63,7 +63,7 @@ def run_verb(name: str, argv: list[str]) -> int:
     except BrokenPipeError:
         return 0
     except MemoryError as error:
-        print(f'xpbd_ros {name}: not enough memory ({error}); give it fewer particles',
+        print(f'xpbd_ros {name}: not enough memory ({error}); use fewer particles',
               file=sys.stderr)
         return 2
     except OSError as error:

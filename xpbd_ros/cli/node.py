@@ -1,8 +1,8 @@
 """
-The node: the same program as ``ros2 run xpbd_ros cloth_node``; it takes --ros-args.
+Start the node: the same program as 'ros2 run xpbd_ros cloth_node'.
 
-What it simulates and how are parameters: ``ros2 param list /cloth`` names them while it runs, and
-share/xpbd_ros/cloth_node.yaml holds their defaults.
+Its options are ROS parameters, given with --ros-args. 'ros2 param list /cloth' lists them while
+the node runs; share/xpbd_ros/cloth_node.yaml has their defaults.
 """
 
 import argparse
@@ -13,7 +13,7 @@ EXAMPLE = 'xpbd_ros node --ros-args -p scene:=drape -p mode:=realtime'
 
 
 def main(argv: list[str]) -> int:
-    """Hand everything to the node, if it is all for ROS."""
+    """Check that all arguments are for ROS, and start the node with them."""
     parser = argparse.ArgumentParser(
         prog='xpbd_ros node', usage='xpbd_ros node [-h] [--ros-args ...]',
         description=__doc__.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -25,7 +25,7 @@ def main(argv: list[str]) -> int:
 
 
 def not_for_ros(argv: list[str]) -> list[str]:
-    """Return what lies outside ``--ros-args ... --``."""
+    """Return the arguments outside of ``--ros-args ... --``."""
     found, outside = [], True
     for word in argv:
         if outside and word != '--ros-args':

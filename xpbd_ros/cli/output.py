@@ -1,4 +1,4 @@
-"""What every verb writes: its numbers as JSON."""
+"""Output of the verbs: JSON, and checks of output files and folders."""
 
 import argparse
 from collections.abc import Iterator
@@ -17,36 +17,36 @@ def add_json_argument(parser: argparse.ArgumentParser) -> None:
     """Add ``--json FILE`` to a verb."""
     parser.add_argument(
         '--json', metavar='FILE',
-        help='write the same numbers as JSON to this new file; - is stdout, and then nothing else '
-             'goes there')
+        help='write the printed numbers as JSON to this new file; - writes them to stdout, and '
+             'nothing else')
 
 
 def refuse_existing(destination: str | Path | None) -> None:
     """
-    Raise InputError if a named output exists already; None and ``-`` name none.
+    Raise InputError if an output exists already; None and ``-`` are no outputs.
 
-    For the start of a long verb, so that it does not end at a file that it may not write.
+    To be called at the start of a long verb, so that its work is not lost at the end.
     """
     if destination is not None and str(destination) != STDOUT and os.path.lexists(destination):
         raise InputError(f'{destination}: exists already; name another, or move it away')
 
 
 def check_output(destination: str | Path | None) -> None:
-    """Raise InputError if a named file cannot be made: it is there, or its folder is not."""
+    """Raise InputError if an output file exists already, or if its folder does not."""
     refuse_existing(destination)
     if destination is not None and str(destination) != STDOUT:
         folder = Path(destination).absolute().parent
         if not folder.is_dir():
-            raise InputError(f'{destination}: there is no folder {folder}; make it first')
+            raise InputError(f'{destination}: there is no folder {folder}; create it first')
 
 
 @contextmanager
 def new_folder(destination: str | Path | None) -> Iterator[Path | None]:
     """
-    Make a named folder for what a long verb will write; None names none.
+    Create and yield an output folder; None yields None.
 
-    Before the work, so that it does not end at a folder that cannot be made; what is left empty by
-    work that fails goes again.
+    It is created before the work, whose results would otherwise be lost if that fails. If the work
+    raises, an empty folder is removed again.
     """
     if destination is None:
         yield None
@@ -56,7 +56,7 @@ def new_folder(destination: str | Path | None) -> Iterator[Path | None]:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise InputError(f'{folder}: cannot be made ({error.strerror})') from error
+        raise InputError(f'{folder}: cannot be created ({error.strerror})') from error
     try:
         yield folder
     except BaseException:
@@ -67,9 +67,9 @@ def new_folder(destination: str | Path | None) -> Iterator[Path | None]:
 
 def write_json(destination: str | None, data: dict) -> None:
     """
-    Write a verb's numbers to a new file, or to stdout for ``-``; None asks for nothing.
+    Write JSON to a new file, or to stdout for ``-``; None writes nothing.
 
-    Numbers that are not finite become null, which is all that JSON has for them.
+    Non-finite numbers become null, as JSON cannot represent them.
     """
     if destination is None:
         return
@@ -86,7 +86,7 @@ def write_json(destination: str | None, data: dict) -> None:
 
 
 def finite(value: object) -> object:
-    """Return the same data with None where a float is infinite or not a number."""
+    """Return a copy of plain data with None for infinite floats and NaN."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -99,7 +99,7 @@ def finite(value: object) -> object:
 
 
 def plain(value: object) -> str:
-    """Return what JSON has no word for as text; a path becomes an absolute one."""
+    """Return a path as absolute text; raise TypeError for other objects, as json asks."""
     if isinstance(value, Path):
         return str(value.absolute())
-    raise TypeError(f'{type(value).__name__} has no form in JSON')
+    raise TypeError(f'{type(value).__name__} cannot be written as JSON')

@@ -1,11 +1,11 @@
-"""A progress bar for long work, on a terminal."""
+"""Progress bars on terminals."""
 
 from collections.abc import Iterable
 import sys
 
 
 def progress(items: Iterable, what: str) -> Iterable:
-    """Pass items on, with a bar on stderr if that is a terminal."""
+    """Return an iterable of the items, with a progress bar on stderr if that is a terminal."""
     if not sys.stderr.isatty():
         return items
     from tqdm import tqdm

@@ -1,9 +1,11 @@
 """
-Make a log whole again that was cut short or damaged.
+Write the readable part of a damaged or incomplete log to a new log.
 
-All that can be read goes into a new log, with the index and the metadata.yaml that strict readers
-want; the old one stays as it is. The exit code is 1 where something that had been written whole is
-lost, and 0 where only the end is missing, as it is after a kill.
+The new log has the index and the metadata.yaml that strict readers need. The old one is not
+changed.
+
+Exit code: 0 if nothing or only the end of the log was missing, as after a kill; 1 if other
+messages are lost.
 """
 
 from pathlib import Path
@@ -18,15 +20,15 @@ EXAMPLE = 'xpbd_ros recover drape_run -o drape_whole'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap in it')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap file in it')
     parser.add_argument('-o', '--output', metavar='RUN',
-                        help='folder of the new log; must not exist')
+                        help='new folder for the new log; default: one named by time')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Read the log, write it again, and print what came of it."""
+    """Read the log, write the new one, and print the damage and the new content."""
     check_output(arguments.json)
     refuse_existing(arguments.output)
     log = LogReader(arguments.run)

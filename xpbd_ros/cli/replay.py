@@ -1,11 +1,11 @@
 """
-Publish a log again, with the flags of ros2 bag play.
+Publish a log, with the options of ros2 bag play.
 
-Each message leaves as it was recorded, when its time comes. The node's services ~/pause, ~/resume,
-~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) say what they did. A damaged log is played
-as far as it can be read. The inputs in it (pins, colliders, wind, parameters) are left out, or
-they would drive a node that is running; --inputs publishes them, and so does --topics with their
-names.
+Each message is published with its recorded bytes and quality of service, at its log time. The
+services ~/pause, ~/resume, ~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) control the
+replay. A damaged log is played as far as it is readable. Inputs in the log (pins, colliders, wind,
+parameters) are left out, since they would drive a running node; --inputs publishes them, as does
+--topics with their names.
 """
 
 import argparse
@@ -26,21 +26,22 @@ RULE = re.compile(r'[~/]?[A-Za-z_][\w/]*:=[~/]?[A-Za-z_][\w/]*')
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap in it')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap file in it')
     parser.add_argument('-r', '--rate', type=positive, default=1.0,
-                        help='times faster than it was recorded')
+                        help='speed, relative to the recording (default: 1)')
     parser.add_argument('-l', '--loop', action='store_true', help='start again at the end')
     parser.add_argument('--start-offset', type=not_negative, default=0.0, metavar='S',
-                        help='seconds to skip; what was latched in them is published at once')
+                        help='time to skip at the start in s; the last latched messages in it are '
+                             'published first')
     parser.add_argument('-p', '--start-paused', action='store_true',
-                        help='wait for ~/resume or ~/play_next')
+                        help='start paused, until ~/resume or ~/play_next is called')
     parser.add_argument('--clock', type=positive, nargs='?', const=40.0, metavar='HZ',
-                        help='publish the time of the log on /clock (40 Hz if not given), instead '
-                             'of a recorded /clock')
-    parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='publish only these')
+                        help='publish the log time on /clock at this rate (default: 40 Hz), '
+                             'instead of a recorded /clock')
+    parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='publish only these topics')
     parser.add_argument('--inputs', action='store_true',
-                        help='publish the inputs too, which drive a node that listens')
+                        help='publish the inputs in the log too, which drive a subscribed node')
     parser.add_argument('-m', '--remap', type=rule, nargs='+', default=[], metavar='FROM:=TO',
                         help='publish a topic under another name')
     add_json_argument(parser)
@@ -75,9 +76,9 @@ def run(arguments) -> int:
 
 
 def check(log: LogReader, arguments: argparse.Namespace) -> None:
-    """Raise InputError if there is nothing in the log to do what is asked for with."""
+    """Raise InputError if the log lacks messages, a requested topic, or the start offset."""
     if log.start_ns is None:
-        raise InputError(f'{log.path}: holds no message that can be read')
+        raise InputError(f'{log.path}: holds no readable message')
     for topic in arguments.topics or ():
         if topic not in log.topics:
             near = difflib.get_close_matches(topic, log.topics, 1)
@@ -98,13 +99,13 @@ def chosen(log: LogReader, arguments: argparse.Namespace) -> tuple[list[str], li
     left_out = [name for name, topic in log.topics.items() if is_input(name, topic.type)]
     topics = [name for name in log.topics if name not in left_out]
     if not topics:
-        raise InputError(f'{log.path}: holds nothing but inputs ({", ".join(left_out)}); '
+        raise InputError(f'{log.path}: holds only inputs ({", ".join(left_out)}); '
                          '--inputs publishes them')
     return topics, left_out
 
 
 def positive(text: str) -> float:
-    """Return a number above 0."""
+    """Return a positive number."""
     value = float(text)
     if not 0.0 < value < math.inf:
         raise argparse.ArgumentTypeError(f'must be > 0 (got {text})')
@@ -112,7 +113,7 @@ def positive(text: str) -> float:
 
 
 def not_negative(text: str) -> float:
-    """Return a number from 0 on."""
+    """Return a non-negative number."""
     value = float(text)
     if not 0.0 <= value < math.inf:
         raise argparse.ArgumentTypeError(f'must be >= 0 (got {text})')
@@ -120,7 +121,7 @@ def not_negative(text: str) -> float:
 
 
 def rule(text: str) -> str:
-    """Return a remapping that rcl accepts."""
+    """Return a remapping rule of a form that rcl accepts."""
     if not RULE.fullmatch(text):
         raise argparse.ArgumentTypeError('must be FROM:=TO, such as '
                                          f'/cloth/particles:=/particles (got {text})')

@@ -1,16 +1,15 @@
 """
-Run a scene as fast as it can, without DDS, and write the same log as the node.
+Simulate a scene as fast as possible, without DDS, and write the same log as the node.
 
-The scene's own motions move pins and colliders; --commands applies the inputs of an earlier log,
-at the frames that they acted on, for as long as the log goes. Then the exit code is 0 where scene
-and states are those of the log, bit for bit, and else 1: another scene, other keys (--set too), a
-log that began in the midst of a run, an input that is refused.
+The motions in the scene file move pins and colliders. --commands also applies the inputs of an
+earlier log, at the frames that they acted on, and compares the run with that log, for its duration
+unless --duration is given.
+
+Exit code: 0. With --commands it is 1 if the run is not bit-identical to the log: another scene,
+other keys (--set included), a log that begins in the middle of a run, or refused inputs.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-import signal
 import sys
 import time
 
@@ -24,37 +23,40 @@ from xpbd_ros.log.folder import fresh_folder
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
 
-GUARDS = {'frames_taken_back': 'were not finite and were taken back',
-          'explicit_redone': 'were too rough for explicit and were done again with line'}
-"""what guards count, where there is something to count"""
+GUARDS = {'frames_taken_back': 'were not finite and were rolled back',
+          'explicit_redone': 'were unstable with explicit and were computed again with line'}
+"""texts for the counters of guards, by counter"""
 LONGEST = 1e6
-"""[s]; stamps and disks end not far behind"""
+"""duration of a run, at most [s]"""
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
+    """Add the verb's arguments to a parser."""
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
-    parser.add_argument('-o', '--output', metavar='RUN', help='folder of the log; must not exist')
+    parser.add_argument('-o', '--output', metavar='RUN',
+                        help='new folder for the log; default: one named by time')
     parser.add_argument('--duration', type=float, metavar='S',
-                        help="simulated seconds, instead of the scene's")
+                        help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--commands', metavar='LOG',
-                        help='apply the inputs of this log, and compare with its states')
+                        help='apply the inputs of this log (a folder or an .mcap file), and '
+                             'compare the states with its states')
     parser.add_argument('--settings', metavar='FILE',
-                        help="a file with a 'solver:' block, to override the scene's keys")
+                        help="a file with a 'solver:' block, which overrides the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     parser.add_argument('--picture', metavar='FILE',
-                        help='draw three instants of the run as a PNG; must not exist')
+                        help='draw three instants of the run to this new PNG file')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Step through the scene and record it."""
+    """Simulate, record and, with ``--commands``, compare the scene."""
     need_ros('run')
     from xpbd_ros.ros.diagnostics import percentile
+    from xpbd_ros.ros.error_monitor import ErrorMonitor
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
-    from xpbd_ros.ros.watch import ErrorMonitor
+    from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
@@ -68,8 +70,8 @@ def run(arguments) -> int:
     scene = load_scene(arguments.scene, overrides)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
     if recording is not None:
-        if recording.late:
-            print(f'xpbd_ros run: {recording.late}', file=sys.stderr)
+        if recording.not_repeatable:
+            print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
             return 1
         if arguments.duration is None:
             overrides['duration'] = recording.last / scene.top.frame_rate
@@ -91,18 +93,18 @@ def run(arguments) -> int:
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
-    watch = ErrorMonitor(simulation, target=scene.top.solver.error_target,
+    monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                   most=scene.top.solver.max_substeps)
     try:
         simulation.compile()
         begin = time.perf_counter()
-        with signals_wait() as signals:
+        with collected_signals() as signals:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
                 inputs = repeat.commands(index) if repeat else ()
-                frame = simulation.step([*inputs, *watch.commands()], keep=watch.due())
+                frame = simulation.step([*inputs, *monitor.commands()], keep=monitor.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
-                watch.look(1e-3 * step_ms[-1])
+                monitor.look(1e-3 * step_ms[-1])
                 refused += len(frame.refused)
                 if repeat:
                     repeat.look(frame)
@@ -113,7 +115,7 @@ def run(arguments) -> int:
                 if signals:
                     raise KeyboardInterrupt
     finally:
-        watch.close()
+        monitor.close()
         recorder.close()
     wall = time.perf_counter() - begin
     numbers = {
@@ -123,7 +125,7 @@ def run(arguments) -> int:
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
         'refused': refused,
-        'error': watch.summary(),
+        'error': monitor.summary(),
         **{name: count for name, count in simulation.stats().items() if name in GUARDS},
         'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
@@ -142,7 +144,7 @@ def run(arguments) -> int:
               f'solver   {simulation.solver.method}, {simulation.solver.integrator}, '
               f'{simulation.solver.substeps} × {simulation.solver.iterations} '
               f'({simulation.solver.reason})\n'
-              f'error    {watch}\n'
+              f'error    {monitor}\n'
               f"state    {numbers['state_hash']}\n"
               f'log      {folder.absolute()}')
         for file in numbers.get('pictures', ()):
@@ -163,21 +165,8 @@ def run(arguments) -> int:
     return 0 if repeat.identical else 1
 
 
-@contextmanager
-def signals_wait() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM, to be seen to between frames: else they cut the log short."""
-    signals: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: signals.append(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield signals
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
 def count_frames(scene) -> int:
-    """Return how many frames the scene's duration is, or refuse it."""
+    """Return the number of frames in the scene's duration; refuse a duration out of range."""
     duration, rate = scene.top.duration, scene.top.frame_rate
     if duration * rate < 0.5 or duration > LONGEST:
         raise InputError(f'{scene.where}: duration: must be from a frame ({1.0 / rate:.3g} s) to '
@@ -186,7 +175,7 @@ def count_frames(scene) -> int:
 
 
 def parse_keys(pairs: list[str]) -> dict:
-    """Return ``key=value`` overrides, the values read as YAML."""
+    """Return the overrides of ``--set`` by key, with values parsed as YAML."""
     from xpbd_ros.scene.load import parse_yaml
     found = {}
     for pair in pairs:

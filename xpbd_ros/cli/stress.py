@@ -1,10 +1,11 @@
 """
-Run the hard cases: what breaks solvers, at every setting where it applies.
+Run hard cases that break solvers, with every setting that applies.
 
-Each row is one case at one setting: whether all stayed finite, the largest strain, when the cloth
-recovered, what the user is told, and whether a textbook XPBD solver survives the same. Cases that
-need a node start one as a process; where ROS is missing they are listed as skipped. The exit code
-is 1 where a row fails or is skipped.
+Each row is one case with one setting: the largest strain, the time until the cloth recovered,
+whether a textbook XPBD solver passes the same case, and the message that the user gets. Some cases
+start a node as a process; without ROS they are listed as skipped.
+
+Exit code: 0, or 1 if a row fails or is skipped.
 """
 
 import json
@@ -20,18 +21,18 @@ EXAMPLE = 'xpbd_ros stress --case H13'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('--case', metavar='ID', help='only this case, such as H13')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('--case', metavar='ID', help='run only this case, such as H13')
     parser.add_argument('--quick', action='store_true',
-                        help='the default setting alone, and no case that needs a node')
+                        help='run only the default setting, and no case that needs a node')
     parser.add_argument('-o', '--output', metavar='DIR',
-                        help='write a table and draw a map of case by setting into this folder; '
-                             'must not exist')
+                        help='write a table and draw a map of cases and settings to this new '
+                             'folder')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Run the cases and print what came of them."""
+    """Run the cases and print their results."""
     from xpbd_ros.study.stress.run import draw, known_ids, stress, table
     check_output(arguments.json)
     with new_folder(arguments.output) as folder:
@@ -59,7 +60,7 @@ def run(arguments) -> int:
 
 
 def live_cases(chosen: str | None) -> list:
-    """Return the cases that need a node, run or skipped."""
+    """Return the results of the cases that need a node; without ROS they are skipped."""
     from xpbd_ros.study.stress.run import NODE_CASES, Result, skipped
     ids = [one for one in NODE_CASES if chosen in (None, one)]
     if not ids:
@@ -76,14 +77,14 @@ def live_cases(chosen: str | None) -> list:
     try:
         found = json.loads(done.stdout)
     except ValueError:
-        return [skipped(one, NODE_CASES[one], 'its process broke off') for one in ids]
+        return [skipped(one, NODE_CASES[one], 'its process failed') for one in ids]
     return [Result(one, NODE_CASES[one], 'node',
                    tuple(Outcome(**row) for row in found[one]['rows']), found[one]['seconds'])
             for one in ids]
 
 
 def numbers_of(outcome) -> dict:
-    """Return a row as JSON has it."""
+    """Return the JSON keys of a row."""
     return {'setting': outcome.setting, 'finite': outcome.finite,
             'strain_max': outcome.strain_max, 'energy_rise': outcome.energy_rise,
             'recovered': outcome.recovered, 'recovery_s': outcome.recovery_s,
@@ -93,7 +94,7 @@ def numbers_of(outcome) -> dict:
 
 
 def lines(results) -> list[str]:
-    """Return the table."""
+    """Return the printed table."""
     text = [f'{"":<6}{"setting":<54}{"strain":>9} {"recovery":>9}  textbook  reported']
     for result in results:
         text.append(f'{result.id} {result.title} ({result.seconds:.1f} s)')

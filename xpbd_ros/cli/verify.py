@@ -1,9 +1,11 @@
 """
-Compare the simulation with answers that are known.
+Compare the simulation with known solutions.
 
-Closed forms and independent solutions, errors in a named norm, and measured beside expected orders
-of convergence. Schemes known to be wrong solve some of the same cases, as controls: each must
-fail. The exit code is 1 where a case fails, or a control does not.
+The cases have closed forms or independent numerical solutions. Each row has an error in a named
+norm with its tolerance and, where one is expected, the measured order of convergence. As negative
+controls, schemes that are known to be wrong solve some of the same cases: each of them must fail.
+
+Exit code: 0, or 1 if a case fails or a control passes.
 """
 
 from dataclasses import replace
@@ -15,17 +17,17 @@ EXAMPLE = 'xpbd_ros verify --case V6'
 
 
 def add_arguments(parser):
-    """Declare what the verb takes."""
-    parser.add_argument('--case', metavar='ID', help='only this case, such as V6')
-    parser.add_argument('--quick', action='store_true', help='leave out what takes minutes')
+    """Add the verb's arguments to a parser."""
+    parser.add_argument('--case', metavar='ID', help='run only this case, such as V6')
+    parser.add_argument('--quick', action='store_true', help='leave out cases that take minutes')
     parser.add_argument('-o', '--output', metavar='DIR',
-                        help='draw a picture per family into this folder, and write the table in '
-                             'README there; must not exist')
+                        help='draw a picture per family of cases and write the table as Markdown '
+                             'to this new folder')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
-    """Run the cases and print what came of them."""
+    """Run the cases and print their results."""
     from xpbd_ros.study.verify.controls import controls
     from xpbd_ros.study.verify.run import draw, verify
     check_output(arguments.json)
@@ -53,7 +55,7 @@ def run(arguments) -> int:
 
 
 def numbers_of(row) -> dict:
-    """Return a row as JSON has it."""
+    """Return the JSON keys of a row."""
     return {'name': row.name, 'expected': row.expected, 'got': row.got, 'unit': row.unit,
             'error': row.error, 'norm': row.norm, 'tolerance': row.tolerance,
             'order_expected': row.order_expected, 'order': row.order, 'ladder': row.ladder,
@@ -61,7 +63,7 @@ def numbers_of(row) -> dict:
 
 
 def table(answers, wrong) -> list[str]:
-    """Return a Markdown table: of each case the row nearest to its tolerance, and the orders."""
+    """Return a Markdown table with, for each case, the row closest to its tolerance and orders."""
     text = ['| Case | | Numbers | Largest error | Tolerance | Orders | Expected |',
             '|---|---|---|---|---|---|---|']
     for answer in merged(answers):
@@ -79,7 +81,7 @@ def table(answers, wrong) -> list[str]:
 
 
 def merged(answers) -> list:
-    """Return one answer for each id."""
+    """Return one answer per case, with the rows of all its answers."""
     found = {}
     for answer in answers:
         known = found.get(answer.id)
@@ -89,7 +91,7 @@ def merged(answers) -> list:
 
 
 def lines(answers, wrong) -> list[str]:
-    """Return the table."""
+    """Return the printed table."""
     text = []
     for answer in answers:
         text.append(f'{answer.id} {answer.title} ({answer.seconds:.1f} s)')

@@ -1,4 +1,4 @@
-"""A ROS domain of our own on loopback, so that nothing here can move anyone's robot."""
+"""A private ROS domain on loopback, so that the demo cannot reach other robots."""
 
 import os
 import random
@@ -7,11 +7,11 @@ import socket
 from xpbd_ros.errors import InputError
 
 DOMAINS = range(1, 101)
-"""those whose ports lie below the ephemeral ones"""
+"""domains whose ports are below the ephemeral ports"""
 
 
 def free_domain() -> int:
-    """Return a domain whose discovery ports are free on this machine (RTPS 9.6.1.1)."""
+    """Return a random domain whose discovery ports are free on this machine (RTPS 9.6.1.1)."""
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         if all(_free(7400 + 250 * domain + offset) for offset in (0, 1, 10, 11)):
             return domain
@@ -28,7 +28,7 @@ def _free(port: int) -> bool:
 
 
 def private_environment() -> dict[str, str]:
-    """Return the environment for processes that speak among themselves only."""
+    """Return environment variables for processes on a private domain, on loopback only."""
     found = {key: value for key, value in os.environ.items()
              if key not in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER',
                             'ROS_NAMESPACE')}

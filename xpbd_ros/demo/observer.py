@@ -1,8 +1,8 @@
 """
-The onlooker of the demo: a program of its own that reads what the node publishes.
+The observer of the demo: a separate program that subscribes to the node's topics.
 
-It says a word once it hears the node, keeps clouds, pin states and diagnostics until it is told to
-stop, then writes them to a file.
+It prints a line when the first point cloud arrives, collects point clouds, pin states and
+diagnostics until SIGINT or SIGTERM, then writes them to a file.
 """
 
 from contextlib import suppress
@@ -20,7 +20,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
 
 class Observer(Node):
-    """Keeps what it hears."""
+    """A node that collects the messages of the demo."""
 
     def __init__(self):
         super().__init__('observer')
@@ -31,29 +31,29 @@ class Observer(Node):
         self.create_subscription(DiagnosticArray, '/diagnostics', self.on_diagnostics, 10)
 
     def on_cloud(self, cloud):
-        """Keep the points."""
+        """Keep a point cloud, its stamp and its arrival time [s]."""
         if not self.clouds:
-            print('hears', flush=True)
+            print('receives', flush=True)
         self.heard.append(time.monotonic())
         self.stamps.append(Time.from_msg(cloud.header.stamp).nanoseconds * 1e-9)
         self.clouds.append(np.frombuffer(cloud.data, np.float32).reshape(
             cloud.height, cloud.width, 3))
 
     def on_pins(self, states):
-        """Keep where the pins are and how hard the cloth pulls."""
+        """Keep the positions of the pins [m] and the forces on them [N]."""
         stamp = Time.from_msg(states.header.stamp).nanoseconds * 1e-9
         for name, place, wrench in zip(states.joint_names, states.transforms, states.wrench):
             p, f = place.translation, wrench.force
             self.pins.append([stamp, name, [p.x, p.y, p.z], [f.x, f.y, f.z]])
 
     def on_diagnostics(self, array):
-        """Keep the last word."""
+        """Keep the latest diagnostics."""
         for status in array.status:
             self.diagnostics = {pair.key: pair.value for pair in status.values}
 
 
 def main() -> int:
-    """Watch until SIGINT or SIGTERM: ``observer.py FILE.npz``."""
+    """Collect until SIGINT or SIGTERM, then write: ``observer.py FILE.npz``."""
     rclpy.init()
     observer = Observer()
     with suppress(KeyboardInterrupt, ExternalShutdownException):

@@ -1,4 +1,4 @@
-"""What the onlooker of the demo saw: checks, a table, a picture."""
+"""Evaluate the demo from the observer's data: checks, a table, a picture."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ STANDARD_GRAVITY = 9.80665
 
 
 def make(folder: Path, scene_name: str) -> dict:
-    """Check and draw what a demo left in its folder; return its numbers."""
+    """Check and draw the demo whose files are in a folder; return the JSON keys."""
     seen = np.load(folder / 'observed.npz')
     diary = json.loads((folder / 'robot.json').read_text())
     stamps, clouds = seen['stamps'], seen['clouds'].astype(float)
@@ -44,7 +44,7 @@ def make(folder: Path, scene_name: str) -> dict:
 
 
 def frames_by_stamp(run: Path) -> dict[float, int]:
-    """Return which frame the clouds of a log are from, by their stamps [s]."""
+    """Return the frame of each point cloud in a log, by its stamp [s]."""
     found = {}
     for message in LogReader(run).messages({'/cloth/particles'}):
         sec, nanosec = struct.unpack_from('<iI', message.data, 4)
@@ -53,7 +53,7 @@ def frames_by_stamp(run: Path) -> dict[float, int]:
 
 
 def mean_forces(pins, stamps: set[float]) -> dict[str, float]:
-    """Return the mean downward force on each gripper over some frames [N]."""
+    """Return the mean downward force on each gripper at the given stamps [N]."""
     found: dict[str, list[float]] = {}
     for stamp, name, _, force in pins:
         if stamp in stamps:
@@ -63,15 +63,24 @@ def mean_forces(pins, stamps: set[float]) -> dict[str, float]:
 
 def expected_load(simulation, rate: float, times, clouds, frames) -> float:
     """
-    Return what Newton's law says that the grippers carry, mean over some frames [N].
+    Return the mean force on the grippers that Newton's second law demands [N].
 
-    It is m (g + a + r v): the towel's weight, and what the motion takes that the story, told fast,
-    leaves in it; a, v are its centre's mean acceleration and velocity, ``rate`` the damping's r.
+    It is m (g + a + r v), with the mean acceleration a and velocity v of the towel's centre of
+    mass, which still moves a little while it is held, and the damping rate r.
+
+    Parameters
+    ----------
+    simulation : gives the masses
+    rate : damping rate [1/s]
+    times : of the clouds [s], shape (clouds,)
+    clouds : positions [m], shape (clouds, rows, columns, 3)
+    frames : whether a cloud counts, shape (clouds,)
+
     """
     mass = simulation.state.mass[simulation.slot]
     height = clouds[..., 2].reshape(len(clouds), -1) @ mass / mass.sum()
     speed = np.gradient(height, times)
-    first, last = np.flatnonzero(frames)[[0, -1]] - [1, 0]    # from one frame's end to another's
+    first, last = np.flatnonzero(frames)[[0, -1]] - [1, 0]    # from the end of the frame before
     time = times[last] - times[first]
     acceleration = (speed[last] - speed[first]) / time
     drag = rate * (height[last] - height[first]) / time
@@ -79,7 +88,7 @@ def expected_load(simulation, rate: float, times, clouds, frames) -> float:
 
 
 def checks(stamps, clouds, pins, begins, diary, hold, forces, load, said, sent) -> list[dict]:
-    """Return what must hold of the story."""
+    """Return the checks of the demo: name, pass, value, expected."""
     corners = {'left': clouds[:, -1, 0], 'right': clouds[:, -1, -1]}
     held = (stamps > begins['lift']) & (stamps < begins['rest'])
     gaps = []
@@ -114,7 +123,7 @@ def checks(stamps, clouds, pins, begins, diary, hold, forces, load, said, sent) 
 
 
 def table(numbers: dict) -> str:
-    """Return the numbers for people."""
+    """Return the printed table."""
     step = numbers['step_ms']
     lines = [f"\n{numbers['frames']} frames, {numbers['real_time_factor']:.2f} × real time; one "
              f"frame takes {step['p50']:.2f} ms (p95 {step['p95']:.2f} ms)"]
@@ -129,7 +138,7 @@ def table(numbers: dict) -> str:
 
 
 def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
-    """Draw the towel, the colliders and the grippers' paths at six instants."""
+    """Draw the towel, the colliders and the paths of the grippers at six instants."""
     from xpbd_ros.study.picture import Body, draw as draw_picture, Instant, Path as Track, Surface
     from xpbd_ros.study.snapshots import size_of
     cloth = simulation.cloths[0]
@@ -163,7 +172,7 @@ def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
 
 
 def colliders_at(simulation, diary, begins, stamp: float):
-    """Return each collider and where it was: the ball moves as the robot said."""
+    """Yield each collider with its position at a stamp [m]; the ball moves as the robot does."""
     for name, entry in simulation.effects['contact'].entries.items():
         place = np.array(entry.pose.position)
         if name == 'sphere' and begins['sweep'] <= stamp < begins['carry']:

@@ -1,9 +1,9 @@
 """
-The robot of the demo: a program of its own that knows nothing of xpbd_ros but its topics.
+The robot of the demo: a separate program that uses only the topics of the node.
 
-It waits for the cloud, grasps two corners of the towel, lifts it, holds it still, sweeps a ball
-through it, carries it over a stool and lets go. Everything it says is a standard message; time is
-the stamps of the clouds, so a slow machine gives the same story, only later.
+It waits for the first point cloud, grasps two corners of the towel, lifts it, holds it still,
+sweeps a ball through it, carries it over a stool and releases it. All its messages are standard
+ones. Its time is that of the stamps, so a slow machine runs the same demo, only later.
 """
 
 import json
@@ -20,22 +20,22 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 PHASES = {'wait': 0.08, 'grasp': 0.02, 'lift': 0.18, 'hold': 0.2, 'sweep': 0.17, 'carry': 0.1,
           'lower': 0.13, 'settle': 0.02, 'rest': 0.1}
-"""share of the whole duration; grippers follow with a delay, so they settle before they let go"""
+"""parts of the duration; in 'settle' the grippers, which follow with a delay, come to rest"""
 LIFT = np.array([0.0, 0.1, 0.9])
 CARRY = np.array([0.0, 0.3, 0.0])
 LOWER = np.array([0.0, 0.5, -0.6])
 SWEEP = np.array([0.0, 2.0, 0.0])
-"""how far grippers and ball go [m]"""
+"""displacements of the grippers and of the ball [m]"""
 
 
 def smooth(s: float) -> float:
-    """Minimum jerk from 0 to 1."""
+    """Return the minimum-jerk polynomial from 0 to 1 at ``s``, clamped."""
     s = min(max(s, 0.0), 1.0)
     return s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
 
 
 class Robot(Node):
-    """Two grippers and an arm with a ball."""
+    """A node that moves two grippers, and a ball on an arm."""
 
     def __init__(self, duration: float, diary: str):
         super().__init__('robot')
@@ -51,7 +51,7 @@ class Robot(Node):
         self.create_subscription(PointCloud2, '/cloth/particles', self.on_cloud, 5)
 
     def on_cloud(self, cloud: PointCloud2) -> None:
-        """Act once for every cloud."""
+        """Send the commands that are due at the stamp of a cloud."""
         now = Time.from_msg(cloud.header.stamp).nanoseconds * 1e-9
         ready = self.pins.get_subscription_count() and self.ball.get_subscription_count()
         if self.start is None and ready:
@@ -59,13 +59,13 @@ class Robot(Node):
         if self.start is None or self.done:
             return
         phase, s = self.where((now - self.start) / self.duration)
-        while self.phase != phase:    # each in turn, however few clouds came through
+        while self.phase != phase:    # enter all phases in turn, also when clouds were lost
             self.enter(self.after(self.phase), now, cloud)
         self.act(phase, s, cloud)
 
     @staticmethod
     def where(share: float) -> tuple[str, float]:
-        """Return the phase at a share of the duration, and how far it has got."""
+        """Return the phase at a part (0 to 1) of the duration, and its progress (0 to 1)."""
         for phase, length in PHASES.items():
             if share < length:
                 return phase, share / length
@@ -79,7 +79,7 @@ class Robot(Node):
         return order[order.index(phase) + 1]
 
     def enter(self, phase: str, now: float, cloud: PointCloud2) -> None:
-        """Begin a phase."""
+        """Begin a phase: record it, and grasp or release where it asks for that."""
         self.phase = phase
         self.notes.append({'phase': phase, 'time': now})
         print(phase, flush=True)
@@ -96,7 +96,7 @@ class Robot(Node):
                 json.dump({'phases': self.notes, 'path': self.path}, file)
 
     def mark(self, action: int) -> None:
-        """Grasp at the corners, or let go."""
+        """Grasp the corners (Marker.ADD) or release them (Marker.DELETE)."""
         markers = []
         for name, corner in self.corners.items():
             marker = Marker(ns=name, type=Marker.SPHERE, action=action)
@@ -108,7 +108,7 @@ class Robot(Node):
         self.pins.publish(MarkerArray(markers=markers))
 
     def act(self, phase: str, s: float, cloud: PointCloud2) -> None:
-        """Say where grippers and ball should be now."""
+        """Publish the targets of the grippers and of the ball at progress ``s`` of a phase."""
         order = list(PHASES)
         done = {name: 1.0 if order.index(name) < order.index(phase) else
                 smooth(s) if name == phase else 0.0 for name in order} if phase in order else {}
@@ -134,7 +134,7 @@ class Robot(Node):
 
 
 def main() -> int:
-    """Play the robot: ``robot.py DURATION DIARY``."""
+    """Run the robot for a duration [s]; write its path as JSON: ``robot.py DURATION FILE``."""
     rclpy.init()
     robot = Robot(float(sys.argv[1]), sys.argv[2])
     try:

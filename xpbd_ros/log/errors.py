@@ -1,7 +1,7 @@
-"""What can go wrong with a log once it is open."""
+"""The error of an open log."""
 
 from xpbd_ros.errors import InputError
 
 
 class LogError(InputError):
-    """A log that cannot be written any further, say on a full disk; what it holds stays."""
+    """A log cannot be written any further, as on a full disk; what was written stays readable."""

@@ -11,12 +11,12 @@ from xpbd_ros.log.qos import Qos
 
 FILE = 'metadata.yaml'
 WIDTH = 20
-"""of a number [characters]: 64 bits and a sign"""
+"""width of a number, for 64 bits and a sign [characters]"""
 
 
 @dataclass
 class TopicRecord:
-    """A topic of the log, and how many messages it holds so far."""
+    """A topic of the log, and its number of messages so far."""
 
     name: str
     type: str
@@ -27,12 +27,18 @@ class TopicRecord:
 
 class MetadataFile:
     """
-    The ``metadata.yaml`` of a folder that holds one MCAP file, which may still grow.
+    The ``metadata.yaml`` of a folder with one MCAP file, which may still grow.
 
-    Numbers are of one width, so that the text changes its length with the topics alone. Then it is
-    replaced, at once or not at all; ext4 takes milliseconds for that. Else it is overwritten in
-    place, which takes microseconds, needs no room, and leaves each number an old or a new one
-    whenever it is cut short.
+    All numbers have the same width, so the length of the text changes only when topics are added.
+    Then the file is replaced atomically, which takes milliseconds on ext4. Otherwise it is
+    overwritten in place, which takes microseconds and no disk space; if that is interrupted, each
+    number is either the old or the new one.
+
+    Parameters
+    ----------
+    folder : folder of the log
+    file : name of the MCAP file in it
+    custom_data : entries of ``custom_data``
     """
 
     def __init__(self, folder: Path, file: str, custom_data: Mapping[str, str]):
@@ -43,7 +49,7 @@ class MetadataFile:
         self._length = 0
 
     def write(self, topics: Iterable[TopicRecord], *, start_ns: int, end_ns: int) -> None:
-        """Write what the log holds by now."""
+        """Write the topics and the times of the first and the last message [ns]."""
         text = metadata_text(self._name, list(topics), start_ns, end_ns, self._custom_data)
         data = text.encode()
         if self._descriptor is not None and len(data) == self._length:
@@ -58,7 +64,7 @@ class MetadataFile:
         self._length = len(data)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
@@ -69,9 +75,9 @@ def metadata_text(file: str, topics: list[TopicRecord], start_ns: int, end_ns: i
     """
     Return the text of ``metadata.yaml``.
 
-    It is written between two frames, so it is put together by hand: PyYAML takes 26 ms for 15
-    topics. The compression is that of whole files or messages, of which there is none; MCAP's
-    own is in its chunks.
+    It is formatted by hand because it is written between two frames, and PyYAML takes 26 ms for
+    15 topics. ``compression_format`` is that of whole files or messages, of which there is none;
+    MCAP compresses its chunks itself.
     """
     count = sum(topic.count for topic in topics)
     return f"""\
@@ -101,7 +107,7 @@ rosbag2_bagfile_information:
 
 
 def topic_text(topic: TopicRecord) -> str:
-    """Return the entry of a topic."""
+    """Return the YAML entry of a topic."""
     profiles = indent(topic.qos.offered_profiles(), 10 * ' ')
     return f"""
     - topic_metadata:
@@ -115,11 +121,11 @@ def topic_text(topic: TopicRecord) -> str:
 
 
 def custom_text(entry: tuple[str, str]) -> str:
-    """Return an entry of the custom data."""
+    """Return the YAML entry of one key and value of the custom data."""
     key, value = entry
     return f'\n    {quoted(key)}: {quoted(value)}'
 
 
 def quoted(text: str) -> str:
-    """Return a YAML string: JSON's are among them."""
+    """Return a text as a quoted YAML string (JSON strings are YAML)."""
     return json.dumps(text, ensure_ascii=False)

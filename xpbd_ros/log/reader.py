@@ -1,8 +1,8 @@
 """
 Read a log, also one that was cut short or damaged.
 
-Opening it reads all of it once and checks every checksum, so that what it holds and whether it is
-whole are known before anything is made of it; nothing stays in memory but where the messages lie.
+Opening a log reads it once and checks every checksum, so that its content and its damage are known
+before use. Only the positions of the messages stay in memory.
 """
 
 from collections.abc import Collection, Iterator
@@ -29,11 +29,11 @@ class Topic:
     type: str
     """package/msg/Type"""
     count: int
-    """Messages that can be read."""
+    """Number of readable messages."""
     qos: Qos
-    """What a replay offers."""
+    """Quality of service that a replay offers."""
     encoding: str
-    """Of the data: cdr in any log of ROS 2."""
+    """Encoding of the messages: cdr in any log of ROS 2."""
     definition: str
     """Text of the schema."""
     type_hash: str
@@ -52,33 +52,33 @@ class Message(NamedTuple):
 
 class LogReader:
     """
-    What a log holds.
+    A log, open for reading.
 
     Parameters
     ----------
     path
-        The folder of a run, which holds one .mcap file, or such a file.
+        Folder of a run with one .mcap file, or such a file.
 
     Attributes
     ----------
     path : Path
-        The file.
+        The .mcap file.
     topics : dict of Topic
-        By name.
+        Topics by name.
     settings : dict of str
-        What the run depended on, and the version that recorded it.
+        Metadata of the run: program, version, mode.
     attachments : dict of bytes
-        By name.
+        Attachments by name.
     scene : str or None
-        The scene's YAML text, if the log has one.
+        YAML text of the scene; None if the log has none.
     start_ns, end_ns : int or None
-        Times of the first and the last message (ns).
+        Times of the first and the last message [ns]; None without messages.
     frames : int
-        How many frames the messages are of.
+        Number of different frames that have messages.
     damage : list of str
-        What is missing or wrong, in words; empty if the log is whole.
+        Descriptions of all damage; empty if the log is whole.
     lossy : bool
-        Whether something is lost that was written whole; a log whose end is missing is not lossy.
+        Whether completely written messages are lost; false if only the end of the log is missing.
 
     """
 
@@ -106,22 +106,22 @@ class LogReader:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing and every checksum is right."""
+        """Whether nothing is missing and all checksums are right."""
         return not self.damage
 
     @property
     def scene(self) -> str | None:
-        """The scene's YAML text, if the log has one."""
+        """YAML text of the scene; None if the log has none."""
         text = self.attachments.get(SCENE)
         return None if text is None else text.decode(errors='replace')
 
     @property
     def count(self) -> int:
-        """How many messages can be read."""
+        """Number of readable messages."""
         return sum(topic.count for topic in self.topics.values())
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages of these topics, or of all, in the order of the file."""
+        """Yield the messages of these topics (None: all), in file order."""
         wanted = {number: (channel.topic, self._types[number].name)
                   for number, channel in self._channels.items()
                   if topics is None or channel.topic in topics}
@@ -135,7 +135,7 @@ class LogReader:
                         yield Message(*wanted[number], time_ns, frame, bytes(body[MESSAGE.size:]))
 
     def _bodies(self, file: BinaryIO, span: Span) -> Iterator[memoryview]:
-        """Yield the bodies of the messages in a span, which was good when the log was opened."""
+        """Yield the bodies of the messages in a span, which was intact when the log was opened."""
         file.seek(span.start)
         body = file.read(span.length)
         if span.opcode == Opcode.MESSAGE:
@@ -144,11 +144,11 @@ class LogReader:
         try:
             records = decompressed(body)
         except Exception:
-            raise InputError(f'{self.path}: was changed while it was read') from None
+            raise InputError(f'{self.path}: the file changed while it was read') from None
         yield from (body for opcode, body in pieces(records) if opcode == Opcode.MESSAGE)
 
     def _add_topic(self, channel: Channel, count: int) -> None:
-        """Add a channel to its topic; a topic may have several, one for each publisher."""
+        """Add a channel to its topic; a topic may have several, one per publisher."""
         if channel.topic in self.topics:
             count += self.topics[channel.topic].count
         schema = self._types[channel.id]
@@ -159,7 +159,7 @@ class LogReader:
 
 
 def log_file(path: Path) -> Path:
-    """Return the .mcap file that a path stands for."""
+    """Return the .mcap file at a path: the file itself, or the only one in a folder."""
     if not path.exists():
         raise InputError(f'{path}: no such file or folder')
     if not path.is_dir():

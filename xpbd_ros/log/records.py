@@ -1,10 +1,10 @@
 """
-Walk through the records of an MCAP file, whole or not.
+Iterate over the records of an MCAP file, also of a damaged one.
 
-A record is an opcode, a length and a body, so one length that is wrong hides all that follows. An
-intact summary at the end of the file helps: its indexes say where chunks, attachments and metadata
-begin, and the walk goes on at the next of them. Without one (a log cut short has none) the walk
-ends at the first record that is not whole.
+A record is an opcode, a length and a body, so one wrong length hides all records behind it. If the
+summary at the end of the file is intact, its indexes give the offsets of chunks, attachments and
+metadata, and reading resumes at the next of them. Without a summary, as in a log cut short, it
+ends at the first incomplete record.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,55 +28,55 @@ from mcap.records import (
 
 MAGIC = b'\x89MCAP0\r\n'
 HEAD = struct.Struct('<BQ')
-FOOTER = struct.Struct('<BQQQI')    # with its head; summary start, summary offset start, checksum
-FOOT = FOOTER.size + len(MAGIC)     # bytes at the end of a whole file
+FOOTER = struct.Struct('<BQQQI')    # opcode, length, summary start, offset section start, checksum
+FOOT = FOOTER.size + len(MAGIC)     # length of the end of a whole file [bytes]
 
 Parsed = TypeVar('Parsed', bound=McapRecord)
 
 
 class Record(NamedTuple):
-    """A record of the file, and where it lies."""
+    """A record and its position in the file."""
 
     opcode: int
     start: int
-    """Offset of its head (bytes)."""
+    """Offset of its head [bytes]."""
     head: bytes
     body: bytes
 
     @property
     def end(self) -> int:
-        """Offset of what follows it (bytes)."""
+        """Offset behind it [bytes]."""
         return self.start + len(self.head) + len(self.body)
 
 
 @dataclass
 class Summary:
-    """What an intact summary says."""
+    """Content of an intact summary section."""
 
     statistics: Statistics | None = None
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     starts: list[int] = field(default_factory=list)
-    """Offsets at which a record begins, ascending (bytes)."""
+    """Offsets at which indexed records begin, ascending [bytes]."""
 
 
 def parse(record: type[Parsed], body: bytes | memoryview) -> Parsed:
-    """Return the record that a body holds."""
+    """Parse the body of a record of a given type."""
     return record.read(ReadDataStream(BytesIO(body)))
 
 
 def walk(file: BinaryIO, starts: list[int], lost: Callable[[int, int], None]) -> Iterator[Record]:
     """
-    Yield the records of a file, from behind its first magic to its footer.
+    Yield the records of a file, from behind its first magic bytes to its footer.
 
     Parameters
     ----------
     file
-        Open for reading.
+        The file, open for reading.
     starts
-        Offsets at which a record is known to begin, and the file's length, ascending.
+        Offsets at which records are known to begin, and the length of the file, ascending [bytes].
     lost
-        Told from which byte up to which one nothing can be made out.
+        Called with the offsets of the start and the end of each unreadable range [bytes].
 
     """
     at, known = len(MAGIC), 0
@@ -98,24 +98,24 @@ def walk(file: BinaryIO, starts: list[int], lost: Callable[[int, int], None]) ->
 
 
 def is_opcode(number: int) -> bool:
-    """Return whether a record may begin with this byte; the upper half is for private records."""
+    """Return whether this byte is a valid opcode; those from 0x80 on are private records."""
     return 0 < number <= max(Opcode) or number >= 0x80
 
 
 def pieces(data: bytes) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and body of the records in a chunk or a summary; raise if the last is cut."""
+    """Yield opcode and body of the records in a chunk or summary; raise if one is incomplete."""
     view, at = memoryview(data), 0
     while at < len(view):
         opcode, length = HEAD.unpack_from(view, at)
         at += HEAD.size
         if at + length > len(view):
-            raise ValueError('a record in it is cut off')
+            raise ValueError('a record in it is incomplete')
         yield opcode, view[at:at + length]
         at += length
 
 
 def read_summary(file: BinaryIO, size: int) -> Summary | None:
-    """Return the summary that the first ``size`` bytes end with; None if it is not intact."""
+    """Return the summary at the end of the first ``size`` bytes; None if it is not intact."""
     if size < FOOT:
         return None
     file.seek(size - FOOT)
@@ -134,14 +134,14 @@ def read_summary(file: BinaryIO, size: int) -> Summary | None:
     try:
         for opcode, body in pieces(data):
             note(summary, opcode, body)
-    except Exception:    # whatever untrusted bytes do to a parser
+    except Exception:    # a parser may raise anything on arbitrary bytes
         return None
     summary.starts.sort()
     return summary
 
 
 def note(summary: Summary, opcode: int, body: memoryview) -> None:
-    """Add what a record of the summary section says."""
+    """Add a record of the summary section to a summary."""
     if opcode == Opcode.STATISTICS:
         summary.statistics = parse(Statistics, body)
     elif opcode == Opcode.SCHEMA:

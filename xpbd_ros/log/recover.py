@@ -1,9 +1,9 @@
 """
-Write what can be read of a log again, as a log that is whole.
+Rewrite the readable part of a log as a whole log.
 
-A log whose writer was killed has no summary at its end, and strict readers refuse it; one that is
-damaged has records that no reader gets past. The new log has all messages that can be read, in
-their order, and says in its settings what was wrong with the old one, which stays as it is.
+A log whose writer was killed has no summary at its end, and strict readers refuse it; readers of a
+damaged log stop at the first damaged record. The new log has all readable messages in their order,
+and lists the damage of the old one in its settings. The old log is not changed.
 """
 
 from pathlib import Path
@@ -14,10 +14,10 @@ from xpbd_ros.log.writer import LogWriter
 
 
 def recover(log: LogReader, folder: Path) -> LogReader:
-    """Write a log again into a new folder; return the new one."""
+    """Rewrite a log to a new folder; return the new log."""
     if not log.settings and log.scene is None:
-        raise InputError(f'{log.path}: neither scene nor settings of a log of xpbd_ros can be '
-                         "read in it; for bags of other programs there is 'mcap recover'")
+        raise InputError(f'{log.path}: holds neither the scene nor the settings of an xpbd_ros '
+                         "log; for bags of other programs use 'mcap recover'")
     settings = {**log.settings, **({'recovered': '; '.join(log.damage)} if log.damage else {})}
     topics = {name: topic for name, topic in log.topics.items() if topic.definition}
     with LogWriter(folder, scene=None, settings=settings, attachments=log.attachments) as whole:

@@ -1,4 +1,4 @@
-"""Where in a log's time a replay is: a steady clock times a rate, which can stand still."""
+"""The clock of a replay: log time that advances at a rate of a steady clock, and can be paused."""
 
 from collections.abc import Callable
 import math
@@ -12,13 +12,13 @@ class Playhead:
     Parameters
     ----------
     time_ns
-        Log time to start from (ns).
+        Log time to start from [ns].
     rate
-        Log time that passes per wall time.
+        Log time per wall time.
     paused
-        Whether it stands still at first.
+        Whether it is paused at first.
     clock
-        A steady clock (ns).
+        A steady clock [ns].
 
     """
 
@@ -32,27 +32,27 @@ class Playhead:
 
     @property
     def time_ns(self) -> int:
-        """Log time now (ns)."""
+        """Present log time [ns]."""
         if self.paused:
             return self._log_ns
         return self._log_ns + round((self._clock() - self._steady_ns) * self.rate)
 
     def jump(self, time_ns: int) -> None:
-        """Go to a log time, and on from there unless paused."""
+        """Set the log time [ns]."""
         self._log_ns, self._steady_ns = time_ns, self._clock()
 
     def pause(self) -> None:
-        """Stand still."""
+        """Stop the clock."""
         self.jump(self.time_ns)
         self.paused = True
 
     def resume(self) -> None:
-        """Go on from where it stands."""
+        """Continue from the present log time."""
         self.jump(self.time_ns)
         self.paused = False
 
     def wait(self, time_ns: int) -> float:
-        """Return the wall time until a log time (s): 0 if it has come, infinite while paused."""
+        """Return the wall time until a log time [s]; 0 if it has passed, infinite while paused."""
         if self.paused:
             return math.inf
         return max(0.0, (time_ns - self.time_ns) * 1e-9 / self.rate)

@@ -1,7 +1,7 @@
 """
-One pass over an MCAP file that checks every checksum and finds where the good messages lie.
+Scan an MCAP file once: check all checksums and index the intact messages.
 
-Damage is no error here: what can be read is noted, and what cannot is said in words.
+Damage raises no error: readable records are indexed, and unreadable ones are described.
 """
 
 from collections import Counter
@@ -18,41 +18,50 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.records import MAGIC, parse, pieces, read_summary, Record, Summary, walk
 
 MESSAGE = struct.Struct('<HIQQ')    # channel, sequence, log time, publish time; then the data
-MOST_PLACES = 20    # of damage that are named one by one
+MOST_PLACES = 20    # damaged ranges that are listed one by one
 
 
 class Span(NamedTuple):
-    """A stretch of the file with good messages: a chunk, or a message outside of any."""
+    """A range of the file with intact messages: a chunk, or a message outside of chunks."""
 
     opcode: int
     start: int
-    """Offset of the body (bytes)."""
+    """Offset of the body [bytes]."""
     length: int
+    """Length of the body [bytes]."""
     channels: frozenset[int]
+    """Numbers of the channels that have messages in it."""
 
 
 class Scan:
     """
-    What the pass found.
+    The result of a scan.
+
+    Parameters
+    ----------
+    file
+        The file, open for reading.
+    path
+        Its path, for error messages.
 
     Attributes
     ----------
     spans : list of Span
-        Where the messages are, in the order of the file.
+        Positions of the messages, in file order.
     counts : Counter
-        Messages by channel.
+        Number of messages by channel.
     frames : set of int
-        Sequence numbers of the messages.
+        Sequence numbers of the messages, which are frames.
     start_ns, end_ns : int or None
-        First and last log time (ns).
+        First and last log time [ns]; None without messages.
     schemas, channels : dict
-        Descriptions, by number.
+        Schemas and channels by number.
     metadata : dict of dict
-        Metadata records, by name.
+        Metadata records by name.
     attachments : dict of bytes
-        By name.
+        Attachments by name.
     lossy : bool
-        Whether something is lost that was written whole; a log whose end is missing is not lossy.
+        Whether completely written messages are lost; false if only the end of the file is missing.
 
     """
 
@@ -67,8 +76,8 @@ class Scan:
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: dict[str, bytes] = {}
         self.lossy = False
-        self._places: list[str] = []    # of the file that are damaged
-        self._lacks: list[str] = []     # of the log as a whole
+        self._places: list[str] = []    # damaged ranges of the file
+        self._lacks: list[str] = []     # damage of the log as a whole
         self._crc = zlib.crc32(MAGIC)
         self._data_ended = False
         size = file.seek(0, 2)
@@ -88,15 +97,15 @@ class Scan:
 
     @property
     def damage(self) -> list[str]:
-        """What is missing or wrong, in words; empty if the log is whole."""
+        """Descriptions of all damage; empty if the log is whole."""
         more = len(self._places) - MOST_PLACES
-        return [*self._places[:MOST_PLACES], *[f'{more} more places are damaged'] * (more > 0),
+        return [*self._places[:MOST_PLACES], *[f'{more} more ranges are damaged'] * (more > 0),
                 *self._lacks]
 
     def _read(self, file: BinaryIO, size: int, summary: Summary | None) -> int | None:
-        """Read all records; return where the footer ends, or None if there is none."""
+        """Read all records; return the offset behind the footer [bytes], or None without one."""
         def lost(start: int, end: int) -> None:
-            self._places.append(f'bytes {start} to {end} are of no use: ' + (
+            self._places.append(f'bytes {start} to {end} are unreadable: ' + (
                 'no whole record' if end == size else 'a record is damaged'))
             self.lossy |= end != size
 
@@ -104,8 +113,8 @@ class Scan:
         for record in walk(file, [*starts, size], lost):
             try:
                 self._take(record)
-            except Exception as error:    # whatever untrusted bytes do to a parser
-                self._places.append(f'bytes {record.start} to {record.end} are of no use: '
+            except Exception as error:    # a parser may raise anything on arbitrary bytes
+                self._places.append(f'bytes {record.start} to {record.end} are unreadable: '
                                     f'{title(record.opcode)} is damaged ({reason(error)})')
                 self.lossy = True
             self._crc = zlib.crc32(record.body, zlib.crc32(record.head, self._crc))
@@ -114,9 +123,9 @@ class Scan:
         return None
 
     def _take(self, record: Record) -> None:
-        """Note what a record in the file's data section says."""
+        """Index a record of the file's data section."""
         if self._data_ended:
-            return    # the summary, which was read as a whole
+            return    # a record of the summary section, which ``read_summary`` reads
         if record.opcode == Opcode.CHUNK:
             self._take_messages(record, pieces(decompressed(record.body)))
         elif record.opcode == Opcode.MESSAGE:
@@ -139,7 +148,7 @@ class Scan:
                 self._lacks.append('the checksum over the whole file is wrong')
 
     def _take_messages(self, record: Record, found: Iterable[tuple[int, memoryview]]) -> None:
-        """Note the messages in a record, and the channels described among them."""
+        """Index the messages of a record, and the schemas and channels among them."""
         found = list(found)
         messages = [MESSAGE.unpack_from(body) for opcode, body in found
                     if opcode == Opcode.MESSAGE]
@@ -156,7 +165,7 @@ class Scan:
             self.end_ns = max(times + [self.end_ns] * (self.end_ns is not None))
 
     def _take_description(self, opcode: int, body: bytes | memoryview) -> None:
-        """Note a schema or a channel, the first one of its number."""
+        """Keep a schema or channel, if it is the first one of its number."""
         if opcode == Opcode.SCHEMA:
             schema = parse(Schema, body)
             self.schemas.setdefault(schema.id, schema)
@@ -165,21 +174,21 @@ class Scan:
             self.channels.setdefault(channel.id, channel)
 
     def _check_end(self, file: BinaryIO, size: int, end: int) -> Summary | None:
-        """Check what lies around the end of the footer; return the summary before it."""
+        """Check the end of the file, from the footer's end at ``end`` on; return the summary."""
         file.seek(end)
         if file.read(len(MAGIC)) != MAGIC:
-            self._lacks.append('the mark at its end is missing or damaged')
+            self._lacks.append('the magic bytes at its end are missing or damaged')
             return None
         end += len(MAGIC)
         if size > end:
-            self._lacks.append(f'{size - end} bytes after its end are of no use')
+            self._lacks.append(f'{size - end} bytes after its end are ignored')
         summary = read_summary(file, end)
         if summary is None:
             self._lacks.append('the summary before its end is damaged')
         return summary
 
     def _compare(self, summary: Summary) -> None:
-        """Compare with what the summary says, and take descriptions that were lost from it."""
+        """Compare the counts with the summary's; take lost schemas and channels from it."""
         self.schemas = {**summary.schemas, **self.schemas}
         self.channels = {**summary.channels, **self.channels}
         nameless = sum(count for channel, count in self.counts.items()
@@ -196,18 +205,18 @@ class Scan:
 
 
 def decompressed(chunk: bytes) -> bytes:
-    """Return the records in a chunk; raise if its checksum is wrong."""
+    """Return the records in a chunk, decompressed; raise if its checksum is wrong."""
     stream, length = get_chunk_data_stream(parse(Chunk, chunk), validate_crc=True)
     return stream.read(length)
 
 
 def title(opcode: int) -> str:
-    """Return what to call a kind of record."""
+    """Return the name of a kind of record, such as 'the chunk'."""
     return f'the {Opcode(opcode).name.lower().replace("_", " ")}'
 
 
 def reason(error: Exception) -> str:
-    """Return what an error says, in our words where its own are long."""
+    """Return the text of an error, shortened for wrong checksums."""
     if isinstance(error, CRCValidationError):
         return 'its checksum is wrong'
     return str(error) or type(error).__name__

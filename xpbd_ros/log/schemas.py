@@ -1,10 +1,10 @@
 """
-Message definitions as MCAP's ``ros2msg`` schemas want them, read from the installed packages.
+MCAP ``ros2msg`` schemas of message types, read from the installed message packages.
 
-A schema is the text of a .msg file and, behind a line of 80 equals signs and a line that names
-it, the text of each type that it is made of. Packages are looked for as ament does, in the
-prefixes of AMENT_PREFIX_PATH, and then where the wheels of ``xpbd_ros[ros]`` put them: in the
-interpreter's own prefix, and above the Python package of the same name.
+A schema is the text of a .msg file followed by the texts of all types that it contains, each
+behind a line of 80 equals signs and a line with its name. Packages are searched in the prefixes of
+AMENT_PREFIX_PATH, as ament does, then where the wheels of ``xpbd_ros[ros]`` install them: in the
+prefix of the interpreter, and above the Python package of the same name.
 """
 
 from collections.abc import Iterator
@@ -21,13 +21,13 @@ from xpbd_ros.errors import InputError
 PRIMITIVES = {'bool', 'byte', 'char', 'float32', 'float64', 'int8', 'uint8', 'int16', 'uint16',
               'int32', 'uint32', 'int64', 'uint64', 'string', 'wstring'}
 FIELD = re.compile(r'^[ \t]*([A-Za-z][\w/]*)(?:\[[^\]\n]*\])?[ \t]+[A-Za-z]\w*',
-                   re.MULTILINE)    # type, array; then the field's name (not a bounded string)
+                   re.MULTILINE)    # type, array, name of a field
 SEPARATOR = '=' * 80
 
 
 @functools.cache
 def message_definition(type_name: str) -> str:
-    """Return the schema of ``package/msg/Type``: its text and that of all that it is made of."""
+    """Return the schema of ``package/msg/Type``, with all types that it contains."""
     package, name = split(type_name)
     text = definition_file(package, name, 'msg').read_text(encoding='utf-8')
     needed = list(dependencies(text, package))
@@ -46,7 +46,7 @@ def message_definition(type_name: str) -> str:
 
 @functools.cache
 def type_hash(type_name: str) -> str:
-    """Return the RIHS01 hash that ROS gave the type when it was built; empty if none is kept."""
+    """Return the RIHS01 hash of a type as its package installs it; empty if it installs none."""
     package, name = split(type_name)
     try:
         description = json.loads(definition_file(package, name, 'json').read_bytes())
@@ -66,7 +66,7 @@ def split(type_name: str) -> tuple[str, str]:
 
 
 def dependencies(text: str, package: str) -> Iterator[str]:
-    """Yield the types that a definition's fields have, as ``package/Type``."""
+    """Yield the message types of a definition's fields as ``package/Type``."""
     for found in FIELD.finditer(text):
         if found[1] not in PRIMITIVES:
             yield found[1] if '/' in found[1] else f'{package}/{found[1]}'
@@ -83,7 +83,7 @@ def definition_file(package: str, name: str, ending: str) -> Path:
 
 
 def prefixes(package: str) -> Iterator[Path]:
-    """Yield the folders whose ``share`` may hold a package, best first."""
+    """Yield the prefixes whose ``share`` folder may hold a package, in order of preference."""
     yield from map(Path, filter(None, os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep)))
     yield Path(sys.prefix)
     found = importlib.util.find_spec(package)

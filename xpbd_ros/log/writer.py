@@ -1,12 +1,11 @@
 """
-Write a run as MCAP, the way that rosbag2, Foxglove and the ``mcap`` tools read it.
+Write a run as MCAP, in the form that rosbag2, Foxglove and the ``mcap`` tools read.
 
-The log lies in a folder of its own, ``RUN/RUN_0.mcap`` beside a ``metadata.yaml``. Messages are
-given as CDR bytes, so that what goes to the wire goes into the log unchanged. Whatever ends the
-process, what was flushed can be read again: every whole chunk is handed to the operating system
-as soon as it is made, and ``flush`` makes one of what is left and brings ``metadata.yaml`` up to
-date. (That outlasts a kill, not a power cut: nothing waits for the disk.) A killed log has no
-summary, which strict readers want; ``recover`` writes it again with one.
+A log is a folder with ``RUN_0.mcap`` and ``metadata.yaml``. Messages are given as CDR bytes, so
+that published messages are logged unchanged. Flushed data survives the end of the process: every
+chunk is handed to the operating system when it is complete, and ``flush`` completes the present
+chunk and updates ``metadata.yaml``. (It survives a kill, not a power failure: there is no fsync.)
+The log of a killed process has no summary, which strict readers need; ``recover`` adds it.
 """
 
 from collections.abc import Callable, Mapping
@@ -25,8 +24,8 @@ from xpbd_ros.log.metadata import MetadataFile, TopicRecord
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.schemas import message_definition, type_hash
 
-# The frame that fills a chunk waits for its compression: 0.6 ms for 256 KiB of float32 positions
-# (3 ms for mcap's default of 1 MiB), at the same ratio.
+# The frame that completes a chunk waits for its compression: 0.6 ms for 256 KiB of float32
+# positions (3 ms for mcap's default of 1 MiB), at the same ratio.
 CHUNK_SIZE = 256 * 1024
 METADATA = 'xpbd_ros'
 SCENE = 'scene.yaml'
@@ -35,24 +34,24 @@ MEDIA_TYPES = {'.json': 'application/json', '.obj': 'model/obj', '.yaml': 'appli
 
 class LogWriter:
     """
-    A log being written, from one thread.
+    A log being written; not thread-safe.
 
     Parameters
     ----------
     folder
-        Where to; refused if it exists.
+        New folder of the log; refused if it exists.
     scene
-        YAML text of the scene as it runs; None where it is among the attachments, or lost.
+        YAML text of the scene as it runs; None if it is among the attachments or unknown.
     settings
-        Whatever else the run depends on; the version is added.
+        Further metadata of the run; the version is added.
     attachments
-        Further files by name, say the mesh.
+        Further files by name.
     flush_period
-        Wall time (s) after which a write flushes; a kill loses no more than that.
+        Wall time between flushes [s]; a kill loses no more than that.
     name
-        The file is ``<name>_0.mcap``; the folder's name if not given.
+        The file is ``<name>_0.mcap``; None takes the folder's name.
 
-    After a LogError the log is closed, and holds what could be written.
+    After a LogError the log is closed, and holds all that was written before.
 
     """
 
@@ -68,9 +67,9 @@ class LogWriter:
         self._settings = {'version': __version__, **settings}
         self._start_ns: int | None = None
         self._end_ns = 0
-        self._whole = 0    # bytes of the file that are whole records
-        self._described = -1    # messages and topics that metadata.yaml tells of
-        self._ended = ''    # why nothing more can be written
+        self._whole = 0    # length of the file up to its last whole record [bytes]
+        self._described = -1    # ``_size`` when metadata.yaml was last written
+        self._ended = ''    # reason why nothing more can be written
         self._metadata = MetadataFile(self.folder, self.path.name, self._settings)
         self._file = self._create()
         self._mcap = Writer(self._file, chunk_size=CHUNK_SIZE, compression=CompressionType.ZSTD,
@@ -80,26 +79,26 @@ class LogWriter:
         self.flush()
 
     def __enter__(self) -> 'LogWriter':
-        """Return the log, which the end of the block closes."""
+        """Return the log; the end of the block closes it."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the log, whatever ended the block."""
+        """Close the log."""
         self.close()
 
     @property
     def bytes_written(self) -> int:
-        """Length of the file so far (bytes); what waits for its chunk does not count."""
+        """Length of the file so far [bytes], without the incomplete chunk in memory."""
         return self._whole
 
     @property
     def closed(self) -> bool:
-        """Whether the log is closed, by ``close`` or by a write that failed."""
+        """Whether the log was closed, by ``close`` or by a failed write."""
         return bool(self._ended)
 
     def add_channel(self, topic: str, type_name: str, qos: Qos, *,
                     definition: str | None = None, hashed: str | None = None) -> None:
-        """Add a topic; definition and hash of its type are the installed ones unless given."""
+        """Add a topic; without ``definition`` and ``hashed`` those of the installed type apply."""
         assert topic not in self._channels, topic
         hashed = type_hash(type_name) if hashed is None else hashed
         record = TopicRecord(topic, type_name, qos, hashed)
@@ -113,7 +112,7 @@ class LogWriter:
         self._topics[topic] = record
 
     def write(self, topic: str, data: bytes, *, time_ns: int, frame: int) -> None:
-        """Write a message, CDR with its encapsulation header, at its simulation time and frame."""
+        """Write a message (CDR with encapsulation header) of a frame at log time ``time_ns``."""
         self._put(self._mcap.add_message, self._channels[topic], time_ns, data, time_ns, frame)
         self._topics[topic].count += 1
         self._start_ns = time_ns if self._start_ns is None else min(self._start_ns, time_ns)
@@ -121,19 +120,19 @@ class LogWriter:
         self.flush_if_due()
 
     def flush_if_due(self) -> None:
-        """Flush if the flush period has passed; for a node that has nothing to write just now."""
+        """Flush if the flush period has passed; for times without new messages."""
         if not self.closed and time.monotonic() - self._flushed >= self.flush_period:
             self.flush()
 
     def flush(self) -> None:
-        """Hand all that was written to the operating system, in chunks that can be read."""
+        """Complete the present chunk, and hand all written data to the operating system."""
         self._put(self._mcap.flush)
         if self._described != self._size:
             self._put(self._describe)
         self._flushed = time.monotonic()
 
     def close(self) -> None:
-        """Write the summary and ``metadata.yaml``; a log that failed stays as it is."""
+        """Write the summary and ``metadata.yaml``; no effect on a log that is closed already."""
         if self.closed:
             return
         self._put(self._mcap.finish)
@@ -143,7 +142,7 @@ class LogWriter:
         self._ended = f'{self.path}: is closed'
 
     def _create(self) -> BinaryIO:
-        """Create the folder and, in it, the file."""
+        """Create the folder and the file in it."""
         try:
             self.folder.mkdir(parents=True)
             return open(self.path, 'xb')
@@ -154,7 +153,7 @@ class LogWriter:
             raise InputError(f'{self.folder}: cannot be written: {error.strerror}') from None
 
     def _begin(self, attachments: dict[str, bytes]) -> None:
-        """Write what the run starts from."""
+        """Write the header, the settings and the attachments."""
         self._mcap.start('ros2', f'xpbd_ros {__version__}')
         self._mcap.add_metadata(METADATA, self._settings)
         for name, data in attachments.items():
@@ -162,21 +161,21 @@ class LogWriter:
             self._mcap.add_attachment(0, 0, name, media_type, data)
 
     def _describe(self) -> None:
-        """Write ``metadata.yaml`` for what the log holds by now."""
+        """Write ``metadata.yaml`` for the present content."""
         self._metadata.write(self._topics.values(), start_ns=self._start_ns or 0,
                              end_ns=self._end_ns)
         self._described = self._size
 
     @property
     def _size(self) -> int:
-        """How many messages and topics it has; this only grows."""
+        """Number of messages and topics so far, which only grows."""
         return len(self._topics) + sum(topic.count for topic in self._topics.values())
 
     def _put(self, write: Callable[..., int | None], *arguments: object) -> int | None:
         """
-        Write something; on failure end the file at its last whole record and give the log up.
+        Call ``write(*arguments)``; if it fails, truncate the file to whole records and close it.
 
-        An interrupt counts as well: what it cut short is not whole either.
+        KeyboardInterrupt counts as a failure too, as it may leave a record incomplete.
         """
         if self._ended:
             raise LogError(self._ended)

@@ -1,1 +1,1 @@
-"""Hard cases of the node: it runs as a process of its own, and is spoken to over DDS."""
+"""Hard cases of the node, which runs as a separate process and is driven over DDS."""

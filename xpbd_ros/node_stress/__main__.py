@@ -1,4 +1,4 @@
-"""Run some cases and print their outcomes as JSON: ``python -m xpbd_ros.node_stress H23``."""
+"""Run cases and print their outcomes as JSON: ``python -m xpbd_ros.node_stress H23``."""
 
 from dataclasses import asdict
 import json

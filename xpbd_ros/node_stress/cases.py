@@ -1,4 +1,4 @@
-"""The hard cases of the node: clocks that jump, too much work, inputs that are no numbers."""
+"""The hard cases of the node: clocks that jump, overload, non-finite inputs."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,58 +12,71 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.node_stress.node import Company
+from xpbd_ros.node_stress.node import NodeUnderTest
 from xpbd_ros.study.stress.case import Outcome
 from xpbd_ros.study.stress.refusals import Refusal
 
 NAN, INF = float('nan'), float('inf')
 STILL = 1e-3
-"""how far a towel on a table may move while nothing happens to it [m]"""
-PATIENCE = 20
-"""how much longer than asked a clock goes on until a busy machine shows a frame"""
+"""distance that a towel at rest on a table may move [m]"""
+MOST_TICKS = 20
+"""ticks of /clock until a busy machine must publish a frame, over those of the case"""
 
 
-def verdict(name: str, company: Company, home: np.ndarray, told: str, *,
+def verdict(name: str, tested: NodeUnderTest, home: np.ndarray, told: str, *,
             frames: int = 1, since: int = 0) -> Outcome:
-    """Return what came of a towel that should lie where it was; stamps rise ``since`` a cloud."""
-    way = float(np.abs(company.points() - home).max())
-    finite, why = company.finite, []
+    """
+    Return the outcome for a towel that should have stayed at rest.
+
+    Parameters
+    ----------
+    name : setting, as listed
+    tested : the node and what it has published
+    home : positions at rest [m], shape (particles, 3)
+    told : message of the node to the user; required
+    frames : clouds that must have arrived
+    since : number of the first cloud from which on stamps must rise
+
+    """
+    way = float(np.abs(tested.points() - home).max())
+    finite, why = tested.finite, []
     if not finite:
         why.append('not finite')
     if not way <= STILL:
         why.append(f'moved by {way:.2g} m')
-    if not company.rising(since):
+    if not tested.rising(since):
         why.append('stamps do not rise')
-    if len(company.clouds) < frames:
-        why.append(f'{len(company.clouds)} frames')
+    if len(tested.clouds) < frames:
+        why.append(f'{len(tested.clouds)} frames')
     if not told:
-        why.append('not told')
+        why.append('not reported')
     return Outcome(name, not why, finite, recovered=way <= STILL, reported=told,
                    why='; '.join(why))
 
 
 def clocks(folder: Path) -> Iterator[Outcome]:
-    """Step on a /clock that runs faster, slower, stands, jumps ahead and back."""
+    """Run on a /clock that is fast, slow, paused, or jumps forward or back."""
     for rate in (0.0, -60.0, NAN, 1e9):
         scene = {'frame_rate': rate, 'cloths': {'c': {
             'grid': {'size': [1.0, 1.0], 'resolution': [2, 2]}, 'density': 1.0}}}
         yield Refusal(f'frame_rate: {rate}', scene, ('frame_rate: must be',)).outcome()
-    company = Company(folder, use_sim_time='true')
+    tested = NodeUnderTest(folder, use_sim_time='true')
     now = 10_000 * 10**9
 
     def tell():
         message = Clock()
         message.clock.sec, message.clock.nanosec = divmod(now, 10**9)
-        company.say('/clock', message)
-        company.spin(0.01)
+        tested.publish('/clock', message)
+        tested.spin(0.01)
 
-    company.until(lambda: company.process.poll() is None and company.said('waiting for /clock'),
+    tested.wait_for(lambda: (tested.process.poll() is None
+                             and tested.message_with('waiting for /clock')),
                   'the node')
-    told = company.said('waiting for /clock')
-    while not company.clouds:
+    told = tested.message_with('waiting for /clock')
+    while not tested.clouds:
         tell()
         now += 5_000_000
-    home = company.points()
+    home = tested.points()
     for name, step, count, jump in (('usual pace', 5_000_000, 100, 0),
                                     ('ten times as fast', 50_000_000, 40, 0),
                                     ('a tenth', 500_000, 100, 0), ('paused', 0, 50, 0),
@@ -71,48 +84,50 @@ def clocks(folder: Path) -> Iterator[Outcome]:
                                     ('back by two hours', 5_000_000, 60, -7200 * 10**9),
                                     ('before time 0', 0, 3, -20_000 * 10**9),
                                     ('and in order again', 5_000_000, 60, 20_001 * 10**9)):
-        before, stands = len(company.clouds), name in ('paused', 'before time 0')
+        before, stands = len(tested.clouds), name in ('paused', 'before time 0')
         now += jump
-        for tick in range(PATIENCE * count):
-            if tick >= count and (stands or len(company.clouds) > before):
+        for tick in range(MOST_TICKS * count):
+            if tick >= count and (stands or len(tested.clouds) > before):
                 break
             now += step
             tell()
-        told = (company.said('/clock: refused') or company.said('the clock jumped by -')
-                or company.said('the clock jumped') or told)
-        outcome = verdict(f'node: /clock {name}', company, home, told, since=before)
-        fresh = len(company.clouds) - before
+        told = (tested.message_with('/clock: refused')
+                or tested.message_with('the clock jumped by -')
+                or tested.message_with('the clock jumped') or told)
+        outcome = verdict(f'node: /clock {name}', tested, home, told, since=before)
+        fresh = len(tested.clouds) - before
         if stands and fresh > 2:
-            outcome = Outcome(outcome.setting, False, True, why=f'{fresh} frames while it stood')
+            outcome = Outcome(outcome.setting, False, True,
+                              why=f'{fresh} frames while /clock was paused')
         elif not stands and not fresh:
             outcome = Outcome(outcome.setting, False, True, why='no frames')
         yield outcome
-    if not company.end():
-        yield Outcome('node: its end', False, True, why='not in good order')
+    if not tested.end():
+        yield Outcome('node: its end', False, True, why='exit code not 0, or a traceback')
 
 
 def overload(folder: Path) -> Iterator[Outcome]:
-    """Ask for far more substeps than there is time for."""
-    company = Company(folder, substeps=10_000)
-    company.until(lambda: company.clouds, 'the node')
-    home = company.points()
-    company.until(lambda: int(company.status.get('dropped_frames', 0)) > 10, 'dropped frames')
-    answer = company.ask(Trigger, '/cloth/pause', Trigger.Request())
-    told = next((text for text in company.warned if 'dropped' in text), '')
-    outcome = verdict('node: 10000 substeps', company, home, told)
+    """Run with far more substeps than real time allows."""
+    tested = NodeUnderTest(folder, substeps=10_000)
+    tested.wait_for(lambda: tested.clouds, 'the node')
+    home = tested.points()
+    tested.wait_for(lambda: int(tested.status.get('dropped_frames', 0)) > 10, 'dropped frames')
+    answer = tested.call(Trigger, '/cloth/pause', Trigger.Request())
+    told = next((text for text in tested.warned if 'dropped' in text), '')
+    outcome = verdict('node: 10000 substeps', tested, home, told)
     if not answer.success:
         outcome = Outcome(outcome.setting, False, True, why=f'pause: {answer.message}')
     yield outcome
-    if not company.end():
-        yield Outcome('node: its end', False, True, why='not in good order')
+    if not tested.end():
+        yield Outcome('node: its end', False, True, why='exit code not 0, or a traceback')
 
 
 def no_numbers(folder: Path) -> Iterator[Outcome]:
-    """Send what is no number over every input."""
-    company = Company(folder)
-    company.until(lambda: company.clouds and company.status, 'the node')
-    company.spin(0.5)
-    home = company.points()
+    """Send NaN, infinite and huge numbers over every input."""
+    tested = NodeUnderTest(folder)
+    tested.wait_for(lambda: tested.clouds and tested.status, 'the node')
+    tested.spin(0.5)
+    home = tested.points()
 
     def marker(value) -> MarkerArray:
         one = Marker(ns='a', type=Marker.SPHERE)
@@ -136,24 +151,24 @@ def no_numbers(folder: Path) -> Iterator[Outcome]:
                         ('collider_states', lambda value: targets('ball', value)),
                         ('collider/ball/pose', pose)):
         for value in (NAN, INF, -INF, 1e308):
-            before = int(company.status['rejected_inputs'])
-            company.say(f'/cloth/{topic}', make(value))
+            before = int(tested.status['rejected_inputs'])
+            tested.publish(f'/cloth/{topic}', make(value))
             if value == 1e308:
-                company.spin(0.5)
+                tested.spin(0.5)
                 continue
-            company.until(lambda before=before: int(company.status['rejected_inputs']) > before,
+            tested.wait_for(lambda before=before: int(tested.status['rejected_inputs']) > before,
                           f'a refusal of {value} on {topic}')
-        yield verdict(f'node: ~/{topic}', company, home, company.said(f'/cloth/{topic}'))
+        yield verdict(f'node: ~/{topic}', tested, home, tested.message_with(f'/cloth/{topic}'))
     for name, value in (('gravity', [0.0, 0.0, NAN]), ('solver.compliance_scale', INF),
                         ('cloths.towel.effects.stretch.warp', -1.0)):
-        answer = company.ask(
+        answer = tested.call(
             SetParametersAtomically, '/cloth/set_parameters_atomically',
             SetParametersAtomically.Request(parameters=[
                 Parameter(name, value=value).to_parameter_msg()]))
         told = '' if answer.result.successful else answer.result.reason
-        yield verdict(f'node: parameter {name}', company, home, told)
-    if not company.end():
-        yield Outcome('node: its end', False, True, why='not in good order')
+        yield verdict(f'node: parameter {name}', tested, home, told)
+    if not tested.end():
+        yield Outcome('node: its end', False, True, why='exit code not 0, or a traceback')
 
 
 CASES = {'H20': clocks, 'H21': overload, 'H23': no_numbers}

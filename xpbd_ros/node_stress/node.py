@@ -1,4 +1,4 @@
-"""A node process under test, and its client."""
+"""A node process under test, with a client node."""
 
 from pathlib import Path
 import signal
@@ -13,8 +13,8 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
-PATIENCE = 240.0
-"""only a failure takes that long [s]; compiling may take a minute"""
+TIMEOUT = 240.0
+"""longest wait for an event [s]; compiling may take a minute"""
 SCENE = """
 cloths:
   towel:
@@ -33,15 +33,24 @@ effects:
   damping: {rate: 2.0}
 solver: {method: gauss_seidel, integrator: backward_euler, substeps: SUBSTEPS}
 """
-"""a towel on a table, and a ball out of its way"""
+"""a towel on a table, and a ball beside it"""
 
 
 class LostError(Exception):
-    """The node ended, or something never came."""
+    """The node ended, or an expected event did not happen within TIMEOUT."""
 
 
-class Company:
-    """The node, what it says, and a node of this process."""
+class NodeUnderTest:
+    """
+    A node process on a scene with a towel, and a client node in this process.
+
+    Parameters
+    ----------
+    folder : new folder for the scene and the node's output
+    substeps : of the scene
+    parameters : further ROS parameters of the node
+
+    """
 
     def __init__(self, folder: Path, *, substeps: int = 20, **parameters):
         folder.mkdir(parents=True)
@@ -68,61 +77,61 @@ class Company:
                 self.warned.append(status.message)
 
     def spin(self, seconds: float) -> None:
-        """Listen for a while."""
+        """Receive messages for a time [s]."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             rclpy.spin_once(self.node, timeout_sec=0.01)
 
-    def until(self, true, what: str):
-        """Listen until something is so, and return it."""
-        end = time.monotonic() + PATIENCE
+    def wait_for(self, true, what: str):
+        """Receive messages until ``true()`` is true, and return its value; ``what`` names it."""
+        end = time.monotonic() + TIMEOUT
         while not (found := true()):
             if self.process.poll() is not None:
-                raise LostError(f'the node ended with {self.process.returncode}: '
-                           + ' '.join(self._output.read_text().splitlines()[-1:]))
+                raise LostError(f'the node ended with exit code {self.process.returncode}: '
+                                + ' '.join(self._output.read_text().splitlines()[-1:]))
             if time.monotonic() > end:
-                raise LostError(f'waited in vain for {what}')
+                raise LostError(f'timed out waiting for {what}')
             rclpy.spin_once(self.node, timeout_sec=0.05)
         return found
 
-    def say(self, topic: str, message) -> None:
-        """Publish, as soon as the node listens."""
+    def publish(self, topic: str, message) -> None:
+        """Publish a message, after the node has subscribed to its topic."""
         if topic not in self._publishers:
             self._publishers[topic] = self.node.create_publisher(type(message), topic,
                                                                  QoSProfile(depth=100))
             if topic != '/clock':
-                self.until(self._publishers[topic].get_subscription_count, topic)
+                self.wait_for(self._publishers[topic].get_subscription_count, topic)
         self._publishers[topic].publish(message)
 
-    def ask(self, kind, service: str, request):
-        """Call a service and return its answer."""
+    def call(self, kind, service: str, request):
+        """Call a service, and return the response."""
         client = self.node.create_client(kind, service)
-        self.until(client.service_is_ready, service)
+        self.wait_for(client.service_is_ready, service)
         future = client.call_async(request)
-        self.until(future.done, service)
+        self.wait_for(future.done, service)
         return future.result()
 
-    def said(self, text: str) -> str:
-        """Return the first line of its output that holds a text."""
+    def message_with(self, text: str) -> str:
+        """Return the first message in the node's output that contains a text; empty if none."""
         return next((line.split(']: ')[-1] for line in self._output.read_text().splitlines()
                      if text in line), '')
 
     def points(self, cloud=None) -> np.ndarray:
-        """Return the positions in the last cloud, or another."""
+        """Return the positions in a cloud (None: the last one) [m], shape (particles, 3)."""
         return np.frombuffer((cloud or self.clouds[-1]).data, np.float32).reshape(-1, 3)
 
     @property
     def finite(self) -> bool:
-        """Whether all clouds so far are."""
+        """Whether all positions in all clouds so far are finite."""
         return all(np.isfinite(self.points(cloud)).all() for cloud in self.clouds)
 
     def rising(self, since: int = 0) -> bool:
-        """Tell whether stamps rise, from a cloud on."""
+        """Return whether stamps rise strictly, from cloud number ``since`` on."""
         stamps = [(c.header.stamp.sec, c.header.stamp.nanosec) for c in self.clouds[since:]]
         return all(a < b for a, b in zip(stamps, stamps[1:]))
 
     def end(self) -> bool:
-        """Tell it to end; whether it did so in good order."""
+        """Interrupt the node; return whether it ended with exit code 0 and without traceback."""
         self.process.send_signal(signal.SIGINT)
         try:
             good = self.process.wait(60.0) == 0

@@ -20,14 +20,14 @@ from rosidl_parser.definition import (
 )
 
 HEADER = 4
-"""length of the encapsulation header, which alignment does not count [bytes]"""
+"""length of the encapsulation header; alignment counts from behind it [bytes]"""
 SIZES = {'boolean': 1, 'octet': 1, 'char': 1, 'int8': 1, 'uint8': 1, 'int16': 2, 'uint16': 2,
          'int32': 4, 'uint32': 4, 'float': 4, 'int64': 8, 'uint64': 8, 'double': 8}
-"""of primitive types, by the names that rosidl gives them [bytes]"""
+"""size of each primitive type, by its rosidl name [bytes]"""
 
 
 def trimmed(data: bytes, kind: type) -> bytes:
-    """Return a serialized message of a type without the bytes that follow its last field."""
+    """Return a serialized message of type ``kind`` without the bytes behind its last field."""
     if not overestimated(kind):
         return data
     order = '<' if data[1] == 1 else '>'
@@ -36,7 +36,7 @@ def trimmed(data: bytes, kind: type) -> bytes:
 
 @functools.cache
 def overestimated(kind: type) -> bool:
-    """Return whether the estimated size of a message of this type may be too large."""
+    """Return whether rmw_fastrtps may estimate too large a size for messages of this type."""
     return any(_aligns_when_empty(slot) for slot in kind.SLOT_TYPES)
 
 
@@ -54,14 +54,14 @@ def _class(namespaces: tuple[str, ...], name: str) -> type:
 
 
 def _end(data: memoryview, at: int, kind: type, count: struct.Struct) -> int:
-    """Return where a message ends that begins at an offset."""
+    """Return the offset behind a message of type ``kind`` that begins at ``at`` [bytes]."""
     for slot in kind.SLOT_TYPES:
         at = _skip(data, at, slot, count)
     return at
 
 
 def _skip(data: memoryview, at: int, slot: AbstractType, count: struct.Struct) -> int:
-    """Return where a field ends that begins at an offset or, aligned, behind it."""
+    """Return the offset behind a field that begins at ``at``, alignment included [bytes]."""
     if isinstance(slot, NamespacedType):
         return _end(data, at, _class(tuple(slot.namespaces), slot.name), count)
     if isinstance(slot, BasicType):

@@ -1,8 +1,9 @@
 """
-``cloth_node``: a lifecycle node that steps one scene and speaks standard messages.
+``cloth_node``: a lifecycle node that steps one scene, with standard messages in and out.
 
-It owns the parts and joins them; each part knows only what it needs. Callbacks run on the
-executor's thread and fill the inbox; the stepper's thread owns the simulation and the log.
+The node creates the parts and connects them; each part gets only what it needs. Callbacks run on
+the executor's thread and fill the command queue; the stepper's thread owns the simulation and the
+log.
 """
 
 from dataclasses import replace
@@ -22,30 +23,30 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
+from xpbd_ros.ros.error_monitor import ErrorMonitor
 from xpbd_ros.ros.inputs import topic_of
-from xpbd_ros.ros.live_parameters import every, LiveParameters
+from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.services import Services
-from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals, nothing_to_finish
+from xpbd_ros.ros.signals import exit_at_once_on_signals, ignore_signals, interrupt_on_signals
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.topics import Topics
-from xpbd_ros.ros.watch import ErrorMonitor
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import SetKey
 
 POLL = 0.002
-"""how often a node that follows /clock looks at it [s]"""
+"""period at which a node that follows /clock reads it [s]"""
 READINGS = 5
-"""of two clocks at one time are tried at most"""
+"""attempts to read two clocks at the same instant"""
 
 
 class ClothNode(LifecycleNode):
-    """The node; doc/node.md has its topics, services and parameters."""
+    """The node; doc/node.md lists its topics, services and parameters."""
 
     def __init__(self):
         super().__init__('cloth')
@@ -53,12 +54,12 @@ class ClothNode(LifecycleNode):
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
         self._recorded: set[Path] = set()
-        self.watch: ErrorMonitor | None = None
+        self.error_monitor: ErrorMonitor | None = None
         self.failed = False
         """whether the stepper's thread ended on an error"""
         self.stamps = Stamps()
         self.topics: Topics | None = None
-        self.offered: Services | None = None
+        self.node_services: Services | None = None
         self.live_parameters = LiveParameters(self)
         self._answer_every_transition()
 
@@ -69,19 +70,19 @@ class ClothNode(LifecycleNode):
     # lifecycle
 
     def _answer_every_transition(self) -> None:
-        """Say no to a transition that the state does not have; rclpy would end the node."""
+        """Answer invalid transitions with ``success=False``; rclpy would end the node."""
         change = self._service_change_state.callback
 
         def answer(request, response):
             try:
                 return change(request, response)
-            except RuntimeError:    # rcl has said why
+            except RuntimeError:    # rcl has logged the reason
                 response.success = False
                 return response
         self._service_change_state.callback = answer
 
     def on_configure(self, state):
-        """Load and compile the scene, and open what it calls for."""
+        """Load and compile the scene, and create its topics and services."""
         try:
             self._configure()
         except (InputError, ParameterException) as error:
@@ -90,7 +91,7 @@ class ClothNode(LifecycleNode):
             self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
         else:
             return TransitionCallbackReturn.SUCCESS
-        self._forget()
+        self._release()
         return TransitionCallbackReturn.FAILURE
 
     def _configure(self) -> None:
@@ -103,48 +104,49 @@ class ClothNode(LifecycleNode):
         live = scene_parameters(scene, simulation.solver.substeps)
         changed = self.live_parameters.declare(live)
         simulation.check(changed)
-        self.publish_every = every(self.value('publish_rate'), simulation)
+        self.publish_every = publish_interval(self.value('publish_rate'), simulation)
         log.info(f"scene '{scene.name}': {len(simulation.slot)} particles, effects "
                  f'{", ".join(scene.effect_names)}; {simulation.solver.reason}')
         for text in simulation.notes:
             log.warning(text)
         log.info('compiling for this scene; the first time takes some seconds')
         begin = time.perf_counter()
-        with nothing_to_finish():
+        with exit_at_once_on_signals():
             simulation.compile()
         log.info(f'compiled in {time.perf_counter() - begin:.1f} s')
         self.scene, self.simulation = scene, simulation
-        self.inbox = CommandQueue(log.warning, max_message_bytes=self.value('max_message_bytes'),
-                           max_names=self._room())
+        self.command_queue = CommandQueue(
+            log.warning, max_message_bytes=self.value('max_message_bytes'),
+            max_names=self._max_entries())
         if changed:
-            self.inbox.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
+            self.command_queue.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver))
         self.status = Status(self)
-        self.watch = ErrorMonitor(simulation, target=scene.top.solver.error_target,
-                           most=scene.top.solver.max_substeps)
+        self.error_monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
+                                          most=scene.top.solver.max_substeps)
         self.topics = Topics(self, scene, self.outputs, self._take,
                              clock=self.value('publish_clock'))
         self.topics.open()
-        self.offered = Services(self)
+        self.node_services = Services(self)
         for text in self.live_parameters.unknown():
             log.warning(text)
 
-    def _room(self) -> int:
-        """Return how many entries make sense in a message: wipe all, release all, add all."""
+    def _max_entries(self) -> int:
+        """Return the most entries of an array message: delete all, then delete and add each."""
         effects = self.scene.effects
         return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
                            getattr(effects.get('contact'), 'max_colliders', 0))
 
     def _take(self, topic: str, raw: bytes, kind: type, read) -> None:
-        """Let a message in, or refuse it."""
+        """Queue the commands of a message; refuse it while the node is not active."""
         if self.stepper is None:
-            self.inbox.refuse(topic, 'the node is not active')
+            self.command_queue.refuse(topic, 'the node is not active')
         else:
-            self.inbox.take(topic, raw, kind, read)
+            self.command_queue.take(topic, raw, kind, read)
 
     def on_activate(self, state):
-        """Publish the start, open the log if one was asked for, and let time run."""
+        """Publish the initial state, open the log of ``record.path``, and start stepping."""
         result = super().on_activate(state)
         self._begun = False
         self._next_markers = self._next_diagnostics = 0.0
@@ -153,7 +155,7 @@ class ClothNode(LifecycleNode):
             self.get_logger().info('use_sim_time: waiting for /clock')
         else:
             try:
-                self._begin()
+                self._publish_initial_state()
             except InputError as error:
                 self.get_logger().error(str(error))
                 super().on_deactivate(state)
@@ -167,7 +169,7 @@ class ClothNode(LifecycleNode):
         return result
 
     def now_ns(self) -> int:
-        """Return what the node's clock reads [ns]."""
+        """Return the time of the node's clock [ns]."""
         return self.get_clock().now().nanoseconds
 
     @property
@@ -177,20 +179,20 @@ class ClothNode(LifecycleNode):
 
     @property
     def follows_clock(self) -> bool:
-        """Whether it steps by /clock; a node that is the source of it cannot wait for it."""
+        """Whether the node steps by /clock; a node that publishes /clock cannot wait for it."""
         return self.value('use_sim_time') and not self.makes_clock
 
     @property
     def waits(self) -> bool:
-        """Whether /clock has yet to begin."""
+        """Whether the node waits for the first message on /clock."""
         return self.follows_clock and self.now_ns() == 0
 
     def pace(self):
-        """Return the clock to step on, and how often to look at it [s]."""
+        """Return the clock to step on (a function, [ns]) and the period to read it at [s]."""
         return (self.now_ns, POLL) if self.follows_clock else (time.monotonic_ns, IDLE)
 
-    def _begin(self) -> None:
-        """Open the log and publish the start, once there is a time to stamp them with."""
+    def _publish_initial_state(self) -> None:
+        """Open the log and publish the initial state, once there is a time to stamp it with."""
         frame = self.simulation.frame()
         self.stamps.begin(frame.time_ns, self.now_ns())
         if self.value('record.path'):
@@ -203,33 +205,33 @@ class ClothNode(LifecycleNode):
         self._begun = True
 
     def on_deactivate(self, state):
-        """Stop time and close the log."""
+        """Stop stepping and close the log."""
         self.close()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state):
-        """Forget the scene."""
-        self._forget()
+        """Release the scene, its topics and its services."""
+        self._release()
         return TransitionCallbackReturn.SUCCESS
 
-    def _forget(self) -> None:
-        """Take back what configuring made, as far as it got."""
-        for part in (self.topics, self.offered, self.watch):
+    def _release(self) -> None:
+        """Release all that ``_configure`` created, also where it failed halfway."""
+        for part in (self.topics, self.node_services, self.error_monitor):
             if part is not None:
                 part.close()
-        self.topics = self.offered = self.watch = None
+        self.topics = self.node_services = self.error_monitor = None
         if self.simulation is not None:
-            self.inbox.close()
+            self.command_queue.close()
         self.simulation = None
         self.live_parameters.forget()
 
     def on_shutdown(self, state):
-        """Stop time and close the log."""
+        """Stop stepping and close the log."""
         self.close()
         return TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
-        """End the stepper's thread, then finish the log."""
+        """Stop the stepper's thread, then close the log."""
         if self.stepper is not None:
             self.stepper.stop()
             self.stepper = None
@@ -238,11 +240,11 @@ class ClothNode(LifecycleNode):
     # the stepper's thread
 
     def _stamp(self, frame, late_ns) -> int:
-        """Return the stamp of a frame that was just computed; it lies within a frame of now."""
+        """Return the stamp of the frame just computed [ns]; it is at most one frame old."""
         if self.makes_clock:
             return self.stamps.even(frame.time_ns)
         late = None
-        for _ in range(READINGS):    # of two clocks, which something may come between
+        for _ in range(READINGS):    # until nothing delays the process between the two readings
             begin = time.monotonic_ns()
             if late_ns is not None:
                 late = min(max(late_ns(), 0), self.simulation.time_ns(1))
@@ -258,16 +260,16 @@ class ClothNode(LifecycleNode):
     def step(self, late_ns=None) -> None:
         """Compute, publish and record one frame; ``late_ns()`` is how long ago it was due."""
         if not self._begun:
-            self._begin()
+            self._publish_initial_state()
         substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
-        frame = self.simulation.step([*self.inbox.drain(), *self.watch.commands()],
-                                     keep=self.watch.due())
+        frame = self.simulation.step([*self.command_queue.drain(), *self.error_monitor.commands()],
+                                     keep=self.error_monitor.due())
         now = time.perf_counter()
-        self.watch.look(now - begin)
+        self.error_monitor.look(now - begin)
         self.status.timing.add(1e3 * (now - begin), now)
         for command, reason in frame.refused:
-            self.inbox.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
+            self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
@@ -289,10 +291,14 @@ class ClothNode(LifecycleNode):
             except InputError as error:
                 self.get_logger().error(f'recording stopped: {error}')
                 self.stop_recording()
-        self._look_after(frame)
+        self._publish_on_wall_time(frame)
 
     def _changed(self, keys: dict) -> bytes:
-        """Return the scene as it runs from now on, and show what ``auto`` made of it."""
+        """
+        Return the serialized scene with changed keys.
+
+        Where ``auto`` chose other substeps for it, the parameter is set to them.
+        """
         solver = self.simulation.solver
         self.scene = scene_from_mapping(self.scene.raw, where=self.scene.where,
                                         name=self.scene.name, overrides=keys)
@@ -303,13 +309,13 @@ class ClothNode(LifecycleNode):
 
     def _idle(self) -> None:
         if not self._begun and not self.waits:
-            self._begin()
+            self._publish_initial_state()
         if self.recorder is not None:
             self.recorder.log.flush_if_due()
-        self._look_after(None)
+        self._publish_on_wall_time(None)
 
-    def _look_after(self, frame) -> None:
-        """Publish what keeps to wall time."""
+    def _publish_on_wall_time(self, frame) -> None:
+        """Publish markers and diagnostics, whose rates are in wall time."""
         now = time.monotonic()
         rate = self.value('marker_rate')
         if frame is not None and rate > 0.0 and now >= self._next_markers:
@@ -336,7 +342,7 @@ class ClothNode(LifecycleNode):
     # recording
 
     def start_recording(self, folder: Path) -> None:
-        """Open a log."""
+        """Open a log in a new folder."""
         self.recorder = Recorder(
             folder, self.outputs, name=self.get_fully_qualified_name(),
             epoch_ns=self.stamps.epoch_ns, flush_period=self.value('record.flush_period'),
@@ -352,22 +358,23 @@ class ClothNode(LifecycleNode):
         if recorder is not None:
             try:
                 recorder.close()
-                self._say('info', f'recorded {recorder.folder.absolute()}')
+                self._log_or_print('info', f'recorded {recorder.folder.absolute()}')
             except InputError as error:
-                self._say('error', f'not finished: {error}')
+                self._log_or_print('error', f'not finished: {error}')
 
-    def _say(self, level: str, text: str) -> None:
-        """Log, or print where ROS is gone already: on the way out its logger cannot publish."""
+    def _log_or_print(self, level: str, text: str) -> None:
+        """Log a message; print it if the ROS context is shut down, where loggers do not work."""
         if rclpy.ok():
             getattr(self.get_logger(), level)(text)
         else:
             print(f'[{level.upper()}] [{self.get_name()}]: {text}', file=sys.stderr)
 
+
 def with_chosen_substeps(frame, asked: int, chosen: int):
     """
-    Return a frame that also says what ``auto`` made of a changed key.
+    Return a frame that also records the substeps that ``auto`` chose after a key changed.
 
-    The log's scene has ``auto`` resolved, so repeating the run does not choose again.
+    The log's scene has ``auto`` resolved, so a repeated run does not choose again.
     """
     if chosen == asked:
         return frame
@@ -375,7 +382,7 @@ def with_chosen_substeps(frame, asked: int, chosen: int):
 
 
 def spin(node: ClothNode) -> None:
-    """Serve until it is told to stop; a /clock before time 0, which breaks rclpy, is left out."""
+    """Spin until shutdown; report and skip a /clock before time 0, at which rclpy raises."""
     while True:
         try:
             rclpy.spin(node)
@@ -387,7 +394,7 @@ def spin(node: ClothNode) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node until it is told to stop: 0; 1 where it broke, 2 where it cannot start."""
+    """Run the node until a signal; return 0, 1 if stepping failed, 2 if it cannot start."""
     interrupt_on_signals()
     node = None
     try:
@@ -407,7 +414,7 @@ def main(args: list[str] | None = None) -> int:
         if node is None:
             print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
             return 2
-        if rclpy.ok():    # else ROS was told to end in the midst of something
+        if rclpy.ok():    # otherwise the context was shut down during a call
             raise
     finally:
         if node is not None:

@@ -1,7 +1,7 @@
 """
-Commands to messages, as the log keeps them.
+Convert commands to the messages that the log keeps.
 
-What goes through unharmed comes out of the log's message bit for bit.
+``inputs`` converts them back; every number comes back bit for bit.
 """
 
 from itertools import groupby
@@ -32,9 +32,9 @@ from xpbd_ros.sim.commands import (
 
 def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object]]:
     """
-    Return applied commands as (topic below the node, message), in order.
+    Return applied commands as pairs (topic below the node's name, message), in order.
 
-    Neighbours that fit into one message share it.
+    Consecutive commands of one kind share a message.
     """
     found = []
     for key, group in groupby(commands, _batch):

@@ -1,11 +1,11 @@
 """
-What came in since the last frame: checked at the door, kept by message, drained between frames.
+A queue of commands for the next frame: checked on arrival, grouped by message.
 
-Callbacks fill it from the executor's thread and the simulation's thread empties it. A message
-waits as it came, and acts whole or not at all; one that says something newer about the same names
-takes its place. Of streams with stamps some are kept, as they are rebuilt from all that was sent.
-What is refused is counted and said, and nothing else happens: the first at once, and how many
-more there were a second later.
+Callbacks fill it from the executor's thread; the stepper's thread drains it between frames. The
+commands of a message act together or not at all. A newer message about the same names replaces an
+older one; of messages with stamps the latest MAX_STAMPED stay, because motion is interpolated
+between them. A refused message is counted and changes nothing. The first refusal on a topic is
+reported at once, the number of further ones after WARN_PERIOD.
 """
 
 from collections import Counter
@@ -17,37 +17,47 @@ from xpbd_ros.errors import brief, InputError
 from xpbd_ros.ros.inputs import count_in, unpacked
 from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider, SetWind
 
-ROOM = 4096
-"""commands from messages that may wait for the next frame"""
-KEPT = 64
-"""messages of one stream with stamps that wait for the next frame; the latest"""
+MAX_WAITING = 4096
+"""commands from messages that may wait for the next frame, at most"""
+MAX_STAMPED = 64
+"""messages with stamps about the same names that wait for the next frame, at most"""
 WARN_PERIOD = 1.0
-"""[s]"""
+"""time between two warnings about a topic [s]"""
 TARGETS = MovePin, MoveCollider, PlaceCollider, SetWind
+"""commands of which a newer one replaces an older one"""
 
 Group = tuple[Command, ...]
 
 
 class CommandQueue:
-    """Commands that wait for the next frame."""
+    """
+    Commands that wait for the next frame; all methods are thread-safe.
+
+    Parameters
+    ----------
+    warn : is given each warning
+    max_message_bytes : larger messages are refused before they are unpacked
+    max_names : messages with more entries are refused before they are unpacked
+
+    """
 
     def __init__(self, warn: Callable[[str], None], *, max_message_bytes: int, max_names: int):
         self.max_message_bytes = max_message_bytes
         self.max_names = max_names
         self.accepted: Counter = Counter()
-        """messages taken, by topic"""
+        """messages accepted, by topic"""
         self.refused: Counter = Counter()
         """messages refused, by topic"""
         self.arrived: dict[str, float] = {}
-        """when the last good message came, by topic [s, monotonic]"""
+        """arrival of the last accepted message, by topic [s, monotonic]"""
         self._warn = warn
-        self._silent: dict[str, tuple[threading.Timer, int, str]] = {}
-        """topics that were warned about: until when, refusals since, and the last reason"""
+        self._collecting: dict[str, tuple[threading.Timer, int, str]] = {}
+        """topics warned about within WARN_PERIOD: timer, refusals since, and the last reason"""
         self._waiting: list[Group] = []
         self._lock = threading.Lock()
 
     def take(self, topic: str, raw: bytes, kind: type, read: Callable) -> None:
-        """Unpack, check and keep one serialized message, or refuse it whole."""
+        """Unpack, check and queue one serialized message, or refuse all of it."""
         try:
             if len(raw) > self.max_message_bytes:
                 raise InputError(f'{len(raw)} bytes are more than max_message_bytes '
@@ -57,14 +67,14 @@ class CommandQueue:
             if count > self.max_names:
                 raise InputError(f'{count} entries, and there is room for {self.max_names}')
             commands = read(unpacked(raw, kind))
-            if sum(map(len, self._waiting)) + len(commands) > ROOM:
-                raise InputError(f'more than {ROOM} commands wait for the next frame')
+            if sum(map(len, self._waiting)) + len(commands) > MAX_WAITING:
+                raise InputError(f'more than {MAX_WAITING} commands wait for the next frame')
             self.put(topic, tuple(commands))
         except InputError as error:
             self.refuse(topic, str(error))
 
     def put(self, topic: str, *groups: Group) -> None:
-        """Keep commands for the next frame; those of a group act together."""
+        """Queue commands for the next frame; those of a group act together."""
         with self._lock:
             for group in filter(None, groups):
                 self._keep(group)
@@ -72,7 +82,7 @@ class CommandQueue:
             self.arrived[topic] = time.monotonic()
 
     def _keep(self, group: Group) -> None:
-        """Let targets take the place of older ones of the same names that no frame has seen."""
+        """Append a group; targets replace older ones of the same names that still wait."""
         if all(isinstance(command, TARGETS) for command in group):
             names, same = set(map(_name, group)), []
             for k in range(len(self._waiting) - 1, -1, -1):
@@ -82,57 +92,58 @@ class CommandQueue:
                 elif None in others or not others.isdisjoint(names):
                     break
             stamped = all(getattr(command, 'stamp_ns', 0) for command in group)
-            for k in same[KEPT - 1 if stamped else 0:]:
+            for k in same[MAX_STAMPED - 1 if stamped else 0:]:
                 del self._waiting[k]
         self._waiting.append(group)
 
     def drain(self) -> list[Group]:
-        """Return what waits, and forget it."""
+        """Return and remove all waiting groups."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
         return waiting
 
     def refuse(self, topic: str, reason: str) -> None:
-        """Count a refusal and say so; more within a second are said at its end."""
+        """Count a refusal and warn, at most once in WARN_PERIOD per topic."""
         with self._lock:
             self.refused[topic] += 1
-            if topic in self._silent:
-                timer, count, _ = self._silent[topic]
-                self._silent[topic] = timer, count + 1, reason
+            if topic in self._collecting:
+                timer, count, _ = self._collecting[topic]
+                self._collecting[topic] = timer, count + 1, reason
                 return
-            self._be_silent(topic)
+            self._collect_refusals(topic)
         self._warn(f'{topic}: refused: {brief(reason)}')
 
-    def _be_silent(self, topic: str) -> None:
-        timer = threading.Timer(WARN_PERIOD, self._tell, (topic,))
+    def _collect_refusals(self, topic: str) -> None:
+        """Collect further refusals of a topic for WARN_PERIOD."""
+        timer = threading.Timer(WARN_PERIOD, self._report_collected, (topic,))
         timer.daemon = True
-        self._silent[topic] = timer, 0, ''
+        self._collecting[topic] = timer, 0, ''
         timer.start()
 
-    def _tell(self, topic: str) -> None:
-        """Say how many were refused in silence."""
+    def _report_collected(self, topic: str) -> None:
+        """Warn of the refusals collected since the last warning about a topic."""
         with self._lock:
-            _, count, reason = self._silent.pop(topic, (None, 0, ''))
+            _, count, reason = self._collecting.pop(topic, (None, 0, ''))
             if count:
-                self._be_silent(topic)
+                self._collect_refusals(topic)
         if count:
             self._warn(f'{topic}: refused: … and {count} more, the last one: {brief(reason)}')
 
     def close(self) -> None:
-        """Say what has not been said; nothing comes any more."""
+        """Give all pending warnings and stop the timers; no message may follow."""
         with self._lock:
-            for timer, _, _ in self._silent.values():
+            for timer, _, _ in self._collecting.values():
                 timer.cancel()
-        for topic in list(self._silent):
-            self._tell(topic)
+        for topic in list(self._collecting):
+            self._report_collected(topic)
         with self._lock:
-            for timer, _, _ in self._silent.values():
+            for timer, _, _ in self._collecting.values():
                 timer.cancel()
-            self._silent.clear()
+            self._collecting.clear()
 
 
 def _name(command: Command):
-    """Return what a command is about; None: about everything."""
+    """Return (kind, name) of the object that a command is about; None if it is about all."""
     if isinstance(command, SetWind):
         return 'wind', ''
     pin, collider = getattr(command, 'pin', None), getattr(command, 'collider', None)

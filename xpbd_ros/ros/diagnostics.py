@@ -1,4 +1,4 @@
-"""``/diagnostics``: how the node is doing, once a second."""
+"""The node's status on ``/diagnostics``, once a second."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -10,29 +10,29 @@ from xpbd_ros.ros.messages import set_stamp
 from xpbd_ros.sim import measure
 
 KEPT = 600
-"""frames that the figures are taken over"""
+"""latest frames that times and percentiles cover"""
 
 
 def percentile(values: Iterable[float], share: float) -> float:
-    """Return the value below which a share of the values lies; 0 without values."""
+    """Return the value below which a share (0 to 1) of the values lies; 0 without values."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else 0.0
 
 
 class Timing:
-    """Times of the last frames."""
+    """Step times and completion times of the last KEPT frames."""
 
     def __init__(self):
         self.step_ms: deque[float] = deque(maxlen=KEPT)
         self._wall: deque[float] = deque(maxlen=KEPT)
 
     def add(self, step_ms: float, wall: float) -> None:
-        """Note a frame that took ``step_ms`` and was done at the wall time ``wall`` [s]."""
+        """Add a frame that took ``step_ms`` [ms] and was completed at wall time ``wall`` [s]."""
         self.step_ms.append(step_ms)
         self._wall.append(wall)
 
     def real_time_factor(self, frame_dt: float) -> float:
-        """Return simulated time over wall time of the last frames; 0 where there are too few."""
+        """Return simulated time over wall time of the last frames; 0 with fewer than two."""
         if len(self._wall) < 2 or self._wall[-1] <= self._wall[0]:
             return 0.0
         return (len(self._wall) - 1) * frame_dt / (self._wall[-1] - self._wall[0])
@@ -40,11 +40,11 @@ class Timing:
 
 class Status:
     """
-    The status of a node: figures, and all that is wrong since the last one.
+    The status of a node: numbers, and the errors and warnings since the previous status.
 
     Parameters
     ----------
-    node : the ``ClothNode`` that it is of
+    node : the ``ClothNode`` to report on
 
     """
 
@@ -54,20 +54,21 @@ class Status:
         self.begin()
 
     def begin(self) -> None:
-        """Count from now on."""
+        """Start counting events."""
         self._jumps_ns: list[int] = []
         self._dropped_before = self._rolled_back_before = 0
         self._warned = ''
         self._now_ns = None
 
     def jumped(self, by_ns: int) -> None:
-        """Note that the clock was set."""
+        """Count a jump of the clock [ns]."""
         self._jumps_ns.append(by_ns)
 
     def message(self) -> DiagnosticArray:
-        """Return the status."""
+        """Return the status as a message."""
         node = self._node
-        simulation, stepper, inbox, timing = node.simulation, node.stepper, node.inbox, self.timing
+        simulation, stepper, timing = node.simulation, node.stepper, self.timing
+        accepted, refused = node.command_queue.arrived, node.command_queue.refused
         now = time.monotonic()
         strain = measure.largest_strain(simulation)
         dropped = stepper.dropped if stepper else 0
@@ -82,12 +83,12 @@ class Status:
             'dropped_frames': dropped,
             'substeps': simulation.solver.substeps,
             'strain_max': strain,
-            **node.watch.found(),
+            **node.error_monitor.diagnostics(),
             'energy_j': measure.kinetic_energy(simulation.state)
             + measure.potential_energy(simulation.state),
-            'rejected_inputs': sum(inbox.refused.values()),
-            **{f'rejected {topic}': count for topic, count in sorted(inbox.refused.items())},
-            **{f'age_s {topic}': now - then for topic, then in sorted(inbox.arrived.items())},
+            'rejected_inputs': sum(refused.values()),
+            **{f'rejected {topic}': count for topic, count in sorted(refused.items())},
+            **{f'age_s {topic}': now - then for topic, then in sorted(accepted.items())},
             **simulation.stats(),
             'bytes_recorded': node.recorder.log.bytes_written if node.recorder else 0,
         }
@@ -96,11 +97,11 @@ class Status:
                        node.stamps.last_ns if node.makes_clock else node.now_ns())
 
     def _findings(self, dropped: int, rolled_back: int) -> tuple[str, str]:
-        """Return the level of the status and its message."""
+        """Log new errors and warnings; return the level of the status and its text."""
         node, log, errors, warnings = self._node, self._node.get_logger(), [], []
         if rolled_back > self._rolled_back_before:
             errors.append(f'{rolled_back - self._rolled_back_before} frames were not finite and '
-                          'were taken back: the cloth stands still')
+                          'were rolled back: the cloth stands still')
             log.error(errors[-1])
         if node.waits:
             warnings.append('use_sim_time: waiting for /clock')
@@ -111,18 +112,18 @@ class Status:
             warnings.append(f'{dropped - self._dropped_before} frames dropped in the last second: '
                             'too slow for real time')
             log.warning(warnings[-1])
-        if node.watch.trouble:
-            warnings.append(node.watch.trouble)
-            if node.watch.trouble != self._warned:
-                log.warning(node.watch.trouble)
+        if node.error_monitor.warning:
+            warnings.append(node.error_monitor.warning)
+            if node.error_monitor.warning != self._warned:
+                log.warning(node.error_monitor.warning)
         self._rolled_back_before, self._dropped_before = rolled_back, dropped
-        self._warned = node.watch.trouble
+        self._warned = node.error_monitor.warning
         self._jumps_ns.clear()
         level = 'ERROR' if errors else 'WARN' if warnings else 'OK'
         return level, '; '.join(errors + warnings) or self._activity()
 
     def _activity(self) -> str:
-        """Return whether the node steps, or what it waits for."""
+        """Return 'stepping', or 'waiting' with the reason if there is a particular one."""
         node = self._node
         if node.stepper is None or not node.stepper.free_running:
             return 'waiting'
@@ -132,7 +133,7 @@ class Status:
 
 
 def message(name: str, level: str, summary: str, values: dict, time_ns: int) -> DiagnosticArray:
-    """Return one status; ``level`` is 'OK', 'WARN' or 'ERROR'."""
+    """Return a message with one status; ``level`` is 'OK', 'WARN' or 'ERROR'."""
     status = DiagnosticStatus(
         level=getattr(DiagnosticStatus, level), name=f'{name}: simulation',
         hardware_id='xpbd_ros', message=summary,

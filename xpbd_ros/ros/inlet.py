@@ -1,10 +1,11 @@
 """
-One input topic: nothing that comes is lost on the way, and every kind of sender is heard.
+One input topic, subscribed so that reliable and best-effort publishers both match.
 
-A reliable subscription does not match best-effort senders, and a best-effort one gets the messages
-of reliable senders without their being sent again. So there is a reliable one, and a best-effort
-one beside it from the moment a sender needs that. It hears the reliable senders as well; what both
-of them got counts once. Who sets the reliability by ``qos_overrides`` gets what was set alone.
+A reliable subscription does not match best-effort publishers, and a best-effort one receives the
+messages of reliable publishers without retransmission. An inlet therefore has a reliable
+subscription, and adds a best-effort one once a publisher needs it. That one receives the messages
+of reliable publishers too; a message received twice is taken once. If ``qos_overrides`` sets the
+reliability, there is only the subscription that it asks for.
 """
 
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from rclpy.qos import qos_policy_name_from_kind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 DEPTH = 1000
-"""messages that may wait for the executor, from all senders: half a second of two at 1 kHz"""
+"""depth of the subscriptions [messages]: half a second of two publishers at 1 kHz"""
 
 
 class Inlet:
@@ -24,8 +25,10 @@ class Inlet:
 
     Parameters
     ----------
-    node, topic, kind : who listens, to which topic (full name) of which message type
-    take : is given each message, serialized
+    node : creates the subscriptions
+    topic : full name
+    kind : message type
+    take : is given each serialized message
 
     """
 
@@ -33,11 +36,11 @@ class Inlet:
                  take: Callable[[bytes], None]):
         self._node, self._topic, self._kind, self._take = node, topic, kind, take
         self._qos = QoSProfile(depth=DEPTH)
-        self._seen: dict[tuple, None] = {}    # the latest, by when they were sent and by number
+        self._seen: dict[tuple, None] = {}    # latest messages: source time, sequence number
         self._reliable = self._best_effort = None
         self._reliable = self._subscribe(
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
-            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._unheard,
+            event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos,
                                                        use_default_callbacks=False))
 
     def _subscribe(self, **options):
@@ -47,20 +50,20 @@ class Inlet:
                                                       raw=True, **options)
         return subscription
 
-    def _unheard(self, event) -> None:
+    def _on_incompatible_qos(self, event) -> None:
         """Subscribe to best-effort publishers, or report why one is incompatible."""
         given = f'qos_overrides.{self._topic}.subscription.reliability'
         policy = qos_policy_name_from_kind(event.last_policy_kind)
         if policy != 'RELIABILITY' or given in self._node._parameter_overrides:
             self._node.get_logger().warning(
-                f'{self._topic}: a sender is not heard: its {policy.lower()} does not go with '
-                f'qos_overrides.{self._topic}.subscription')
+                f'{self._topic}: a publisher is not received: its {policy.lower()} is '
+                f'incompatible with qos_overrides.{self._topic}.subscription')
         elif self._best_effort is None:
             self._qos.reliability = ReliabilityPolicy.BEST_EFFORT
             self._best_effort = self._subscribe()
 
     def _drain(self, subscription, raw: bytes, info: dict) -> None:
-        """Take a message and all that wait behind it; to wake up for each takes far longer."""
+        """Take a message and all that wait behind it; one wake-up for each takes far longer."""
         if subscription is self._best_effort:
             self._drain_more(self._reliable)
         self._take_once(raw, info)
@@ -85,6 +88,6 @@ class Inlet:
         self._take(raw)
 
     def close(self) -> None:
-        """Listen no more."""
+        """Destroy the subscriptions."""
         for subscription in filter(None, (self._reliable, self._best_effort)):
             self._node.destroy_subscription(subscription)

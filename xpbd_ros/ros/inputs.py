@@ -1,7 +1,7 @@
 """
-Messages to commands, checked, and the table of input topics.
+Convert messages to checked commands, and list the input topics.
 
-Each reader is a pure function of one message: it returns commands or raises ``InputError`` with
+Each reader is a pure function of one message: it returns commands, or raises ``InputError`` with
 the reason.
 """
 
@@ -40,15 +40,15 @@ from xpbd_ros.sim.commands import (
 )
 
 FAR = 1e6
-"""nothing sensible is further away, or faster [m, m/s, rad/s]"""
+"""largest distance and speed that is accepted [m, m/s, rad/s]"""
 SECOND = 10**9
-"""[ns]"""
+"""one second [ns]"""
 MOST_RESETS = 4096
-"""in one frame; a log with more is not from this program"""
+"""resets in one frame, at most; a log with more was not written by this program"""
 
 
 def pose(position, orientation, what: str) -> Pose:
-    """Return a pose, or refuse numbers that are none and quaternions that are no rotation."""
+    """Return a pose; refuse non-finite or far positions and quaternions not of unit length."""
     p = (position.x, position.y, position.z)
     q = (orientation.x, orientation.y, orientation.z, orientation.w)
     if not all(map(isfinite, p + q)):
@@ -64,7 +64,7 @@ def pose(position, orientation, what: str) -> Pose:
 
 
 def twist(message, what: str) -> Twist:
-    """Return a twist, or refuse numbers that are none."""
+    """Return a twist; refuse non-finite or too large velocities."""
     linear = (message.linear.x, message.linear.y, message.linear.z)
     angular = (message.angular.x, message.angular.y, message.angular.z)
     if not all(map(isfinite, linear + angular)):
@@ -75,7 +75,7 @@ def twist(message, what: str) -> Twist:
 
 
 def check_frame(header, frame_id: str, what: str) -> int:
-    """Refuse another TF frame than the scene's; return the stamp [ns]."""
+    """Return the stamp of a header [ns]; refuse a TF frame other than the scene's."""
     if header.frame_id not in ('', frame_id):
         raise InputError(f"{what}: TF frame '{header.frame_id}' is not the scene's "
                          f"'{frame_id}'; transform it first")
@@ -83,21 +83,21 @@ def check_frame(header, frame_id: str, what: str) -> int:
 
 
 def nanoseconds(time, what: str) -> int:
-    """Return a time or a duration as one number; refuse what would not come back as it is."""
+    """Return a time or duration [ns]; refuse negative and denormalized ones."""
     if time.sec < 0 or time.nanosec >= SECOND:
-        raise InputError(f'{what}: {time.sec} s and {time.nanosec} ns make no sense')
+        raise InputError(f'{what}: {time.sec} s and {time.nanosec} ns are not a valid time')
     return time.sec * SECOND + time.nanosec
 
 
 def check_name(name: str, what: str) -> str:
-    """Refuse a name that the scene could not have."""
+    """Return a name; refuse one that a scene cannot have."""
     if not NAME.fullmatch(name):
         raise InputError(f'{what}: bad name {name[:40]!r}')
     return name
 
 
 def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
-    """``~/pins``: ADD grasps (or moves what is held), DELETE releases, DELETEALL releases all."""
+    """Read ``~/pins``: ADD grasps or moves a pin, DELETE releases it, DELETEALL releases all."""
     commands: list[Command] = []
     for marker in message.markers:
         what = f'marker {marker.ns}/{marker.id}'
@@ -122,14 +122,14 @@ def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
 
 
 def marker_name(marker: Marker, nameless: str, what: str) -> str:
-    """Return the name that a marker's ns and id are for: ns, or ns_id where there is an id."""
+    """Return the name that a marker's ns and id stand for: ns, or ns_id if id is not 0."""
     if marker.ns and not marker.id:
         return check_name(marker.ns, what)
     return check_name(f'{marker.ns or nameless}_{marker.id}', what)
 
 
 def read_colliders(message: MarkerArray, frame_id: str) -> list[Command]:
-    """``~/colliders``: ADD adds, moves or reshapes, DELETE and DELETEALL take away."""
+    """Read ``~/colliders``: ADD adds, moves or reshapes one, DELETE and DELETEALL remove."""
     commands: list[Command] = []
     for marker in message.markers:
         what = f'marker {marker.ns}/{marker.id}'
@@ -151,7 +151,7 @@ def read_colliders(message: MarkerArray, frame_id: str) -> list[Command]:
 
 
 def read_shape(marker: Marker, what: str) -> tuple[str, tuple[float, ...]]:
-    """Return the shape of a marker and its size [m], as ``PlaceCollider`` has them."""
+    """Return a marker's shape and size [m] as ``PlaceCollider`` takes them."""
     size = marker.scale.x, marker.scale.y, marker.scale.z
     if not all(isfinite(c) and 0.0 < 0.5 * c <= FAR for c in size):
         raise InputError(f'{what}: scale {list(size)} must be > 0 m and no more than {2 * FAR:g}')
@@ -192,14 +192,14 @@ def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list
 
 
 def read_pose(message, frame_id: str, collider: str) -> list[Command]:
-    """``~/collider/<name>/pose``: where one collider goes."""
+    """Read ``~/collider/<name>/pose``: the target of one collider."""
     stamp_ns = check_frame(message.header, frame_id, 'header')
     return [MoveCollider(collider, pose(message.pose.position, message.pose.orientation,
                                         collider), None, stamp_ns)]
 
 
 def read_wind(message: Vector3Stamped, frame_id: str) -> list[Command]:
-    """``~/wind``: how the air moves."""
+    """Read ``~/wind``: the velocity of the air."""
     check_frame(message.header, frame_id, 'header')
     velocity = (message.vector.x, message.vector.y, message.vector.z)
     if not all(map(isfinite, velocity)):
@@ -210,20 +210,20 @@ def read_wind(message: Vector3Stamped, frame_id: str) -> list[Command]:
 
 
 def read_events(message: ParameterEvent) -> list[Command]:
-    """Read the log's ``/parameter_events``: live keys that changed."""
+    """Read ``/parameter_events`` of a log: changed live keys."""
     return [SetKey(p.name, parameter_value_to_python(p.value))
             for p in message.changed_parameters]
 
 
 def read_resets(message: UInt64) -> list[Command]:
-    """Read the log's ``~/resets``: how many there were before a frame."""
+    """Read ``~/resets`` of a log: the number of resets before a frame."""
     if message.data > MOST_RESETS:
         raise InputError(f'{message.data} resets in one frame (at most {MOST_RESETS})')
     return [Reset()] * message.data
 
 
 def unpacked(raw: bytes, kind: type):
-    """Return a serialized message as one of a type, or refuse bytes that are none."""
+    """Return a deserialized message; refuse bytes that are not a message of type ``kind``."""
     try:
         return deserialize_message(raw, kind)
     except Exception as error:
@@ -232,9 +232,9 @@ def unpacked(raw: bytes, kind: type):
 
 def count_in(raw: bytes, kind: type) -> int:
     """
-    Return how many markers or names a serialized message claims to hold, without unpacking it.
+    Return the number of markers or names in a serialized message, without unpacking it.
 
-    MarkerArray starts with the count; MultiDOFJointState with a stamp, the TF frame and the count.
+    In a MarkerArray the count comes first; in a MultiDOFJointState it follows stamp and TF frame.
     """
     order = '<' if raw[1:2] == b'\x01' else '>'
     try:
@@ -247,16 +247,16 @@ def count_in(raw: bytes, kind: type) -> int:
 
 
 class Input(NamedTuple):
-    """One topic that commands come from."""
+    """One input topic."""
 
     kind: type
-    """of its messages"""
+    """message type"""
     read: Callable
-    """(message, frame_id) -> commands"""
+    """reader: (message, frame_id) -> commands"""
     commands: tuple[type, ...]
-    """that its messages become"""
+    """types of the commands that ``read`` returns"""
     effect: str | None
-    """that a scene must have for the node to subscribe; None: only logs have the topic"""
+    """effect that the scene needs for the node to subscribe; None if only logs have the topic"""
 
 
 INPUTS = {
@@ -271,11 +271,11 @@ INPUTS = {
     'parameter_events': Input(ParameterEvent, lambda m, f: read_events(m), (SetKey,), None),
     'resets': Input(UInt64, lambda m, f: read_resets(m), (Reset,), None),
 }
-"""by topic below the node; a log has them all, and its ``parameter_events`` at the root"""
+"""by topic below the node's name; a log may have all, with ``parameter_events`` at the root"""
 
 
 def topic_of(command: Command) -> str:
-    """Return the topic that a command came from, or ``parameters``."""
+    """Return the topic that carries a command, or ``parameters`` for a live key."""
     if isinstance(command, SetKey):
         return 'parameters'
     return next(topic for topic, about in INPUTS.items() if isinstance(command, about.commands))

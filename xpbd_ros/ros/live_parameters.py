@@ -1,4 +1,4 @@
-"""Parameters while the node runs: what may change, and the live keys of its scene."""
+"""The node's parameters and the live keys of its scene: declaration, checks and changes."""
 
 import threading
 
@@ -14,11 +14,11 @@ QOS = 'qos_overrides.'
 
 class LiveParameters:
     """
-    The parameters of a node, its own and those of its scene.
+    Declare the parameters of a node and of its scene, and apply their changes.
 
     Parameters
     ----------
-    node : the ``ClothNode`` that has them
+    node : the ``ClothNode`` that declares them
 
     """
 
@@ -32,7 +32,7 @@ class LiveParameters:
             node.declare_parameter(row.name, row.default, descriptor(row))
 
     def declare(self, live) -> dict:
-        """Declare the scene's live keys; return those that a parameter file sets otherwise."""
+        """Declare the scene's live keys; return those that parameter overrides change."""
         changed = {}
         for name, (value, about) in live.items():
             given = as_plain(self._node.declare_parameter(name, value, about).value)
@@ -48,19 +48,19 @@ class LiveParameters:
         self._keys.clear()
 
     def unknown(self) -> list[str]:
-        """Return a warning for each parameter override that no parameter has the name of."""
+        """Return a warning for each parameter override without a parameter of that name."""
         node = self._node
-        given = [name for name in node._parameter_overrides    # rclpy has no other way to them
+        given = [name for name in node._parameter_overrides    # rclpy offers no public access
                  if not node.has_parameter(name)]
         qos = [name for name in node._parameters if name.startswith(QOS)]
         return [f'parameter {name}: {unknown(name, qos, "quality of service")}; ignored'
                 if name.startswith(QOS) else
                 f'parameter {name}: {unknown(name, (*self._rows, *self._keys), "parameter")}; '
-                'ignored. What cannot change while the scene runs stands in its file, or in '
-                "that of parameter 'settings'" for name in given]
+                'ignored. Keys that cannot change while the scene runs are set in the scene file '
+                "or in the file of parameter 'settings'" for name in given]
 
     def _check(self, parameters):
-        """Say yes or no; change nothing."""
+        """Accept or refuse new values; change nothing yet."""
         simulation, changes = self._node.simulation, {}
         for parameter in parameters:
             row = self._rows.get(parameter.name)
@@ -70,11 +70,11 @@ class LiveParameters:
                     return refusal(f"{row.name}: must be one of {', '.join(row.choices)} "
                                    f"(got '{value}')")
                 if simulation is not None and not row.live:
-                    return refusal(f'{row.name}: is read when the node is configured; clean it '
-                                   'up first')
+                    return refusal(f'{row.name}: is read when the node is configured; call its '
+                                   'cleanup transition first')
                 if row.name == 'publish_rate' and simulation is not None:
                     try:
-                        every(value, simulation)
+                        publish_interval(value, simulation)
                     except InputError as error:
                         return refusal(str(error))
             elif simulation is not None and parameter.name in self._keys:
@@ -87,13 +87,13 @@ class LiveParameters:
         return SetParametersResult(successful=True)
 
     def _apply(self, parameters):
-        """Hand live keys to the next frame, and the others to the part that they are of."""
+        """Queue live keys for the next frame; give the node's own parameters to their parts."""
         node = self._node
         if node.simulation is None or threading.current_thread() is node.stepper:
-            return    # the stepper only tells what holds already
+            return    # the stepper reports a value that already applies
         keys = [(SetKey(p.name, as_plain(p.value)),) for p in parameters if p.name in self._keys]
         if keys:
-            node.inbox.put('parameters', *keys)
+            node.command_queue.put('parameters', *keys)
         recorder = node.recorder
         for parameter in parameters:
             if parameter.name == 'mode' and node.stepper is not None:
@@ -101,15 +101,15 @@ class LiveParameters:
             elif parameter.name == 'use_sim_time' and node.stepper is not None:
                 node.stepper.follow(*node.pace())
             elif parameter.name == 'publish_rate':
-                node.publish_every = every(parameter.value, node.simulation)
+                node.publish_every = publish_interval(parameter.value, node.simulation)
             elif recorder is not None and parameter.name == 'record.flush_period':
                 recorder.log.flush_period = parameter.value
             elif recorder is not None and parameter.name == 'record.checkpoint_period':
                 recorder.checkpoint_period = parameter.value
 
 
-def every(rate: float, simulation) -> int:
-    """Return how many frames there are to one that is published, at ``publish_rate`` [Hz]."""
+def publish_interval(rate: float, simulation) -> int:
+    """Return the number of frames per published one for a ``publish_rate`` [Hz]; 0: all."""
     if rate == 0.0:
         return 1
     count = float(simulation.frame_rate) / rate
@@ -120,10 +120,10 @@ def every(rate: float, simulation) -> int:
 
 
 def refusal(reason: str) -> SetParametersResult:
-    """Return a no with its reason."""
+    """Return a result that refuses, with the reason."""
     return SetParametersResult(successful=False, reason=reason)
 
 
 def as_plain(value):
-    """Return a parameter's value as a scene has it."""
+    """Return a parameter's value as a scene holds it: arrays become lists."""
     return value if isinstance(value, bool | int | float | str) else list(value)

@@ -1,4 +1,4 @@
-"""A recorded run: its scene, its inputs as commands again, and the states that came of them."""
+"""Read a recorded run: its scene, its inputs as commands, and the hashes of its states."""
 
 from collections.abc import Callable, Iterator
 import re
@@ -20,27 +20,27 @@ COLLIDER = re.compile(r'/collider/\w+/pose$')
 
 class Recording:
     """
-    What a log says of a run.
+    A recorded run.
 
     Parameters
     ----------
-    run : the log
-    tell : is given each damage of the log, which may then lack inputs
+    run : path of the log
+    tell : is given a text for each damage of the log, which may then lack inputs
 
     Attributes
     ----------
     scene : Scene
-        As it ran.
+        The scene as it ran, with ``auto`` resolved.
     commands : dict of list
-        The inputs by the frame that they acted on, in order.
+        Inputs by the frame that they acted on, in order.
     hashes : dict of int
-        Of the states, by frame.
+        Hashes of the states, by frame.
     first, last : int
-        The first and the last frame whose state's hash is known.
+        First and last frame with a state hash.
 
     Raises
     ------
-    InputError : not a log, or not of xpbd_ros, or with inputs that make no sense
+    InputError : if the file is not a log of xpbd_ros, or an input in it is invalid
 
     """
 
@@ -58,33 +58,33 @@ class Recording:
             message.frame: unpacked(message.data, UInt64).data
             for message in reader.messages(self._topics('state_hash', UInt64))}
         if len(self.hashes) < 2:
-            raise InputError(f'{self.path}: holds no frame after its start, which is all that '
-                             'could be repeated')
+            raise InputError(f'{self.path}: holds no frame after its start, so there is nothing '
+                             'to repeat; record a longer run')
         self.first, self.last = min(self.hashes), max(self.hashes)
 
     @property
-    def late(self) -> str:
-        """Why it cannot be repeated, where it does not begin with the start of its scene."""
+    def not_repeatable(self) -> str:
+        """Reason why the run cannot be repeated: its start is not in the log; else empty."""
         if self.first == 0:
             return ''
-        return (f'{self.path}: begins in the midst of a run, with frame {self.first}: what was '
-                'grasped and moved before is not in it, so that it cannot be repeated; record '
-                "from the start, with the node's parameter record.path")
+        return (f'{self.path}: begins in the middle of a run, with frame {self.first}: inputs '
+                'before that are not in it, so it cannot be repeated; record from the start, '
+                "with the node's parameter record.path")
 
-    def from_its_start(self) -> 'Recording':
-        """Return this, or raise InputError if it does not begin with the start of its scene."""
-        if self.late:
-            raise InputError(self.late)
+    def checked_repeatable(self) -> 'Recording':
+        """Return the recording itself; raise InputError if its start is not in the log."""
+        if self.not_repeatable:
+            raise InputError(self.not_repeatable)
         return self
 
-    def beyond(self, frames: int) -> list[str]:
-        """Say how many inputs act only after so many frames; nothing where none does."""
+    def inputs_after(self, frames: int) -> list[str]:
+        """Return a note on inputs that act only after ``frames`` frames; empty without any."""
         left = sum(len(commands) for frame, commands in self.commands.items() if frame > frames)
         return [f'{left} inputs of the log act after frame {frames}, with which this run '
                 'ends'] if left else []
 
     def clouds(self) -> Iterator[tuple[int, str, np.ndarray]]:
-        """Yield frame, topic and positions (float32, shape (particles, 3)), as recorded."""
+        """Yield frame, topic and recorded positions [m] (float32, shape (particles, 3))."""
         for message in self._reader.messages(self._topics('particles', PointCloud2)):
             cloud = unpacked(message.data, PointCloud2)
             table = np.frombuffer(cloud.data, np.float32).reshape(-1, cloud.point_step // 4)
@@ -111,16 +111,16 @@ class Recording:
 
 
 def last_part(topic: str) -> str:
-    """Return a topic without what it is below."""
+    """Return the last part of a topic's name."""
     return topic.rsplit('/', 1)[-1]
 
 
 def is_recorded_input(topic: str, kind: str) -> bool:
-    """Return whether a topic of this type is one that a log has inputs on."""
+    """Return whether a log keeps inputs on a topic of this name and type."""
     return last_part(topic) in INPUTS and type_name(INPUTS[last_part(topic)].kind) == kind
 
 
 def is_input(topic: str, kind: str) -> bool:
-    """Return whether a node that listens to a topic of this type would take it as an input."""
+    """Return whether a node takes messages on a topic of this name and type as inputs."""
     return is_recorded_input(topic, kind) or (
         kind == 'geometry_msgs/msg/PoseStamped' and COLLIDER.search(topic) is not None)

@@ -1,8 +1,9 @@
 """
-Frames to messages: one buffer per topic, allocated once and filled each frame.
+Encode frames as messages: one buffer per topic, allocated once and filled each frame.
 
-The same bytes go to the wire and to the log. A message's layout (CDR) does not change while the
-counts in it stay the same, so it is serialized once, with marks in the places that will change.
+The same bytes are published and logged. The layout of a serialized message (CDR) does not change
+while the counts in it stay the same, so it is serialized once, with marker values that are then
+found in the bytes and overwritten each frame.
 """
 
 import struct
@@ -24,12 +25,12 @@ MARK = b'\xa5\x5a\xc3\x3c'
 
 
 def set_stamp(stamp, time_ns: int) -> None:
-    """Write a time into a builtin_interfaces/Time."""
+    """Set a builtin_interfaces/Time to a time [ns]."""
     stamp.sec, stamp.nanosec = divmod(time_ns, 10**9)
 
 
 def vector(kind, values):
-    """Return a Point or Vector3."""
+    """Return a Point or Vector3 (``kind``) with these coordinates."""
     x, y, z = (float(c) for c in values)
     return kind(x=x, y=y, z=z)
 
@@ -41,7 +42,19 @@ def quaternion(values) -> Quaternion:
 
 
 class Cloud:
-    """``~/particles``: of a grid organized, rows along weft, columns along warp; else one row."""
+    """
+    A point cloud of one cloth, such as ``~/particles``.
+
+    A grid's cloud is organized, with rows along weft and columns along warp; a mesh's has one row.
+
+    Parameters
+    ----------
+    cloth : whose particles
+    frame_id : TF frame
+    names : fields, separated by spaces
+    dtype : of all fields
+
+    """
 
     def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32):
         names = names.split()
@@ -65,14 +78,14 @@ class Cloud:
             -1, len(names))
 
     def bytes(self, values: np.ndarray, time_ns: int) -> bytes:
-        """Return the message; ``values`` has one row per particle of the cloth."""
+        """Return the serialized message; ``values`` has shape (particles of the cloth, fields)."""
         struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))
         self._points[:] = values
         return bytes(self._buffer)
 
 
 class Surface:
-    """The cloth's surface as a triangle list, for ``~/markers``."""
+    """The surface of one cloth as a TRIANGLE_LIST marker, for ``~/markers``."""
 
     def __init__(self, cloth: Cloth, index: int, frame_id: str):
         triangles = cloth.mesh.triangles + cloth.first
@@ -90,7 +103,7 @@ class Surface:
         self._points = np.frombuffer(self._buffer, '<f8', count, max(at, 0)).reshape(-1, 3)
 
     def bytes(self, x: np.ndarray, time_ns: int) -> bytes:
-        """Return a MarkerArray with one marker; ``x`` are all particles of the scene."""
+        """Return a serialized MarkerArray; ``x`` [m], shape (particles of the scene, 3)."""
         struct.pack_into('<iI', self._buffer, 8, *divmod(time_ns, 10**9))
         if len(self._points):
             self._points[:] = x[self._corners]
@@ -98,8 +111,8 @@ class Surface:
 
 
 def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
-    """Return a ball at each pin and an arrow for the force of the cloth on it (1 N is 10 cm)."""
-    # RViz wipes one namespace at a time, and takes each (ns, id) once in a message.
+    """Return a sphere at each pin and an arrow for the cloth's force on it (10 cm per 1 N)."""
+    # RViz clears one namespace per DELETEALL, and accepts each (ns, id) once per message.
     markers = [Marker(ns=each, id=-1, action=Marker.DELETEALL) for each in ('pins', 'forces')]
     for number, pin in enumerate(frame.pins.values()):
         ball = Marker(ns='pins', id=number, type=Marker.SPHERE, action=Marker.ADD)
@@ -119,7 +132,7 @@ def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
 
 
 def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
-    """Return the start's vertices and the triangles of one cloth, to rebuild its surface."""
+    """Return the initial vertices ``x`` [m] and the triangles of one cloth."""
     return Mesh(
         vertices=[vector(Point, row) for row in x[cloth.particles].tolist()],
         triangles=[MeshTriangle(vertex_indices=np.array(row, np.uint32))
@@ -127,9 +140,9 @@ def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
 
 
 class PinArray:
-    """``~/pin_states``: pose, velocity and wrench (of the cloth on the pin) of each pin."""
+    """``~/pin_states``: pose, twist and wrench (of the cloth on the pin) of each pin."""
 
-    MARKS = 1.25e300, -1.25e300, 1.5e300    # where poses, velocities and wrenches begin
+    MARKS = 1.25e300, -1.25e300, 1.5e300    # first numbers of poses, twists and wrenches
 
     def __init__(self, frame_id: str):
         self._frame_id = frame_id
@@ -149,7 +162,7 @@ class PinArray:
             for mark, width in zip(self.MARKS, (7, 6, 6)))
 
     def bytes(self, pins: PinStates, time_ns: int) -> bytes:
-        """Return the message."""
+        """Return the serialized message."""
         if pins.names != self._names:
             self._lay_out(pins.names)
         struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))

@@ -1,8 +1,9 @@
 """
-What a scene publishes, and the bytes of one frame: encoded once, for the wire and for the log.
+The topics that a scene publishes, and the serialized messages of its frames.
 
-Topics follow the scene: one cloth has ``particles`` and ``mesh``, several have
-``cloth/<name>/particles`` and so on; pins are reported only where there can be some.
+A message is serialized once; the node publishes it and the log keeps the same bytes. A scene of
+one cloth has the topics ``particles`` and ``mesh``; with several cloths they are
+``cloth/<name>/particles`` and so on. ``pin_states`` exists only with the effect ``pin``.
 """
 
 from dataclasses import dataclass
@@ -35,7 +36,7 @@ class Output:
     qos: Qos
     log_only: bool = False
     view_only: bool = False
-    """for people's eyes: not in the log, which can rebuild it"""
+    """only for display: not logged, since the log holds all that it is made of"""
 
 
 class Outputs:
@@ -70,7 +71,7 @@ class Outputs:
         self.topics[output.topic] = output
 
     def start(self) -> dict[str, bytes]:
-        """Return the latched messages: the scene, and each cloth's mesh at the start."""
+        """Return the latched messages at the start: the scene, and the mesh of each cloth."""
         x = self.simulation.frame().x
         found = {'scene': self.scene(self.scene_text)}
         for topic, cloud in self._clouds.items():
@@ -79,12 +80,12 @@ class Outputs:
         return found
 
     def scene(self, text: str) -> bytes:
-        """Return the scene as it runs from now on."""
+        """Return the message with the scene's YAML text; keep the text for later logs."""
         self.scene_text = text
         return serialize_message(messages.text(text))
 
     def state(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
-        """Return the state whole, in float64, with what the integrator remembers."""
+        """Return the messages with the complete state in float64, integrator history included."""
         state, natural = self.simulation.state, self.simulation.natural
         columns = [frame.x, frame.v, *(natural(array) for array in history_arrays(state))]
         if state.history is not None:
@@ -94,7 +95,7 @@ class Outputs:
                 for topic, cloud in self._states.items()}
 
     def frame(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
-        """Return the messages of one frame."""
+        """Return the messages of one frame by topic, serialized."""
         found = {topic: cloud.bytes(frame.x[cloud.cloth.particles], time_ns)
                  for topic, cloud in self._clouds.items()}
         if 'pin_states' in self.topics:
@@ -102,12 +103,12 @@ class Outputs:
         return found
 
     def markers(self, frame: Frame, time_ns: int) -> list[bytes]:
-        """Return what RViz draws: the surfaces, then the pins."""
+        """Return the marker messages of one frame: the surfaces, then the pins."""
         found = [surface.bytes(frame.x, time_ns) for surface in self._surfaces]
         if 'pin_states' in self.topics:
             found.append(serialize_message(messages.pin_markers(frame, self.frame_id, time_ns)))
         return found
 
     def hash(self) -> bytes:
-        """Return the hash of the float64 state."""
+        """Return the message with the hash of the present float64 state."""
         return serialize_message(messages.number(self.simulation.hash()))

@@ -1,4 +1,4 @@
-"""The node's parameters: a table of its own, and the live keys of its scene."""
+"""The node's own parameters, and descriptors of the live keys of its scene."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,34 +21,35 @@ class Row:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    """may change at any time; else only before the node is configured"""
+    """whether it may change at any time; otherwise only before the node is configured"""
 
 
 TABLE = (
     Row('scene', 'towel', 'scene file, or the name of a shipped scene'),
     Row('settings', '', "a file with a 'solver:' block, to override the scene's keys"),
     Row('frame_id', '', "TF frame of all messages; '' takes the scene's"),
-    Row('autostart', True, 'configure and activate without being asked'),
-    Row('mode', 'realtime', "'realtime': on a clock; 'lockstep': only on ~/step; 'fast': as fast "
-        'as it can', choices=('realtime', 'lockstep', 'fast'), live=True),
-    Row('publish_rate', 0.0, 'of ~/particles and ~/pin_states in Hz of simulation time; a divisor '
-        'of the frame rate; 0: every frame', minimum=0.0, maximum=10000.0, live=True),
-    Row('marker_rate', 15.0, 'of ~/markers in Hz of wall time, while someone listens; 0: never',
-        minimum=0.0, maximum=1000.0, live=True),
-    Row('record.path', '', "folder to record to from activation on; '' records only on ~/record, "
-        'into a fresh folder', live=True),
-    Row('record.flush_period', 1.0, 'at most this much of a log is lost in a crash, in s',
+    Row('autostart', True, 'configure and activate at start; false: wait for lifecycle '
+        'transitions'),
+    Row('mode', 'realtime', "'realtime': step by the node's clock; 'lockstep': only on ~/step; "
+        "'fast': as fast as possible", choices=('realtime', 'lockstep', 'fast'), live=True),
+    Row('publish_rate', 0.0, 'rate of ~/particles and ~/pin_states in Hz of simulation time; must '
+        'divide the frame rate; 0: every frame', minimum=0.0, maximum=10000.0, live=True),
+    Row('marker_rate', 15.0, 'rate of ~/markers in Hz of wall time, while it has subscribers; 0: '
+        'never', minimum=0.0, maximum=1000.0, live=True),
+    Row('record.path', '', "folder to record to from activation on; '': record only on ~/record, "
+        'to a new folder', live=True),
+    Row('record.flush_period', 1.0, 'a crash loses at most this much of a log, in s',
         minimum=0.01, maximum=3600.0, live=True),
-    Row('record.checkpoint_period', 10.0, 'the whole state is logged this often, in s of '
+    Row('record.checkpoint_period', 10.0, 'period at which the complete state is logged, in s of '
         'simulation time', minimum=0.01, maximum=1e6, live=True),
     Row('publish_clock', False, 'publish simulation time on /clock'),
-    Row('max_message_bytes', 4 * 2**20, 'larger array messages are refused unread',
-        minimum=1024, maximum=2**30),
+    Row('max_message_bytes', 4 * 2**20, 'larger array messages are refused before they are '
+        'unpacked', minimum=1024, maximum=2**30),
 )
 
 
 def descriptor(row: Row) -> ParameterDescriptor:
-    """Return what ``ros2 param describe`` shows of a parameter of the node."""
+    """Return the descriptor of a parameter of the node, as ``ros2 param describe`` shows it."""
     found = ParameterDescriptor(description=row.description, read_only=False)
     if row.choices:
         found.additional_constraints = f'one of {", ".join(row.choices)}'
@@ -59,7 +60,7 @@ def descriptor(row: Row) -> ParameterDescriptor:
 
 
 def scene_parameters(scene: Scene, substeps: int) -> dict[str, tuple[Any, ParameterDescriptor]]:
-    """Return the live keys of a scene: name, present value, descriptor."""
+    """Return (present value, descriptor) of each live key of a scene, by name."""
     found = {}
     for key, (field, value) in {
             'solver.substeps': (scene.top.solver.__dataclass_fields__['substeps'], substeps),

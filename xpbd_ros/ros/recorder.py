@@ -1,4 +1,4 @@
-"""One run into one log: states, inputs as applied, hashes; the node and ``run`` share it."""
+"""Record one run to one log: states, inputs as applied, state hashes; for the node and ``run``."""
 
 from pathlib import Path
 
@@ -18,21 +18,22 @@ INPUT = Qos(depth=10)
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
-"""what a log tells of, of what the simulation counts"""
+"""counters of the simulation that go into the log, in ``/diagnostics``"""
 
 
 class Recorder:
     """
-    An open log.
+    An open log of a run.
 
     Parameters
     ----------
-    folder : where to; must not exist
-    outputs : the topics of the simulation
+    folder : folder of the log; must not exist
+    outputs : topics of the simulation
     name : full name of the node, such as ``/cloth``
-    epoch_ns : what simulation time 0 is in the log [ns]
-    flush_period : at most this much is lost in a crash [s]
-    checkpoint_period : the whole state is written this often [s of simulation time]
+    epoch_ns : log time of simulation time 0 [ns]
+    flush_period : a crash loses at most this much [s]
+    checkpoint_period : period at which the complete state is written [s of simulation time]
+    settings : further entries of the log's metadata
 
     """
 
@@ -51,9 +52,9 @@ class Recorder:
                 self.log.add_channel(self._full(output.topic), type_name(output.kind),
                                      output.qos)
         self._later: set[str] = set()
-        """channels that came when there was something to write"""
+        """channels that were added with their first message"""
         self._counts: dict[str, int] = {}
-        self._moved_ns, self._told_ns = 0, -SECOND    # of stamps against log_time
+        self._moved_ns, self._told_ns = 0, -SECOND    # shift of stamps as last written, when
         frame = outputs.simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)
@@ -77,9 +78,14 @@ class Recorder:
 
     def frame(self, frame: Frame, encoded: dict[str, bytes], stamp_ns: int | None = None) -> None:
         """
-        Write the inputs that acted on a frame, and the frame.
+        Write a frame and the inputs that acted on it.
 
-        ``encoded`` is its messages, ``stamp_ns`` their stamp; None: simulation time and the epoch.
+        Parameters
+        ----------
+        frame : the frame just computed
+        encoded : its serialized messages, by topic
+        stamp_ns : their stamp [ns]; None for simulation time after ``epoch_ns``
+
         """
         outputs = self.outputs
         before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
@@ -100,7 +106,7 @@ class Recorder:
         self._write(topic, kind, serialize_message(message), time_ns, frame)
 
     def _write_guards(self, frame: Frame, stamp_ns: int) -> None:
-        """Write what the guards count, and how far stamps moved, in frames where that changes."""
+        """Write the counters of GUARDS and the shift of the stamps, where they changed."""
         stats = self.outputs.simulation.stats()
         counts = {name: stats[name] for name in GUARDS if stats.get(name)}
         moved_ns = stamp_ns - self.epoch_ns - frame.time_ns
@@ -115,10 +121,10 @@ class Recorder:
             {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
     def close(self) -> None:
-        """Finish the log."""
+        """Close the log."""
         self.log.close()
 
 
 def type_name(kind: type) -> str:
-    """Return a message type's name: 'sensor_msgs/msg/PointCloud2'."""
+    """Return the name of a message type, such as 'sensor_msgs/msg/PointCloud2'."""
     return f'{kind.__module__.split(".")[0]}/msg/{kind.__name__}'

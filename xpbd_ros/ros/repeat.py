@@ -1,9 +1,9 @@
-"""A run that takes the inputs of a log, and is compared with it frame by frame."""
+"""Repeat a recorded run: apply the inputs of its log and compare the states frame by frame."""
 
 import numpy as np
 
 from xpbd_ros.ros.logged_commands import Recording
-from xpbd_ros.scene.compare import as_text, differences, first_of, told, with_solver
+from xpbd_ros.scene.compare import as_text, difference_texts, differences, first_texts, with_solver
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Frame, Simulation
 
@@ -12,14 +12,14 @@ class Repeat:
     """
     The comparison of a run with a recorded one.
 
-    States are compared by their hashes, so bit for bit. How far they are apart is taken from the
-    recorded clouds, which are float32: deviations below their rounding are 0.
+    States are compared by their hashes, so bit for bit. Deviations in metres come from the
+    recorded clouds, which are float32: those below their rounding are 0.
 
     Parameters
     ----------
-    recording : what is repeated
-    scene, simulation : with what
-    frames : how many will be stepped
+    recording : the recorded run
+    scene, simulation : the scene of the new run, and its simulation
+    frames : number of frames that will be stepped
 
     """
 
@@ -28,17 +28,17 @@ class Repeat:
         self._simulation = simulation
         self.differences = differences(with_solver(scene, simulation.solver), recording.scene)
         self.compared = 0
-        """frames, the start among them"""
+        """number of compared frames, the start included"""
         self.missing = 0
-        """frames whose hash a damaged log has lost"""
+        """frames without a hash, because the log is damaged"""
         self.first: int | None = None
-        """frame from which on they differ"""
+        """first frame that differs"""
         self.particle: int | None = None
-        """the one that is furthest off in that frame, in natural order"""
+        """particle with the largest deviation in that frame, in natural order"""
         self.deviation: float | None = 0.0
-        """largest [m]; None if it is not known"""
+        """largest deviation of all frames [m]; None if unknown"""
         self.refused: list[str] = []
-        self.notes = recording.beyond(frames)
+        self.notes = recording.inputs_after(frames)
         if frames > recording.last:
             self.notes.append(f'the log ends with frame {recording.last}, and this run with '
                               f'{frames}')
@@ -50,7 +50,7 @@ class Repeat:
         return self._recording.commands.get(index, [])
 
     def look(self, frame: Frame) -> None:
-        """Compare a frame, which was just computed, with the recorded one."""
+        """Compare the frame just computed with the recorded one."""
         self.refused += [f'frame {frame.index}: {type(command).__name__} is refused: {reason}'
                          for command, reason in frame.refused]
         expected = self._recording.hashes.get(frame.index)
@@ -60,7 +60,7 @@ class Repeat:
         self.compared += 1
         if self._simulation.hash() == expected:
             return
-        apart = self._apart(frame)
+        apart = self._distances(frame)
         if self.first is None:
             self.first = frame.index
             if apart is not None and apart.any():
@@ -70,11 +70,12 @@ class Repeat:
         elif self.deviation is not None:
             self.deviation = max(self.deviation, float(apart.max()))
 
-    def _apart(self, frame: Frame) -> np.ndarray | None:
+    def _distances(self, frame: Frame) -> np.ndarray | None:
         """
-        Return how far each particle is from where it was recorded [m].
+        Return the distance of each particle from its recorded position [m], shape (particles,).
 
-        Zeros where the frame has no cloud, as with a low publish_rate; None for another cloth.
+        Zero if the log has no cloud of the frame, as with a low publish_rate; None if its clouds
+        are of other cloths.
         """
         found = {}
         while self._next is not None and self._next[0] <= frame.index:
@@ -98,13 +99,13 @@ class Repeat:
 
     @property
     def identical(self) -> bool:
-        """Whether all was as recorded."""
+        """Whether scene, inputs and states are all as recorded."""
         return not self.problems
 
     @property
     def problems(self) -> list[str]:
-        """What was not as recorded, in words; what comes first in a run stands first."""
-        found = told(self.differences)
+        """Differences from the recording, as texts, in the order in which a run meets them."""
+        found = difference_texts(self.differences)
         if self.first is not None:
             where = 'the start' if self.first == 0 else f'frame {self.first}'
             found.append(
@@ -117,10 +118,10 @@ class Repeat:
         elif self.missing:
             found.append(f'{self.missing} of {self.missing + self.compared} frames have no state '
                          'hash in the log and are not compared')
-        return found + first_of(self.refused, 'inputs are refused')
+        return found + first_texts(self.refused, 'inputs are refused')
 
     def numbers(self) -> dict:
-        """Return the same for a program."""
+        """Return the result as JSON keys."""
         return {
             'log': self._recording.path, 'identical': self.identical, 'frames': self.compared,
             'frames_without_hash': self.missing,

@@ -1,10 +1,10 @@
 """
-The node that publishes a log again.
+The node that publishes a log.
 
-It does what ``ros2 bag play`` does: each message leaves as the bytes that were recorded, with the
-recorded quality of service, when its log time comes. The inputs of a log are published only where
-they are asked for: they would act on a node that is running. One thread does it all, so a service
-answers between two messages and knows what it says.
+It works as ``ros2 bag play`` does: each message is published as the recorded bytes, with the
+recorded quality of service, at its log time. The inputs in a log are published only on request,
+because they would act on a running node. All runs in one thread, so services answer between two
+messages.
 """
 
 from collections import Counter, deque
@@ -12,7 +12,6 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 import importlib
 import re
-import signal
 import time
 
 from builtin_interfaces.msg import Time
@@ -31,38 +30,38 @@ from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
 from xpbd_ros.log.replay_clock import Playhead
 from xpbd_ros.ros.logged_commands import is_input
-from xpbd_ros.ros.signals import ignore_signals
+from xpbd_ros.ros.signals import collected_signals, ignore_signals
 
 NODE = 'xpbd_ros_replay'
 CLOCK = '/clock'
 TYPE = re.compile(r'(\w+)/msg/(\w+)')
-SERVE_PERIOD = 0.02    # s that a burst of messages keeps a service waiting at most
-STOP_PERIOD = 0.1      # s that a signal waits at most
-LOOK_PERIOD = 0.2      # s between looks for those who listen to inputs
-UNKNOWN = '_UNKNOWN_'  # of rmw, for parts of a node's name that it has not heard yet
-ACK_TIMEOUT = 2.0      # s at the end for subscribers that have not acknowledged all yet
-ANSWER_TIME = 1.0      # s that an answer of a service has to arrive: nothing acknowledges it
+SERVE_PERIOD = 0.02    # longest time that a burst of messages delays a service [s]
+STOP_PERIOD = 0.1      # longest time that a signal waits [s]
+LOOK_PERIOD = 0.2      # period of checks for subscribers to inputs [s]
+UNKNOWN = '_UNKNOWN_'  # rmw's placeholder in a node name that discovery has not delivered yet
+ACK_TIMEOUT = 2.0      # longest wait at the end for acknowledgements by subscribers [s]
+ANSWER_TIME = 1.0      # time for a service's answer to arrive, which is not acknowledged [s]
 
 
 def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[Counter[str], bool]:
     """
-    Publish a log until it ends, or SIGINT or SIGTERM does.
+    Publish a log until its end or until SIGINT or SIGTERM.
 
     Parameters
     ----------
     log
-        What to publish.
+        The log to publish.
     remap
         Rules FROM:=TO for topics and services.
     options
-        Those of Replay.
+        Options of Replay.
 
     Returns
     -------
     published : Counter
-        Messages by topic.
+        Number of published messages by topic.
     stopped : bool
-        Whether a signal ended it.
+        Whether a signal ended the replay.
 
     """
     rules = [word for rule in remap for word in ('--remap', rule)]
@@ -81,39 +80,36 @@ def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[C
 
 @contextmanager
 def stop_flag() -> Iterator[Callable[[], bool]]:
-    """Turn SIGINT and SIGTERM into an answer to ask for, so that they break into nothing."""
+    """Yield a function that returns whether SIGINT or SIGTERM came; they interrupt nothing."""
     received: list[int] = []
-    before = {number: signal.signal(number, lambda number, _: received.append(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        yield lambda: bool(received)
+        with collected_signals() as received:
+            yield lambda: bool(received)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         if received:
             ignore_signals()
 
 
 class Replay:
     """
-    A log being published.
+    A node that publishes a log.
 
     Parameters
     ----------
     log
-        What to publish.
+        The log to publish.
     topics
-        Those to publish, as recorded; all if None.
+        Recorded names of the topics to publish; all if None.
     rate
         Log time per wall time.
     loop
-        Start again at the end.
+        Whether to start again at the end.
     start_offset
-        Log time to skip (s); the last messages of latched topics in it are published first.
+        Log time to skip [s]; the last messages of latched topics in it are published first.
     paused
-        Wait for ~/resume or ~/play_next.
+        Whether to wait for ~/resume or ~/play_next.
     clock_hz
-        Publish /clock this often (Hz), in place of a recorded one.
+        Rate of /clock [Hz], which replaces a recorded one; None for no clock.
 
     """
 
@@ -148,7 +144,7 @@ class Replay:
         self._rewind()
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Publish to the end of the log, or for as long as it loops, until told to stop."""
+        """Publish until the end of the log (never, if it loops) or until ``stopped()``."""
         served = time.monotonic()
         while not stopped():
             if self._next is None and not self._playhead.paused:
@@ -168,16 +164,16 @@ class Replay:
             self._settle()
 
     def close(self) -> None:
-        """Take the node down."""
+        """Destroy the node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
     def _add_publisher(self, topic: str) -> None:
-        """Offer a topic as it was recorded; warn where its type is not known here."""
+        """Create the publisher of a recorded topic; warn if its type is not installed."""
         about = self._log.topics[topic]
         try:
             if about.encoding != 'cdr':
-                raise ValueError(f'its data is {about.encoding}, not cdr')
+                raise ValueError(f'its messages are encoded as {about.encoding}, not cdr')
             found = TYPE.fullmatch(about.type)
             if not found:
                 raise ValueError('not the name of a message type')
@@ -191,7 +187,7 @@ class Replay:
                 f'{topic}: left out, its {about.type or "data"} cannot be published here: {error}')
 
     def _look_for_listeners(self, *, last: bool = False) -> None:
-        """Say who listens to an input; a name may come later than its subscription."""
+        """Warn which nodes subscribe to inputs; their names may arrive after the subscriptions."""
         for topic in self._inputs:
             publisher = self._publishers[topic]
             count = publisher.get_subscription_count()
@@ -207,7 +203,7 @@ class Replay:
             self._listeners[topic] = count
 
     def _rewind(self) -> None:
-        """Go to the start, and publish what was latched before it."""
+        """Go to the start offset, and publish the latched messages before it."""
         self._messages = self._log.messages(self._publishers.keys())
         before: dict[str, deque[Message]] = {
             topic: deque(maxlen=self._log.topics[topic].qos.depth) for topic in self._publishers
@@ -223,26 +219,26 @@ class Replay:
         self._playhead.jump(self._start_ns)
 
     def _advance(self) -> None:
-        """Take the next message out of the log."""
+        """Read the next message of the log."""
         self._next = next(self._messages, None)
 
     def _publish(self, message: Message) -> None:
-        """Publish a message as it was recorded."""
+        """Publish a recorded message, and count it."""
         self._publishers[message.topic].publish(message.data)
         self.published[message.topic] += 1
 
     def _publish_next(self) -> None:
-        """Publish the next message."""
+        """Publish the next message, and read the one after it."""
         self._publish(self._next)
         self._advance()
 
     def _publish_clock(self) -> None:
-        """Publish the log time."""
+        """Publish the present log time on /clock."""
         seconds, nanoseconds = divmod(self._playhead.time_ns, 10**9)
         self._clock.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
     def _settle(self) -> None:
-        """Wait until subscribers and those who called a service have all that they are sent."""
+        """Wait until subscribers and service clients have received all that was sent."""
         deadline = time.monotonic() + ACK_TIMEOUT
         for publisher in self._publishers.values():
             left = max(0.0, deadline - time.monotonic())
@@ -250,24 +246,24 @@ class Replay:
         time.sleep(max(0.0, self._answered + ANSWER_TIME - time.monotonic()))
 
     def _pause(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Stand still."""
+        """Pause; the answer tells whether it was paused before."""
         was = self._playhead.paused
         self._playhead.pause()
         return self._told(answer, True, f'{"was" if was else "is"} paused at {self._where()}')
 
     def _resume(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Go on."""
+        """Resume; the answer tells whether it was playing before."""
         was = self._playhead.paused
         self._playhead.resume()
         did = 'goes on' if was else 'was playing'
         return self._told(answer, True, f'{did} at {self._where()}')
 
     def _toggle(self, request: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Do one or the other."""
+        """Resume if paused, else pause."""
         return (self._resume if self._playhead.paused else self._pause)(request, answer)
 
     def _play_next(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
-        """Publish one message, while paused."""
+        """Publish the next message; refused unless paused."""
         if not self._playhead.paused:
             return self._told(answer, False, 'is playing; pause first')
         if self._next is None:
@@ -280,13 +276,13 @@ class Replay:
                           f'{message.topic}, frame {message.frame}, at {self._where()}')
 
     def _told(self, answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
-        """Fill in an answer."""
+        """Fill in and return a service's answer."""
         self._answered = time.monotonic()
         answer.success, answer.message = success, message
         return answer
 
     def _where(self) -> str:
-        """Return the log time from the start of the log, as text."""
+        """Return the time since the start of the log, as text [s]."""
         return f'{(self._playhead.time_ns - (self._log.start_ns or 0)) * 1e-9:.3f} s'
 
 

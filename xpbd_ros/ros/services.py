@@ -10,12 +10,12 @@ from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.sim.commands import Reset
 
 ANSWER_SECONDS = 10.0
-"""how long a service waits for the frame in hand"""
+"""longest time that a service waits for the present frame to end [s]"""
 
 
 class Services:
     """
-    Each acts on the stepper's thread, between two frames, and answers when it is done.
+    The services; each acts on the stepper's thread, between two frames, and answers when done.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Services:
         ]
 
     def close(self) -> None:
-        """Offer them no more."""
+        """Destroy the services."""
         for service in self._offered:
             self._node.destroy_service(service)
 
@@ -50,7 +50,7 @@ class Services:
         except futures.TimeoutError:
             response.success = False
             response.message = f'not done after {ANSWER_SECONDS:g} s' + (
-                ', and given up' if future.cancel() else '; it may still happen')
+                ', and cancelled' if future.cancel() else '; it may still happen')
         except Exception as error:
             response.success, response.message = False, str(error)
         return response
@@ -67,21 +67,22 @@ class Services:
             self._node.stepper.resume()
             return self._node.simulation.index
         stepper = self._node.stepper
-        note = ' (mode lockstep: only ~/step moves on)' if stepper is not None and \
+        note = ' (mode lockstep: only ~/step advances)' if stepper is not None and \
             stepper.mode == 'lockstep' else ''
         return self._answer(response, play, 'playing from frame {}' + note)
 
     def _step(self, request, response):
         def step():
             if self._node.stepper.free_running:
-                raise InputError('it runs by itself; ~/pause first, or use mode lockstep')
+                raise InputError('the node steps by itself; call ~/pause first, or use mode '
+                                 'lockstep')
             self._node.step()
             return self._node.simulation.index
         return self._answer(response, step, 'at frame {}')
 
     def _reset(self, request, response):
         def reset():
-            self._node.inbox.put('reset', (Reset(),))
+            self._node.command_queue.put('reset', (Reset(),))
             self._node.step()
             return self._node.simulation.index
         return self._answer(response, reset, 'back at the start, in frame {}')

@@ -1,4 +1,4 @@
-"""Being told to end: SIGINT and SIGTERM interrupt whatever runs, once."""
+"""Handle SIGINT and SIGTERM: raise KeyboardInterrupt once, collect them, or ignore them."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,24 +10,37 @@ _at_once = False
 
 
 def interrupt_on_signals() -> None:
-    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM; the log has to be finished after."""
+    """Raise KeyboardInterrupt on the first SIGINT or SIGTERM only, so that the log is closed."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, _leave)    # rclpy calls these after its own
 
 
 def ignore_signals() -> None:
-    """Let no further signal end a process that is done: Python, as it ends, gives them back."""
+    """Ignore further signals at exit, where Python restores the handlers that end the process."""
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
 
 
 @contextmanager
-def nothing_to_finish() -> Iterator[None]:
-    """
-    Let a signal end the process at once, with 0: there is nothing to finish yet.
+def collected_signals() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM in a list, so that they interrupt nothing."""
+    received: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: received.append(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
-    While the compiler works, an exception may come up inside its callbacks, where Python drops it
-    or leaves the compiler in pieces.
+
+@contextmanager
+def exit_at_once_on_signals() -> Iterator[None]:
+    """
+    Let a signal end the process at once, with exit code 0, where no log is open yet.
+
+    For compilation: an exception raised inside the compiler's callbacks is dropped by Python, or
+    leaves the compiler in an inconsistent state.
     """
     global _at_once
     _at_once = True

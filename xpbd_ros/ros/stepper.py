@@ -1,8 +1,8 @@
 """
-The thread that steps: on a clock, on request, or as fast as it can.
+The thread that steps the simulation: by a clock, on request, or as fast as possible.
 
-Everything that touches the simulation or the log happens here, between frames, so nothing needs a
-lock; a service posts what it wants done and waits for the answer.
+All access to the simulation and the log happens in this thread, between frames, so neither needs
+a lock; a service posts an action and waits for its result.
 """
 
 from collections import deque
@@ -12,30 +12,31 @@ import threading
 import time
 
 IDLE = 0.2
-"""the longest nap, so that something waiting for wall time is looked after [s]"""
+"""longest sleep, so that work in wall time (markers, diagnostics, flushes) is done [s]"""
 LATE_FRAMES = 3
-"""frames behind the clock before frames are dropped"""
+"""delay at which frames are dropped [frames]"""
 JUMP_NS = 10**9
-"""a clock that goes on by more at once, and by JUMP times what passed, was set [ns]"""
+"""a clock that advances by more than this between two readings may have been set [ns]"""
 JUMP = 10
+"""a clock that also advances by more than this times the elapsed time has been set"""
 STOPPED = 'the simulation has stopped'
 
 
 class Stepper(threading.Thread):
     """
-    Call ``step(late_ns)`` at the right times.
+    Call ``step(late_ns)`` when a frame is due.
 
     Parameters
     ----------
-    step : computes one frame; is given a function that tells how long ago it was due [ns], or
-        None where no time is due
-    idle : called at least every IDLE seconds, between frames
-    failed : called once with the exception that ended the thread
-    jumped : called with how far the clock was set on, or back [ns]
-    now_ns : the clock to step on [ns]
-    frame_ns : time of frame n since the start [ns], a function of n
+    step : computes one frame; is given a function that returns the time since the frame was due
+        [ns], or None in modes without due times
+    idle : called between frames, at least every IDLE seconds
+    failed : called once, with the exception that ended the thread
+    jumped : called with the change of a clock that was set [ns]
+    now_ns : clock to step on [ns]
+    frame_ns : time of frame n after the start [ns], as a function of n
     mode : 'realtime', 'lockstep' (only on request) or 'fast'
-    poll : how often to look at the clock [s]
+    poll : period at which to read the clock [s]
 
     """
 
@@ -47,7 +48,7 @@ class Stepper(threading.Thread):
         self.mode = mode
         self.playing = True
         self.dropped = 0
-        """frames that were not computed in time and never will be"""
+        """dropped frames: they were late and are never computed"""
         self._step, self._idle, self._failed, self._jumped = step, idle, failed, jumped
         self._now_ns, self._frame_ns = now_ns, frame_ns
         self._poll = poll
@@ -55,15 +56,15 @@ class Stepper(threading.Thread):
         self._asked: deque[tuple[Callable, Future]] = deque()
         self._stopping = False
         self._start_ns, self._count = 0, 0
-        self._seen = 0, 0    # the clock and a steady one, when they were looked at [ns]
+        self._seen = 0, 0    # last readings of the clock and of a steady clock [ns]
 
     @property
     def free_running(self) -> bool:
-        """Whether it steps without being asked."""
+        """Whether frames are computed without a request."""
         return self.playing and self.mode != 'lockstep'
 
     def ask(self, action: Callable) -> Future:
-        """Have something done between frames; the future holds what it returned or raised."""
+        """Call ``action()`` between frames; return a future with its result or exception."""
         future: Future = Future()
         with self._wake:
             if self._stopping:
@@ -74,20 +75,20 @@ class Stepper(threading.Thread):
         return future
 
     def stop(self) -> None:
-        """End after the frame in hand, and wait for that."""
+        """Stop after the present frame, and wait for the thread to end."""
         self._refuse_more()
         if self.is_alive() and threading.current_thread() is not self:
             self.join()
 
     def switch(self, mode: str) -> Future:
-        """Go on in another mode, from the next frame."""
+        """Change the mode, from the next frame on."""
         def switch():
             self.mode = mode
             self.resume()
         return self.ask(switch)
 
     def follow(self, now_ns: Callable[[], int], poll: float) -> Future:
-        """Go on on another clock."""
+        """Step by another clock, read with period ``poll`` [s]."""
         def follow():
             self._now_ns, self._poll = now_ns, poll
             self.resume()
@@ -99,7 +100,7 @@ class Stepper(threading.Thread):
         self._seen = self._start_ns, time.monotonic_ns()
 
     def run(self) -> None:
-        """Step until told to stop."""
+        """Step until ``stop`` is called."""
         try:
             self.resume()
             while not self._stopping:
@@ -128,6 +129,7 @@ class Stepper(threading.Thread):
             self._asked.clear()
 
     def _answer(self) -> None:
+        """Call the posted actions."""
         while True:
             with self._wake:
                 if not self._asked:
@@ -147,7 +149,7 @@ class Stepper(threading.Thread):
         if self.mode == 'fast':
             return 0.0
         if self._start_ns == 0:
-            self.resume()    # the clock has not begun, or does so now
+            self.resume()    # the clock has not started, or starts now
         now, period = self._now_ns(), self._frame_ns(1)
         if self._was_set(now):
             self.resume()
@@ -160,15 +162,15 @@ class Stepper(threading.Thread):
         return -late * 1e-9
 
     def _due_ns(self) -> int:
-        """Return when the next frame is due [ns]."""
+        """Return the time at which the next frame is due [ns]."""
         return self._start_ns + self._frame_ns(self._count + 1)
 
     def _late_ns(self) -> int:
-        """Return for how long the next frame has been due [ns]."""
+        """Return the time since the next frame was due [ns]; negative before."""
         return self._now_ns() - self._due_ns()
 
     def _was_set(self, now: int) -> bool:
-        """Tell whether the clock went back, or on by more than could have passed."""
+        """Return whether the clock went back, or forward by far more than the elapsed time."""
         steady = time.monotonic_ns()
         on, passed = now - self._seen[0], steady - self._seen[1]
         self._seen = now, steady

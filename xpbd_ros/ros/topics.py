@@ -1,4 +1,4 @@
-"""The topics of a configured node: all outputs, and the inputs that its scene calls for."""
+"""The topics of a configured node: all outputs, and the inputs that its scene's effects need."""
 
 from collections.abc import Callable
 
@@ -17,16 +17,16 @@ from xpbd_ros.scene.model import Scene
 
 class Topics:
     """
-    What a node publishes and subscribes to.
+    The publishers and subscriptions of a node.
 
     Parameters
     ----------
-    node : it has them
-    scene : names the colliders and the TF frame
-    outputs : what is published of the simulation, whose effects say what inputs there are
-    take : is given each message: full name of its topic, serialized message, type, and
-        (message) -> commands
-    clock : whether the node is the source of /clock
+    node : creates them
+    scene : gives the names of colliders and the TF frame
+    outputs : topics of the simulation, whose effects determine the input topics
+    take : called for each message, with the full name of its topic, the serialized message, its
+        type, and a reader (message) -> commands
+    clock : whether the node publishes /clock
 
     """
 
@@ -37,7 +37,7 @@ class Topics:
         self._publishers, self._inlets = {}, []
 
     def open(self) -> None:
-        """Create publishers and subscriptions; where that fails, ``close`` removes those made."""
+        """Create publishers and subscriptions; if that fails, ``close`` removes those created."""
         node, effects = self._node, self._outputs.simulation.effects
         overridable = QoSOverridingOptions.with_default_policies()
         for output in self._outputs.topics.values():
@@ -66,7 +66,7 @@ class Topics:
             name, raw, kind, lambda message: read(message, self._scene.top.frame_id))))
 
     def publish(self, topic: str, message) -> None:
-        """Publish a message, or one that is serialized."""
+        """Publish a message, serialized or not."""
         self._publishers[topic].publish(message)
 
     def is_heard(self, topic: str) -> bool:
@@ -74,7 +74,7 @@ class Topics:
         return self._publishers[topic].get_subscription_count() > 0
 
     def close(self) -> None:
-        """Publish and listen no more."""
+        """Destroy publishers and subscriptions."""
         for publisher in self._publishers.values():
             self._node.destroy_lifecycle_publisher(publisher)
         for inlet in self._inlets:

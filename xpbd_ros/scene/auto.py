@@ -1,4 +1,4 @@
-"""``solver.method: auto``: a pure function of the scene; it reads no clock."""
+"""Resolve ``solver.method: auto``: a pure function of the scene, which reads no clock."""
 
 from math import ceil, inf, sqrt
 
@@ -10,7 +10,7 @@ from xpbd_ros.sim.simulation import Solver
 
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
               'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
-"""what goes with each method: BDF2 wants a sweep that is symmetric"""
+"""default integrator of each method: BDF2 needs a symmetric sweep"""
 NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 2.4},
       'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 4.6},
       'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 4.6},
@@ -18,32 +18,47 @@ NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 2.4},
       'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 2.5}}
 """cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
 MESH = {'edge': 2.5, 'hinge': 3.8}
-"""what a constraint of a mesh costs, in those of a grid"""
+"""cost of a constraint of a mesh over that of one of a grid"""
 SINGLE = 0.6
-"""what float32 costs, in those of float64; less on large grids"""
+"""cost in float32 over that in float64; less on large grids"""
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
-"""substeps that ``line`` wants, for each that an explicit solver needs for all edges; what lines
-do not take is swept, and wants all its own"""
-CALM = 0.08
-"""the same, from which on NDF2 is no wilder than BDF2 after a rough start"""
+"""substeps of method ``line`` over those that an explicit solver needs for all edges, by
+integrator; constraints that are in no line need all of theirs"""
+NDF2_STABLE = 0.08
+"""smallest such ratio with which NDF2 is as stable as BDF2 after a violent start"""
 TAUT = 1 / 3
-"""the same where colliders or wind may pull cloth taut: in steps of backward Euler, which what
-touches takes, lines that zigzag across themselves are stable up to a strain of about 3/4 of its
-square, a twelfth"""
-LEAST = 4
+"""the same ratio, where colliders or wind may stretch the cloth: particles in contact take
+backward Euler, with which lines that zigzag are stable up to a strain of about 3/4 of the ratio's
+square, that is 1/12"""
+MIN_SUBSTEPS = 4
+"""substeps that ``auto`` chooses at least, if the budget allows"""
 
 
-def share(method: str, integrator: str) -> float:
-    """Return the substeps that a setting wants, for each that an explicit one needs."""
+def substep_ratio(method: str, integrator: str) -> float:
+    """Return the substeps that a setting needs over those that an explicit solver needs."""
     return LINE[integrator] if method == 'line' else 1.0
 
 
 def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
-    """Choose what the scene leaves open (``_choose``), and see that it leaves room to change."""
+    """
+    Return the solver setting of a scene, with all that it leaves open chosen.
+
+    Parameters
+    ----------
+    keys : section ``solver`` of the scene
+    effects : built effects by name
+    state : particles
+    frame_dt : frame period [s]
+
+    Raises
+    ------
+    InputError : for settings that cannot be combined, or that exceed the budget
+
+    """
     solver = _choose(keys, effects, state, frame_dt)
     if keys.error_target is not None and solver.substeps > keys.max_substeps:
-        raise InputError(f'solver.max_substeps: {keys.max_substeps} are fewer than the '
-                         f'{solver.substeps} that it starts with; give at least these')
+        raise InputError(f'solver.max_substeps: must be at least {solver.substeps}, the substeps '
+                         f'that the run starts with (got {keys.max_substeps})')
     return solver
 
 
@@ -52,13 +67,12 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     Choose what the scene leaves open: method, integrator, substeps.
 
     An explicit solver is stable with N = frame_dt sqrt(Σ k / m) substeps or more, k summed over
-    the edges at a particle along one direction. The line sweep with BDF2 needs about a quarter of
-    them for a millimetre on a metre (doc/numerics.md 3.2), with NDF2 a fifth, and where colliders
-    or wind may pull it taut a third; Gauss-Seidel needs all, to be as stiff as asked, also for
-    what lines leave to it. An effect may want some whatever the edges do
-    (``Built.least_substeps``).
-    ``explicit`` itself takes the bound of ``stability_limit``. ``budget_ms`` bounds the substeps
-    by the cost table above.
+    the edges at a particle along one direction. For an error of 1e-3 of the length, the line sweep
+    needs about a quarter of them with BDF2 (doc/numerics.md 3.2), a fifth with NDF2, and a third
+    where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
+    asked, also for the constraints that are in no line. An effect may need a number of substeps
+    of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
+    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.
     """
     barred = {method: name for name, built in effects.items()
               for method in built.incompatible_with}
@@ -66,8 +80,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     if method == 'auto':
         method = 'gauss_seidel_symmetric' if 'line' in barred else 'line'
     if method in barred:
-        raise InputError(f"solver.method: '{method}' does without {barred[method]}, which the "
-                         'scene has; take gauss_seidel_symmetric, gauss_seidel or jacobi')
+        raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
+                         'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
+                         'jacobi')
     affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
@@ -75,15 +90,15 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.integrator: '{integrator}' is unstable with "
                          f'{barred[integrator]}, which the scene has; take bdf2 or backward_euler')
     if (keys.integrator is None and method == 'line' and 'ndf2' not in barred
-            and CALM * needed <= (keys.substeps or affordable)):
+            and NDF2_STABLE * needed <= (keys.substeps or affordable)):
         integrator = 'ndf2'
     if (integrator == 'leapfrog') != (method == 'explicit'):
         fitting = 'leapfrog' if method == 'explicit' else 'backward_euler, bdf2 or ndf2'
         raise InputError(f"solver.integrator: method '{method}' goes with {fitting} "
                          f"(got '{integrator}')")
     if method == 'explicit' and keys.iterations > 1:
-        raise InputError('solver.iterations: explicit takes each force once (got '
-                         f'{keys.iterations}); give it more substeps')
+        raise InputError('solver.iterations: must be 1 with method explicit (got '
+                         f'{keys.iterations}); increase substeps instead')
     chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
               'precision': keys.precision, 'threads': keys.threads}
     if method == 'explicit':
@@ -93,9 +108,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     if keys.substeps is not None:
         reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
         if method == 'explicit' and keys.substeps < needed:
-            reason += f'; {ceil(min(needed, 1e9))} would be stable however it turns'
+            reason += f'; {ceil(min(needed, 1e9))} would be stable in every orientation'
         return Solver(substeps=keys.substeps, reason=reason, **chosen)
-    wanted = max([share(method, integrator) * needed,
+    wanted = max([substep_ratio(method, integrator) * needed,
                   *(built.least_substeps(frame_dt) for built in effects.values())])
     if method == 'line':
         taut = any(built.pulls_taut for built in effects.values())
@@ -103,8 +118,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     if method == 'explicit':
         if wanted > affordable:
             raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
-                             f'and {keys.budget_ms:g} ms pay for {affordable}; take line, raise '
-                             'budget_ms or give substeps')
+                             f'and budget_ms ({keys.budget_ms:g} ms) allows {affordable}; take '
+                             'line, raise budget_ms or give substeps')
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
     reason = f'auto: {method}, {integrator}, {substeps} substeps'
@@ -113,17 +128,17 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     elif wanted < 1e9:
         reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
-        reason += f' fill the budget of {keys.budget_ms:g} ms; rigid edges take what they get'
+        reason += f' fill the budget of {keys.budget_ms:g} ms; no number resolves rigid edges'
     took = substeps * cost(method, keys.iterations, effects, state) * 1e-6
     return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
 
 
 def _bounded(wanted: float, affordable: int) -> int:
-    return int(max(min(ceil(min(wanted, 1e9)), affordable), min(LEAST, affordable)))
+    return int(max(min(ceil(min(wanted, 1e9)), affordable), min(MIN_SUBSTEPS, affordable)))
 
 
 def cost(method: str, iterations: int, effects, state) -> float:
-    """Return the time of one substep by the table [ns]."""
+    """Return the time of one substep according to the table NS [ns]."""
     table = NS[method]
     found, particles = table['slot'] * len(state.mass), np.count_nonzero(state.mass)
     for built in effects.values():
@@ -143,7 +158,9 @@ def _batch(part):
 
 def stability_limit(effects, state) -> float:
     """
-    Return a bound of the highest frequency over 2 [1/s]: leapfrog is stable above it.
+    Return an upper bound of half the highest angular frequency [1/s].
+
+    Leapfrog is stable with at least so many substeps per second.
 
     x K x = Σ k (n·(x_i - x_j))² ≤ Σ x_i (2 Σ k n nᵀ) x_i, so ω² is at most the largest eigenvalue
     of 2 Σ k n nᵀ / m_i over the particles; for edges, whichever way n turns, 2 Σ k / m_i.
@@ -162,7 +179,7 @@ def stability_limit(effects, state) -> float:
 
 
 def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
-    """Return the substeps that an explicit solver needs for all, and for what no line takes."""
+    """Return the substeps that an explicit solver needs: for all edges, for those in no line."""
     on_lines, swept = 0.0, 0.0
     for name, built in effects.items():
         if built.constraints is None:
@@ -183,9 +200,9 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
 
 def largest_rate(edges, mass) -> float:
     """
-    Return the largest Σ 1/m / (2 α) of some edges, or slants of cells [1/s²].
+    Return the largest Σ 1/m / (2 α) of edges, or of the shear constraints of cells [1/s²].
 
-    inf where one is rigid.
+    The sum is over the particles of a constraint. Infinite if one of them is rigid.
     """
     if not len(edges.particles):
         return 0.0

@@ -1,4 +1,4 @@
-"""What two scenes differ in: their keys, defaults included."""
+"""Compare two scenes key by key, defaults included."""
 
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -9,23 +9,23 @@ from xpbd_ros.scene.save import CHOSEN
 from xpbd_ros.sim.simulation import Solver
 
 WITHOUT_EFFECT = {'duration', 'frame_id', 'solver.threads', 'solver.budget_ms'}
-"""keys that no state depends on, once ``auto`` has chosen"""
+"""keys that no state depends on, once ``auto`` is resolved"""
 MOST = 5
-"""of a kind that are told one by one"""
+"""texts of a kind that are listed one by one"""
 
 
 def with_solver(scene: Scene, solver: Solver) -> Scene:
-    """Return a scene with what ``auto`` chose for it."""
+    """Return a scene with the setting that ``auto`` chose for it."""
     keys = replace(scene.top.solver, **{key: getattr(solver, key) for key in CHOSEN})
     return replace(scene, top=replace(scene.top, solver=keys))
 
 
 def differences(ours: Scene, theirs: Scene) -> list[tuple[str, Any, Any]]:
     """
-    Return the keys that states depend on and in which two scenes differ, with both values.
+    Return the differing keys that states depend on, each as (key, our value, their value).
 
-    A key that a scene does not have is None there. Paths of files do not count: where a mesh lies
-    does not say what is in it.
+    The value of a key that a scene does not have is None. Paths of files are not compared, since
+    they say nothing about the content.
     """
     one, other = dict(_keys(ours)), dict(_keys(theirs))
     return [(key, one.get(key), other.get(key)) for key in dict.fromkeys((*one, *other))
@@ -44,7 +44,7 @@ def _keys(scene: Scene) -> Iterator[tuple[str, Any]]:
 
 
 def _walk(path: str, value: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the dotted keys below a value; what has none is one itself."""
+    """Yield (dotted key, value) for all leaves of a mapping or dataclass."""
     if is_dataclass(value):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     if not isinstance(value, dict):
@@ -56,21 +56,21 @@ def _walk(path: str, value: Any) -> Iterator[tuple[str, Any]]:
         yield from _walk(f'{path}.{key}' if path else key, inner)
 
 
-def told(found: list[tuple[str, Any, Any]]) -> list[str]:
-    """Return differences from a recorded scene in words."""
-    return first_of([f'scene: {key}: {as_text(ours)} here, {as_text(theirs)} in the log'
-                     for key, ours, theirs in found], 'keys differ')
+def difference_texts(found: list[tuple[str, Any, Any]]) -> list[str]:
+    """Return the differences from a recorded scene as texts."""
+    return first_texts([f'scene: {key}: {as_text(ours)} here, {as_text(theirs)} in the log'
+                        for key, ours, theirs in found], 'keys differ')
 
 
-def first_of(items: list[str], what: str) -> list[str]:
-    """Return the first of many, and how many more there are."""
+def first_texts(items: list[str], what: str) -> list[str]:
+    """Return the first MOST texts and, if there are more, a text with their number."""
     more = len(items) - MOST
     return [*items[:MOST], *[f'{more} more {what}'] * (more > 0)]
 
 
 def as_text(value: Any) -> str:
-    """Return a value of a scene as people write it."""
+    """Return a value of a scene as text, shortened."""
     if value is None:
-        return 'nothing'
+        return 'not set'
     found = str(list(value)) if isinstance(value, tuple) else str(value)
     return found if len(found) <= 60 else f'{found[:57]}...'

@@ -1,4 +1,4 @@
-"""``Scene`` -> ``Simulation``: meshes, masses, one built effect per effect that is called for."""
+"""Compile a ``Scene`` to a ``Simulation``: meshes, masses, and the effects that it names."""
 
 from dataclasses import replace
 from fractions import Fraction
@@ -24,13 +24,13 @@ from xpbd_ros.sim.simulation import Change, Simulation
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
-"""methods that move all particles at once"""
+"""methods that accumulate the displacements of a particle, and their accumulators"""
 COARSE = 1e-3
-"""rounding over the distance of neighbours above which float32 is warned of"""
+"""rounding error over the distance of neighbours above which there is a warning about float32"""
 
 
 def compile_scene(scene: Scene) -> Simulation:
-    """Return a simulation at the scene's start; nothing is compiled to machine code yet."""
+    """Return a simulation at the scene's start; ``Simulation.compile`` compiles its kernels."""
     cloths, x, mass = [], [], []
     solver = scene.top.solver
     dtype = np.dtype(solver.precision)
@@ -52,7 +52,7 @@ def compile_scene(scene: Scene) -> Simulation:
     with np.errstate(over='ignore', divide='ignore'):
         if not (np.isfinite(1.0 / mass).all() and np.isfinite(mass).all()):
             raise InputError(f'{scene.where}: cloths: a particle would weigh {mass.min():.3g} kg; '
-                             'size, density and resolution do not fit together')
+                             'correct size, density or resolution')
     slot = np.concatenate([cloth.slots for cloth in cloths])
     state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
                       pins='pin' in scene.effects, dtype=dtype)
@@ -76,8 +76,8 @@ def compile_scene(scene: Scene) -> Simulation:
                    *_too_coarse(cloths, state),
                    *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:
-        raise InputError(f'{scene.where}: sizes, stiffnesses and densities do not fit together '
-                         f'({error})') from error
+        raise InputError(f'{scene.where}: sizes, stiffnesses or densities are too large or too '
+                         f'small to compute with ({error}); check their units') from error
     except InputError as error:
         raise InputError(f'{scene.where}: {brief(str(error))}') from None
 
@@ -91,8 +91,8 @@ def _mesh(name: str, keys: ClothKeys) -> Mesh:
     except InputError as error:
         raise InputError(f'cloths.{name}.mesh.file: {error}') from None
     if len(tetrahedra) and keys.material is not None:
-        raise InputError(f'cloths.{name}.material: is that of a sheet, and {keys.mesh.file} has '
-                         'tetrahedra; give density (kg/m³) and the effects themselves')
+        raise InputError(f'cloths.{name}.material: materials are sheets, and {keys.mesh.file} has '
+                         'tetrahedra; give density (kg/m³) and the parameters of the effects')
     try:
         with np.errstate(over='ignore', invalid='ignore'):
             vertices = vertices * keys.mesh.scale
@@ -103,30 +103,30 @@ def _mesh(name: str, keys: ClothKeys) -> Mesh:
 
 
 def _too_coarse(cloths, state: State) -> list[str]:
-    """Say where float32 is not good enough: so far from the origin that it rounds the edges."""
+    """Return a warning if float32 rounds positions too coarsely for the mesh; empty if not."""
     if state.x.dtype != np.float32:
         return []
     far = float(np.abs(state.x).max(initial=0.0))
     rounding, gap = far * float(np.finfo(np.float32).eps), min(c.mesh.gap for c in cloths)
     if rounding <= COARSE * gap:
         return []
-    return [f'solver.precision: float32 rounds places at {far:.3g} m from the origin to '
+    return [f'solver.precision: float32 rounds positions {far:.3g} m from the origin to '
             f'{rounding:.2g} m, and neighbours are {gap:.2g} m apart; take float64, or an origin '
             'near the scene']
 
 
 def _too_short(state: State, h: float) -> list[str]:
-    """Say where float32 rounds places to more than gravity moves them by in a substep."""
+    """Return a warning if float32 rounds away what gravity moves positions by in a substep."""
     fall, far = float(np.linalg.norm(state.gravity)) * h * h, np.abs(state.x).max(initial=0.0)
     if state.x.dtype != np.float32 or fall == 0.0 or 0.5 * np.spacing(far) <= fall:
         return []
-    return [f'solver.precision: float32 rounds places at {far:.3g} m from the origin by up to '
+    return [f'solver.precision: float32 rounds positions {far:.3g} m from the origin by up to '
             f'{0.5 * np.spacing(far):.2g} m, and gravity moves them by {fall:.2g} m in a substep: '
             'forces get lost; take float64, or fewer substeps']
 
 
 def frame_rate(scene: Scene) -> Fraction:
-    """Return the frames per second as the decimal number that the scene says."""
+    """Return the frame rate [Hz] as the exact decimal number of the scene file."""
     return Fraction(repr(scene.top.frame_rate))
 
 
@@ -151,7 +151,14 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
 
 
 class Retune:
-    """Turns a live key into what it changes in a running simulation."""
+    """
+    Compute the change of a running simulation for a new value of a live key.
+
+    Parameters
+    ----------
+    scene, cloths, state, effects : those of the simulation
+
+    """
 
     def __init__(self, scene: Scene, cloths, state, effects):
         self.scene = scene
@@ -160,13 +167,13 @@ class Retune:
         self.effects = effects
 
     def __call__(self, key: str, value) -> Change:
-        """Return the change, or raise InputError; nothing has happened yet."""
+        """Return the change of effects, solver and gravity; raise InputError for a bad value."""
         scene = self.check({key: value})
         cloths = tuple(replace(c, friction=scene.cloths[c.name].friction,
                                static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
         effects = self.effects
-        if key != 'solver.substeps':    # which no effect knows
+        if key != 'solver.substeps':    # on which no effect depends
             effects = _build(scene, cloths, self.state, self.effects)
             for name, built in effects.items():
                 built.adopt(self.effects[name])
@@ -175,7 +182,7 @@ class Retune:
         return Change(effects, solver, scene.top.gravity)
 
     def check(self, changes: dict) -> Scene:
-        """Return the scene with some live keys changed, or raise InputError."""
+        """Return the scene with live keys changed; raise InputError for bad keys or values."""
         known = live_keys(self.scene)
         raw = self.scene.raw
         for key, value in changes.items():

@@ -1,4 +1,4 @@
-"""A scene file, found, read and checked: YAML -> ``Scene``."""
+"""Find, read and check scene files: YAML to ``Scene``."""
 
 from pathlib import Path
 from typing import Any
@@ -14,14 +14,15 @@ from xpbd_ros.share import share_folder
 from xpbd_ros.sim.geometry.mesh import grid_spacing, is_square
 
 LARGEST_FILE = 16 * 2**20
-"""[bytes]"""
+"""size of a scene file, at most [bytes]"""
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain YAML, where a key that stands twice is a mistake and not the last one's victory."""
+    """Safe YAML that refuses duplicate keys."""
 
 
 def _mapping_once(loader, node, deep=False):
+    """Construct a mapping; refuse duplicate keys and keys that are not scalars."""
     seen = set()
     for key_node, _ in node.value:
         if not isinstance(key_node, yaml.ScalarNode):
@@ -30,7 +31,7 @@ def _mapping_once(loader, node, deep=False):
         key = loader.construct_object(key_node, deep=True)
         if key in seen:
             raise yaml.constructor.ConstructorError(
-                None, None, f"key '{key}' stands twice", key_node.start_mark)
+                None, None, f"key '{key}' is given twice", key_node.start_mark)
         seen.add(key)
     return loader.construct_mapping(node, deep)
 
@@ -39,7 +40,7 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping
 
 
 def find_scene(name: str) -> Path:
-    """Return the file that a path or the name of a shipped scene means."""
+    """Return the scene file of a path or of the name of a shipped scene."""
     path = Path(name)
     if path.is_file():
         return path
@@ -58,12 +59,12 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
 
     Parameters
     ----------
-    name : a path, or the name of a shipped scene
-    overrides : dotted keys and the values that they take instead
+    name : path of a scene file, or name of a shipped scene
+    overrides : values by dotted key, which replace those of the file
 
     Raises
     ------
-    InputError : with file, key, value, unit and the way out
+    InputError : with file, key, value, unit and remedy
 
     """
     path = find_scene(name)
@@ -81,7 +82,7 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
 
 
 def parse_yaml(text: str, where: str) -> Any:
-    """Return what a YAML text says; a mistake in it becomes one line."""
+    """Return a parsed YAML text; raise InputError with one line about a syntax error."""
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
@@ -104,7 +105,7 @@ def scene_from_text(text: str, *, where: str, name: str,
 def scene_from_mapping(raw: Any, *, where: str, name: str,
                        overrides: dict[str, Any] | None = None,
                        folder: Path | None = None) -> Scene:
-    """Check a scene given as plain values; its files lie in ``folder``, or where we are."""
+    """Check a scene given as plain values; paths in it are relative to ``folder`` (None: cwd)."""
     try:
         raw = mapping(raw, 'the scene')
         for key, value in (overrides or {}).items():
@@ -117,9 +118,9 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
 
 def _check_member(raw: dict, key: str) -> None:
     """
-    Refuse an override within a cloth, pin, collider or seam that the scene does not have.
+    Refuse an override of a key in a cloth, pin, collider or seam that the scene does not have.
 
-    A misspelt name would make a new one. A whole section may be given, with new names in it.
+    A misspelt name would otherwise create a new one. Whole sections may be given, with new names.
     """
     section, _, rest = key.partition('.')
     name = rest.partition('.')[0]
@@ -132,7 +133,7 @@ def _check_member(raw: dict, key: str) -> None:
 
 
 def settings_overrides(file: str) -> dict[str, Any]:
-    """Return a settings file (a ``solver:`` block) as overrides of a scene."""
+    """Return the overrides in a settings file, which holds a ``solver:`` block."""
     path = Path(file)
     if not path.is_file():
         raise InputError(f'{file}: no such file')
@@ -151,7 +152,7 @@ def settings_overrides(file: str) -> dict[str, Any]:
 
 
 def _resolved(raw: dict, folder: Path) -> dict:
-    """Return a scene that says all: values of materials, and files that are found anywhere."""
+    """Return a scene's mapping with materials replaced by values, and with absolute paths."""
     cloths = {}
     for name, cloth in names(raw.get('cloths'), 'cloths').items():
         cloths[name] = _found(with_material(
@@ -166,7 +167,7 @@ def _resolved(raw: dict, folder: Path) -> dict:
 
 
 def _square_cells(cloth: Any, path: str) -> bool:
-    """Tell whether a cloth's mapping says a grid with square cells."""
+    """Return whether a cloth's mapping describes a grid with square cells."""
     if not isinstance(cloth, dict) or not isinstance(cloth.get('grid'), dict):
         return False
     grid = read(Grid, cloth['grid'], path)
@@ -174,7 +175,7 @@ def _square_cells(cloth: Any, path: str) -> bool:
 
 
 def _found(entry: Any, key: str, folder: Path) -> Any:
-    """Return an entry of the scene, the file under one of its keys with its whole path."""
+    """Return an entry of the scene, with the file under one of its keys as an absolute path."""
     keys = entry.get(key) if isinstance(entry, dict) else None
     if isinstance(keys, dict) and isinstance(keys.get('file'), str) and keys['file']:
         return {**entry, key: {**keys, 'file': str((folder / keys['file']).absolute())}}
@@ -182,6 +183,7 @@ def _found(entry: Any, key: str, folder: Path) -> Any:
 
 
 def _scene(raw: dict, where: str, name: str) -> Scene:
+    """Check a scene's mapping."""
     top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', *SECTIONS))
     cloths, cloth_effects = {}, {}
     for cloth, value in names(raw.get('cloths'), 'cloths').items():
@@ -220,7 +222,7 @@ def _scene(raw: dict, where: str, name: str) -> Scene:
 
 
 def _effects(value: Any, path: str, scope: str) -> dict[str, Any]:
-    """Return the parameters of each effect named in one ``effects`` mapping."""
+    """Return the parameters of the effects in an ``effects`` mapping; scope: cloth or scene."""
     found = {}
     for name, parameters in mapping(value, path).items():
         known = [effect for effect, its_scope in EFFECTS.items() if its_scope == scope]

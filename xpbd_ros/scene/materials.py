@@ -1,17 +1,18 @@
 """
-Materials: what a fabric weighs, and how it stretches, shears and bends.
+Materials: density, membrane stiffness and bending stiffness of fabrics.
 
 The fabrics are those that Wang, O'Brien and Ramamoorthi measured (Data-driven elastic models for
 cloth, ACM Trans. Graph. 30(4), 2011), from the files that come with ARCSim. Their stiffness grows
-with strain and depends on its direction; one modulus cannot say that. Taken are, of a strip
-stretched by a sixth, C11 pulled along warp, C22 along weft, C12 the mean of both, and the shear
-modulus at 45° (half of the fourth number, which multiplies the tensor's strain); of bending the
-mean of warp, weft and 45° at the smallest curvature. Of paper the nominal values of ARCSim's file.
+with strain and depends on its direction, which a single modulus does not express. The values here
+are for a strip stretched by 1/6: C11 pulled along warp, C22 along weft, C12 the mean of both, and
+the shear modulus at 45° (half of the fourth number, which multiplies the tensor's strain). The
+bending stiffness is the mean of warp, weft and 45° at the smallest curvature. Paper has the
+nominal values of ARCSim's file.
 
-A membrane carries all of this. What a lattice cannot carry (doc/numerics.md 5.2): on square cells
-it has C12 = C66, on oblong ones C12 = 0, so Poisson's ratio is not free. Kept are the moduli of a
-strip pulled along warp and along weft, and the shear modulus. A knit gets softer than this at
-small strains, up to tenfold.
+The effect ``membrane`` takes all of these values. A lattice of edges cannot (doc/numerics.md 5.2):
+with square cells it has C12 = C66, with oblong ones C12 = 0, so Poisson's ratio is not free. A
+lattice keeps the moduli of a strip pulled along warp and along weft, and the shear modulus. At
+small strains a knit is softer than these values, by up to a factor of 10.
 """
 
 from dataclasses import dataclass
@@ -52,12 +53,12 @@ MATERIALS = {
     'swimsuit': Sheet(0.204, 40.4, 31.6, 124.5, 18.0, 56.7e-6),
     'paper': Sheet(0.1, 0.5e6, 0.0, 0.5e6, 0.25e6, 0.4e-3),
 }
-"""name: what is known of it"""
+"""fabrics by name"""
 
 
 @dataclass(frozen=True)
 class Isotropic:
-    """A sheet of a solid that is the same in all directions."""
+    """A sheet of an isotropic solid."""
 
     young: float = quantity(unit='Pa', above=0.0, doc="Young's modulus")
     poisson: float = quantity(above=-1.0, maximum=0.5, doc="Poisson's ratio")
@@ -66,11 +67,11 @@ class Isotropic:
 
 
 INSTEAD = {'stretch': {'compliance'}, 'membrane': {'young'}, 'hinge': {'warp', 'weft'}}
-"""effect: keys with which it takes nothing from the material"""
+"""by effect, the keys with which it takes no value from the material"""
 
 
 def sheet_of(solid: Isotropic) -> Sheet:
-    """Return the sheet that a solid of some thickness makes, by plate theory."""
+    """Return the sheet that a solid of a given thickness makes, by plate theory."""
     plane = solid.young * solid.thickness / (1.0 - solid.poisson**2)
     return Sheet(solid.density * solid.thickness, plane, solid.poisson * plane, plane,
                  0.5 * (1.0 - solid.poisson) * plane, plane * solid.thickness**2 / 12.0)
@@ -83,14 +84,16 @@ def pulled(sheet: Sheet) -> tuple[float, float]:
 
 def lattice(sheet: Sheet, *, shears: bool) -> dict[str, dict[str, float]]:
     """
-    Return effect: {parameter: value} of edges that match a sheet as far as they can.
+    Return {effect: {parameter: value}} of a lattice of edges that matches a sheet.
+
+    Its moduli along warp and weft and its shear modulus match; Poisson's ratio does not.
 
     Parameters
     ----------
     sheet : the material
     shears : whether the cloth has diagonals of square cells, which add C66 to C11, C12 and C22
 
-    With them C11 C22 - C66² = Y1 C22 = Y2 C11 gives the C11 and C22 of the lattice.
+    With diagonals, C11 C22 - C66² = Y1 C22 = Y2 C11 gives the C11 and C22 of the lattice.
 
     """
     warp, weft = pulled(sheet)
@@ -103,17 +106,17 @@ def lattice(sheet: Sheet, *, shears: bool) -> dict[str, dict[str, float]]:
 
 
 def membrane(sheet: Sheet) -> dict[str, float]:
-    """Return what a membrane takes, which carries all of it."""
+    """Return {parameter: value} of the effect ``membrane``."""
     warp, weft = pulled(sheet)
     return {'warp': warp, 'weft': weft, 'shear': sheet.shear, 'poisson': sheet.c12 / sheet.c22}
 
 
 def with_material(cloth: Any, path: str, *, square: bool) -> Any:
     """
-    Return a cloth's mapping with what its material says, where the mapping says nothing.
+    Return a cloth's mapping with values from its material where it gives none.
 
-    Density, and the parameters of the effects that the cloth names; an effect that it does not
-    name stays absent. ``square`` tells whether it has square cells.
+    They are the density, and the parameters of the effects that the cloth names; other effects
+    stay absent. ``square`` is whether the cloth is a grid with square cells.
     """
     if not isinstance(cloth, dict) or cloth.get('material') is None:
         return cloth
@@ -128,9 +131,9 @@ def with_material(cloth: Any, path: str, *, square: bool) -> Any:
             continue
         filled[effect] = {**values, **given}
         if any(values[key] <= 0.0 for key in values if key not in {*given, 'poisson'}):
-            raise InputError(f'{path}.material: a lattice with this much shear cannot be as soft '
-                             f'along one thread as {cloth["material"]}; give effects.{effect} '
-                             'yourself')
+            raise InputError(f'{path}.material: a lattice with this shear stiffness cannot be as '
+                             f'soft along one thread as {cloth["material"]}; give the parameters '
+                             f'of effects.{effect}')
     known = {'density': sheet.density, **cloth}
     return {**known, 'effects': filled} if 'effects' in cloth else known
 

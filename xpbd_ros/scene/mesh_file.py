@@ -1,8 +1,8 @@
 """
-Vertices and cells from a file: OBJ here, all else by meshio (STL, PLY, OFF, VTK, Gmsh's MSH …).
+Read meshes from files: OBJ here, other formats with meshio (STL, PLY, OFF, VTK, Gmsh's MSH …).
 
-Of an OBJ file only the lines ``v`` and ``f`` count. They are read here because neither meshio nor
-trimesh keeps the vertices of a file with texture seams or several materials as they are.
+Of an OBJ file only the lines ``v`` and ``f`` are read. meshio and trimesh are not used for OBJ
+because they split or reorder the vertices of files with texture seams or several materials.
 """
 
 from contextlib import redirect_stderr, redirect_stdout
@@ -20,12 +20,13 @@ IGNORED = ('vertex', 'line')
 
 def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Return what a file holds.
+    Read a mesh file.
 
     Returns
     -------
-    vertices, shape (vertices, 3); triangles, shape (triangles, 3), polygons in fans; tetrahedra,
-    shape (tetrahedra, 4)
+    vertices : positions in the file's unit, shape (vertices, 3)
+    triangles : indices, shape (triangles, 3); polygons are split into fans
+    tetrahedra : indices, shape (tetrahedra, 4)
 
     """
     if not path.is_file():
@@ -77,7 +78,7 @@ def _read_with_meshio(path: Path):
             found = meshio.read(path)
     except OSError:
         raise
-    except (Exception, SystemExit) as error:    # meshio ends the program where it cannot read
+    except (Exception, SystemExit) as error:    # meshio exits on files that it cannot read
         reason = str(error) if not isinstance(error, SystemExit) else said.getvalue()
         reason = ' '.join(reason.replace('Error:', '').split())
         raise InputError(f'{path}: cannot be read as a mesh ({reason})') from None
@@ -92,14 +93,14 @@ def _read_with_meshio(path: Path):
             for corners in block.data:
                 triangles += _fan([int(c) for c in corners])
         elif block.type not in IGNORED:
-            raise InputError(f"{path}: holds cells of the kind '{block.type}'; only triangles, "
+            raise InputError(f"{path}: holds cells of type '{block.type}'; only triangles, "
                              'polygons and tetrahedra can be simulated, so convert it')
     return (vertices, np.array(triangles, np.int64).reshape(-1, 3),
             np.concatenate(tetrahedra) if tetrahedra else np.zeros((0, 4), np.int64))
 
 
 def read_table(file: str) -> np.ndarray:
-    """Return the rows of numbers in a .npy file, or in a text with commas or blanks between."""
+    """Return a table of numbers from a .npy file, or from text with commas or blanks between."""
     path = Path(file)
     if not path.is_file():
         raise InputError(f'no such file: {path}; restore it, or correct the path')

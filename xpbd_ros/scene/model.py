@@ -1,4 +1,4 @@
-"""What a scene file says, as frozen values."""
+"""A scene file as frozen dataclasses."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -15,18 +15,18 @@ class SolverKeys:
     method: str = quantity('auto', choices=('auto', 'gauss_seidel', 'gauss_seidel_symmetric',
                                             'line', 'jacobi', 'explicit'))
     integrator: str | None = quantity(None, choices=('backward_euler', 'bdf2', 'ndf2', 'leapfrog'),
-                                      doc='what goes with the method unless given')
+                                      doc="chosen by auto, or the method's default, unless given")
     substeps: int | None = quantity(None, minimum=1, maximum=10_000, live=True,
-                                    doc='per frame; what auto chooses unless given')
+                                    doc='per frame; chosen by auto unless given')
     iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
     precision: str = quantity('float64', choices=('float64', 'float32'))
     threads: int = quantity(1, minimum=1, maximum=64)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
     error_target: float | None = quantity(
-        None, unit='m', above=0.0, doc='estimated error of a frame, RMS over the particles, that '
-        'substeps are changed to hold')
+        None, unit='m', above=0.0, doc='error of a frame (estimated, RMS over the particles) to '
+        'hold by changing substeps')
     max_substeps: int = quantity(64, minimum=1, maximum=10_000,
-                                 doc='the most that error_target may take')
+                                 doc='largest number of substeps for error_target')
     compliance_scale: float = quantity(1.0, above=0.0, live=True, doc='multiplies all compliances')
 
 
@@ -41,21 +41,21 @@ class Grid:
 
 @dataclass(frozen=True)
 class MeshKeys:
-    """A surface or body from a file."""
+    """The key ``mesh`` of a cloth: a surface or body from a file."""
 
     file: str = quantity(doc='beside the scene file, or an absolute path')
     scale: float = quantity(1.0, above=0.0, doc="metres in the file's unit")
     warp: tuple[float, float, float] = quantity((1.0, 0.0, 0.0), doc='direction of the warp')
 
     def __post_init__(self):
-        """Refuse a direction that is none."""
+        """Refuse a zero direction."""
         if not any(self.warp):
             raise InputError('warp: must not be zero (a direction, such as [1, 0, 0])')
 
 
 @dataclass(frozen=True)
 class PoseKeys:
-    """Where a cloth starts."""
+    """The key ``pose`` of a cloth: its initial pose."""
 
     position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
     orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
@@ -64,12 +64,12 @@ class PoseKeys:
 
 @dataclass(frozen=True)
 class ClothKeys:
-    """One entry of ``cloths``; its effects are parsed apart."""
+    """One entry of ``cloths``, without its effects."""
 
     grid: Grid | None = quantity(None, doc='a rectangle')
     mesh: MeshKeys | None = quantity(None, doc='or a mesh from a file')
     density: float | None = quantity(None, unit='kg/m²', above=0.0,
-                                     doc='kg/m³ for tetrahedra; by the material unless given')
+                                     doc="kg/m³ for tetrahedra; the material's unless given")
     material: str | Isotropic | None = quantity(None, doc='a fabric by name, or a solid')
     pose: PoseKeys = quantity(PoseKeys())
     friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ of its surface')
@@ -77,7 +77,7 @@ class ClothKeys:
         None, minimum=0.0, live=True, doc='coefficient while it sticks; friction unless given')
 
     def __post_init__(self):
-        """Refuse what has no shape or two."""
+        """Refuse a cloth without a shape or with two."""
         if (self.grid is None) == (self.mesh is None):
             raise InputError("needs either 'grid' or 'mesh', and only one of them")
         check_static(self.static_friction, self.friction)
@@ -85,7 +85,7 @@ class ClothKeys:
 
 @dataclass(frozen=True)
 class TopKeys:
-    """The plain keys of a scene."""
+    """The top-level keys of a scene, without its sections."""
 
     gravity: tuple[float, float, float] = quantity((0.0, 0.0, -9.80665), unit='m/s²', live=True)
     frame_id: str = quantity('world')
@@ -99,37 +99,30 @@ class Scene:
     """A scene that has passed every check."""
 
     name: str
-    """its file's name without the suffix"""
+    """name of its file without the suffix"""
     top: TopKeys
     cloths: dict[str, ClothKeys]
     cloth_effects: dict[str, dict[str, Any]]
-    """parameters by cloth and effect"""
+    """parameters of cloth effects, by cloth and effect"""
     effects: dict[str, Any]
-    """parameters of the effects of the scene, by name"""
+    """parameters of scene effects, by effect"""
     sections: dict[str, dict[str, Any]]
-    """``pins`` and ``colliders`` where the scene has them"""
+    """entries of ``pins``, ``colliders`` and ``seams``, by section and name"""
     raw: dict
-    """what the YAML said, overrides included"""
+    """mapping of the YAML file, overrides included"""
     where: str
-    """the file, as the user named it"""
+    """path of the file as the user gave it, for error messages"""
 
     @property
     def effect_names(self) -> tuple[str, ...]:
-        """All effects that it calls for, in projection order."""
+        """All effects that the scene names, in projection order."""
         from xpbd_ros.effects import EFFECTS
         used = set(self.effects).union(*self.cloth_effects.values())
         return tuple(name for name in EFFECTS if name in used)
 
 
 def live_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
-    """
-    Return the keys that may change while the simulation runs.
-
-    Returns
-    -------
-    dotted key: (its dataclass field, its present value)
-
-    """
+    """Return (dataclass field, present value) of the live keys, by dotted key."""
     found = {}
 
     def walk(prefix: str, values: Any) -> None:
@@ -153,7 +146,7 @@ def live_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
 
 
 def with_key(raw: dict, key: str, value: Any) -> dict:
-    """Return a copy of a scene's mapping with one dotted key set."""
+    """Return a copy of a scene's mapping with a dotted key set to a value."""
     changed = dict(raw)
     head, _, rest = key.partition('.')
     if not head:

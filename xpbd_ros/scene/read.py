@@ -1,4 +1,4 @@
-"""Plain values from YAML to frozen dataclasses; every refusal names the key and the way out."""
+"""Convert plain values from YAML to frozen dataclasses; errors name the key and the remedy."""
 
 from dataclasses import fields, is_dataclass, MISSING
 from difflib import get_close_matches
@@ -12,12 +12,12 @@ from xpbd_ros.errors import InputError
 
 NUMBER = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 LEAST = 1e-300
-"""in size; what is smaller than that, times a length, is nothing"""
+"""smallest magnitude of a number other than 0; products of smaller ones underflow"""
 NAME = re.compile(r'[A-Za-z_][A-Za-z0-9_]*')
 
 
 def unknown(key: Any, known, what: str) -> str:
-    """Say that a name is unknown, with the nearest right one."""
+    """Return a text that a name is unknown, with the closest known one."""
     known = list(known)
     near = get_close_matches(str(key), known, n=1)
     hint = f"; did you mean '{near[0]}'?" if near else ''
@@ -25,7 +25,7 @@ def unknown(key: Any, known, what: str) -> str:
 
 
 def mapping(value: Any, path: str) -> dict:
-    """Return a mapping with names as keys, or refuse; nothing at all is an empty one."""
+    """Return a mapping; None becomes an empty one, other types are refused."""
     if value is None:
         return {}
     if not isinstance(value, dict):
@@ -34,7 +34,7 @@ def mapping(value: Any, path: str) -> dict:
 
 
 def names(value: Any, path: str) -> dict:
-    """Return a mapping whose keys are names that ROS can carry."""
+    """Return a mapping; refuse keys that are not valid as part of a ROS name."""
     for name in mapping(value, path):
         if not isinstance(name, str) or not NAME.fullmatch(name):
             raise InputError(f'{path}.{name}: a name must match [A-Za-z_][A-Za-z0-9_]*')
@@ -42,7 +42,17 @@ def names(value: Any, path: str) -> dict:
 
 
 def read(kind: type, value: Any, path: str, *, left_to_others: tuple[str, ...] = ()) -> Any:
-    """Return the dataclass ``kind`` from a mapping; refuse unknown, missing and bad keys."""
+    """
+    Return a dataclass filled from a mapping; refuse unknown and missing keys and bad values.
+
+    Parameters
+    ----------
+    kind : dataclass
+    value : mapping of its fields
+    path : dotted key of the mapping, for error messages
+    left_to_others : further keys that the mapping may have
+
+    """
     value = mapping(value, path)
     known = {field.name: field for field in fields(kind)}
     hints = get_type_hints(kind)
@@ -65,7 +75,7 @@ def read(kind: type, value: Any, path: str, *, left_to_others: tuple[str, ...] =
 
 
 def _value(kind: Any, value: Any, path: str, metadata) -> Any:
-    """Return one value of a given type."""
+    """Convert one value to the type of its field."""
     if get_origin(kind) in (Union, types.UnionType):
         kinds = [k for k in get_args(kind) if k is not type(None)]
         if value is None:
@@ -119,7 +129,7 @@ def _text(value: Any, path: str, metadata) -> str:
 
 
 def _number(kind: type, value: Any, path: str, metadata) -> float | int:
-    """Return a number in its range; YAML 1.1 reads 1e-5 as text, people mean the number."""
+    """Convert a number and check its range; text such as 1e-5, no number in YAML 1.1, is one."""
     unit = f' {metadata["unit"]}' if metadata.get('unit') else ''
     if isinstance(value, str) and NUMBER.fullmatch(value):
         value = float(value)
@@ -149,5 +159,5 @@ def _join(path: str, key: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    text = reprlib.repr(value)    # repr of a few lines of aliases could take for ever
+    text = reprlib.repr(value)    # bounded: repr of nested YAML aliases can be exponentially long
     return text if len(text) <= 40 else text[:37] + '...'

@@ -1,4 +1,4 @@
-"""A scene as it runs, back to plain values and to YAML."""
+"""Write a scene as it runs to plain values and to YAML."""
 
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
@@ -9,17 +9,17 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Solver
 
 DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
-"""the C one where PyYAML has it: a node writes the scene between two frames"""
+"""the C implementation if PyYAML has it, as a node writes the scene between two frames"""
 
 CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision')
-"""keys of ``solver`` that have a value once ``auto`` has chosen"""
+"""keys of ``solver`` that ``auto`` resolves"""
 
 
 def scene_text(scene: Scene, solver: Solver) -> str:
     """
-    Return a scene that runs the same way anywhere: overrides in place, ``auto`` resolved.
+    Return the YAML text of a scene with overrides applied and ``auto`` resolved.
 
-    Floats keep all their digits, so a simulation made from it has the same bits.
+    Floats keep all digits, so a simulation of it computes the same bits on every machine.
     """
     note = f'# {scene.name}; {solver.reason}\n'
     return note + yaml.dump(explicit(scene, solver), Dumper=DUMPER, sort_keys=False,
@@ -27,7 +27,7 @@ def scene_text(scene: Scene, solver: Solver) -> str:
 
 
 def explicit(scene: Scene, solver: Solver) -> dict:
-    """Return a scene as plain values, with ``auto`` resolved and every default in its place."""
+    """Return a scene as plain values, with ``auto`` resolved and every default written out."""
     raw, chosen = scene.raw, {key: getattr(solver, key) for key in CHOSEN}
     top = replace(scene.top, solver=replace(scene.top.solver, **chosen))
     found = _stated(top, {**raw, 'solver': {**(raw.get('solver') or {}), **chosen}})
@@ -43,15 +43,15 @@ def explicit(scene: Scene, solver: Solver) -> dict:
 
 
 def _all_stated(values: dict[str, Any], given: dict | None) -> dict:
-    """Return named dataclasses as mappings."""
+    """Return dataclasses by name as mappings."""
     return {name: _stated(value, (given or {}).get(name)) for name, value in values.items()}
 
 
 def _stated(values: Any, given: dict | None) -> dict:
     """
-    Return a dataclass as a mapping: what was given as it was given, then its defaults.
+    Return a dataclass as a mapping: given values as they were given, defaults elsewhere.
 
-    A key whose default is None has no value of its own and is left out.
+    A key that is not given and whose default is None is left out.
     """
     found = {}
     for field in fields(values):
@@ -64,7 +64,7 @@ def _stated(values: Any, given: dict | None) -> dict:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value without tuples, which YAML does not have."""
+    """Return a value with tuples as lists, since YAML has no tuples."""
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Plain charts of numbers, alike in type and colour; matplotlib draws, without a display."""
+"""Charts in one style, drawn by matplotlib without a display."""
 
 from pathlib import Path
 
@@ -21,6 +21,6 @@ def page(width: float = 8.0, height: float = 5.0, *, rows: int = 1, columns: int
 
 
 def save(figure, file: Path | str) -> Path:
-    """Write a PNG and return where."""
+    """Write a figure to a PNG file, and return its path."""
     figure.savefig(file, format='png')
     return Path(file)

@@ -1,4 +1,4 @@
-"""Which CPU this is, as far as it says."""
+"""Description of the CPU, for reports of timings."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ import platform
 
 
 def machine() -> dict:
-    """Return name, family, clock and vector width of the CPU, and how busy the machine is."""
+    """Return name, cores, family, clock [MHz] and vector width [bits] of the CPU, and its load."""
     found = {'name': platform.processor() or platform.machine(), 'cores': _cores(),
              'family': None, 'mhz': None, 'vector_bits': None, 'load': _load()}
     try:
@@ -29,7 +29,7 @@ def machine() -> dict:
 
 
 def describe(found: dict) -> str:
-    """Return one line about it."""
+    """Return a result of ``machine`` as one line of text."""
     name = found['name'] + (f" ({found['family']})" if found['family'] else '')
     parts = [name, f"{found['cores']} cores"]
     if found['mhz']:

@@ -47,7 +47,7 @@ def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
     """As measured: 241 Pa of 1100 (test_stiffness)."""
     found = check(load_scene('balloon', {'solver.substeps': 22}))
     (text,) = [text for text in found.warnings if 'Pa' in text]
-    assert text == ('balloon at 22 substeps has 296 Pa more than outside, not 1175; '
+    assert text == ('balloon at 22 substeps has an overpressure of 296 Pa, not 1175; '
                     f"{found.substeps_for['0.1']} substeps would do")
     cured = check(load_scene('balloon', {'solver.substeps': found.substeps_for['0.1']}))
     assert cured.ok, cured.warnings
@@ -92,8 +92,8 @@ def test_lines_that_cannot_follow_the_waves_are_warned_about():
      'no pins and no contact: the cloth falls for ever'),
     ({'colliders': {'rod': {'capsule': {'radius': 0.01, 'length': 1}}},
       'effects': {'contact': {'thickness': 0.001}}},
-     'colliders.rod: 0.02 m across, and particles are 0.25 m apart: it can slip between them; a '
-     'finer cloth would feel it'),
+     'colliders.rod: 0.02 m across, and particles are 0.25 m apart: it can pass between them; use '
+     'a finer cloth'),
     ({'solver': {'substeps': 9000, 'method': 'line'},
       'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [64, 64]}, 'density': 0.2,
                        'effects': {'stretch': {'warp': 1, 'weft': 1}}}}}, 'would hold real time'),
@@ -127,8 +127,8 @@ def test_each_kind_of_collider_is_checked(tmp_path):
         'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [5, 5]}, 'density': 0.2}},
         'effects': {'contact': {'thickness': 0.01}}, 'colliders': colliders}, where='x', name='x'))
     assert found.warnings == [
-        f'colliders.{name}: 0.04 m across, and particles are 0.25 m apart: it can slip between '
-        'them; a finer cloth would feel it' for name in ('rod', 'pole')]
+        f'colliders.{name}: 0.04 m across, and particles are 0.25 m apart: it can pass between '
+        'them; use a finer cloth' for name in ('rod', 'pole')]
 
 
 @pytest.mark.parametrize('angle', [1e-3, 0.1, 1.0, 10.0])

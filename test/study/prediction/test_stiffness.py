@@ -8,9 +8,9 @@ from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.study.prediction.law import APART, Law
 from xpbd_ros.study.prediction.loads import sheets
-from xpbd_ros.study.prediction.stiffness import law_of, SEEN, stiffness
+from xpbd_ros.study.prediction.static_response import JACOBI, StaticResponse
+from xpbd_ros.study.prediction.stiffness import response_of, SIGNIFICANT, stiffness
 
 
 def scene(grid, size, *, effects, pins, substeps, iterations=1, method='gauss_seidel',
@@ -29,7 +29,7 @@ def measured(simulation, *, edges=slice(None)):
     gives = built.residual(simulation.state.x)[edges]
     force = -simulation.effects['stretch'].data.edges.force[built.index][edges]
     alpha = built.compliance[edges]
-    seen = force >= SEEN * force.max()
+    seen = force >= SIGNIFICANT * force.max()
     gives, wants = gives[seen], (alpha * force)[seen]
     return wants.sum() / gives.sum(), (wants / gives).min(), (wants / gives).max()
 
@@ -99,7 +99,7 @@ def test_each_edge_of_a_cloth_gives_what_later_ones_take_from_it():
         simulation = compile_scene(chosen)
         run_until_still(simulation, speed=1e-11)
         sheet = sheets(simulation)[0]
-        law = law_of(sheet, ['shear', 'stretch'], simulation.solver, simulation.frame_dt,
+        law = response_of(sheet, ['shear', 'stretch'], simulation.solver, simulation.frame_dt,
                      held=sheet.held, damping=10.0)
         gives, tension = [], []
         for name in ('shear', 'stretch'):
@@ -110,7 +110,7 @@ def test_each_edge_of_a_cloth_gives_what_later_ones_take_from_it():
         # the law is linear about the rest shape: what is left is quadratic in the strain
         strain = np.abs(gives).max() / 0.1
         assert strain < 0.02
-        np.testing.assert_allclose(law.stretches(tension), gives, rtol=0.0,
+        np.testing.assert_allclose(law.residuals(tension), gives, rtol=0.0,
                                    atol=2.0 * strain * np.abs(gives).max())
 
 
@@ -146,7 +146,7 @@ def test_a_mesh_gives_what_the_law_says(names):
     rows = stiffness(chosen, simulation, simulation.solver)
     run_until_still(simulation, speed=1e-11)
     (sheet,) = sheets(simulation)
-    law = law_of(sheet, list(names), simulation.solver, simulation.frame_dt, held=sheet.held,
+    law = response_of(sheet, list(names), simulation.solver, simulation.frame_dt, held=sheet.held,
                  damping=10.0)
     gives, tension = {}, {}
     for name in names:
@@ -154,7 +154,7 @@ def test_a_mesh_gives_what_the_law_says(names):
         force = (built.data.edges if name == 'stretch' else built.data).force
         gives[name] = built.constraints.residual(simulation.state.x)
         tension[name] = -force[..., built.constraints.index].T
-    given, first = law.stretches(np.concatenate([t.ravel() for t in tension.values()])), 0
+    given, first = law.residuals(np.concatenate([t.ravel() for t in tension.values()])), 0
     for mine in map(np.ravel, gives.values()):
         np.testing.assert_allclose(given[first:first + len(mine)], mine, rtol=0.0,
                                    atol=1e-3 * np.abs(mine).max())
@@ -163,7 +163,7 @@ def test_a_mesh_gives_what_the_law_says(names):
         name for name in names for _ in range(1 if name == 'area' else 2)]
     strain, pull = gives['membrane'][:, 0], tension['membrane']
     wanted = (simulation.effects['membrane'].constraints.block @ pull[..., None])[:, 0, 0]
-    sign = np.sign(pull[:, 0]) * (np.abs(pull[:, 0]) >= SEEN * np.abs(pull[:, 0]).max())
+    sign = np.sign(pull[:, 0]) * (np.abs(pull[:, 0]) >= SIGNIFICANT * np.abs(pull[:, 0]).max())
     (row,) = [row for row in rows if (row.effect, row.direction) == ('membrane', 'warp')]
     found = (sign * wanted).sum() / (sign * strain).sum()
     assert row.effective / 300.0 == pytest.approx(found, rel=0.25)
@@ -254,8 +254,8 @@ def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
     n, load, relaxation = 5, 3.0, 0.4
     alpha, mobility = np.full(n, 2e-3), np.array([0.0, 1e-3, 1e-3, 1e-3, 1e-3, 2e-3])
     J = np.diff(np.eye(n + 1), axis=0)
-    law = Law(sparse.csr_matrix(np.kron(J, [1.0, 0.0, 0.0])), alpha, mobility,
-              ((APART, np.arange(n)),), iterations, relaxation)
+    law = StaticResponse(sparse.csr_matrix(np.kron(J, [1.0, 0.0, 0.0])), alpha, mobility,
+              ((JACOBI, np.arange(n)),), iterations, relaxation)
     gives, A = np.zeros(n), J * mobility @ J.T
     push = mobility * np.eye(n + 1)[-1] * load
     for _ in range(20_000):
@@ -265,4 +265,4 @@ def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
             force -= relaxation * (stretch + alpha * force) / (np.diag(A) + alpha)
             stretch = start + A @ force
         gives = stretch
-    np.testing.assert_allclose(law.stretches(np.full(n, load)), gives, rtol=1e-8)
+    np.testing.assert_allclose(law.residuals(np.full(n, load)), gives, rtol=1e-8)

@@ -19,7 +19,7 @@ from xpbd_ros.study.reference import (
     rms,
     Stiffness,
 )
-from xpbd_ros.study.reference.forces import PULLS
+from xpbd_ros.study.reference.forces import FORCE_KERNELS
 from xpbd_ros.study.verify.energies import FRAMES, scene
 
 pytestmark = WITH_MESHIO
@@ -37,7 +37,7 @@ def every():
 def each(problem):
     """Return a problem for each kind of element."""
     found = [replace(problem, elements=(part,)) for part in problem.elements]
-    assert {type(part) for part in problem.elements} == set(PULLS)
+    assert {type(part) for part in problem.elements} == set(FORCE_KERNELS)
     return found
 
 
@@ -60,7 +60,7 @@ def test_forces_by_hand_are_those_of_the_formulas(every):
     _, problem, x = every
     for (part,) in (one.elements for one in each(problem)):
         f = np.zeros_like(x)
-        PULLS[type(part)](x, np.zeros_like(x), f, part.particles, *part.parameters)
+        FORCE_KERNELS[type(part)](x, np.zeros_like(x), f, part.particles, *part.parameters)
         alone = Problem(x=x, mass=problem.mass, elements=(part,))
         expected = -gradient(alone, x)
         np.testing.assert_allclose(f, expected, atol=1e-13 * np.abs(expected).max())
@@ -88,7 +88,7 @@ def test_the_simulation_stores_the_same_energy(every):
     by_slot[:, simulation.slot] = x[:count].T
     expected = sum(built.constraints.energy(by_slot) for built in simulation.effects.values()
                    if built.constraints is not None)
-    springs = sum(part.energy(x) for part in problem.elements if part.name == 'sums')
+    springs = sum(part.energy(x) for part in problem.elements if part.name == 'linearsums')
     assert springs > 0.0
     assert elastic(problem, x) - springs == pytest.approx(expected, rel=1e-12)
     assert len(x) == count + 4    # the places that the pin with a compliance pulls to

@@ -9,7 +9,7 @@ from xpbd_ros.study.stress import all_hard, FAMILIES
 from xpbd_ros.study.stress.case import Setting
 from xpbd_ros.study.stress.run import columns, draw, is_quick, NODE_CASES, stress
 from xpbd_ros.study.stress.scenes import sheet
-from xpbd_ros.study.stress.trajectory import Track
+from xpbd_ros.study.stress.trajectory import Trajectory
 from xpbd_ros.study.stress.trial import Trial
 
 EVERY = all_hard()
@@ -49,9 +49,9 @@ def test_the_textbook_solver_fails_what_it_must():
     assert 'pins_at_max_speed' in outcome.reported
 
 
-def track(strain, energy, *, dt=0.1) -> Track:
+def track(strain, energy, *, dt=0.1) -> Trajectory:
     """Return two particles on one edge with these strains."""
-    found = Track(dt, np.array([[0, 1]]), np.ones(1), np.ones(2, bool),
+    found = Trajectory(dt, np.array([[0, 1]]), np.ones(1), np.ones(2, bool),
                   np.zeros((0, 3), np.int64), (np.zeros((0, 4), np.int64), np.zeros(0)))
     for e in strain:
         found.x.append(np.array([[0.0, 0.0, 0.0], [1.0 + e, 0.0, 0.0]]))
@@ -62,25 +62,25 @@ def track(strain, energy, *, dt=0.1) -> Track:
 
 @pytest.mark.parametrize(('criterion', 'strain', 'fault'), [
     ({'strain': 0.4}, (0.0, 0.5, 0.0), 'strain 0.5'),
-    ({'energy': 0.1}, (0.0, 0.0, 0.0), 'energy 1'),
-    ({'recovers': 0.01}, (0.0, 0.5, 0.02), 'at the end'),
+    ({'energy': 0.1}, (0.0, 0.0, 0.0), 'energy rise 1'),
+    ({'recovery_strain': 0.01}, (0.0, 0.5, 0.02), 'at the end'),
     ({}, (0.0, np.nan, 0.0), 'not finite'),
-    ({'also': lambda track: 'wrong'}, (0.0, 0.0, 0.0), 'wrong'),
+    ({'check': lambda track: 'wrong'}, (0.0, 0.0, 0.0), 'wrong'),
 ])
 def test_a_run_is_judged_by_what_its_case_names(criterion, strain, fault):
     run = track(strain, (0.0, 1.0, 0.0))
     trial = Trial(Setting(), {}, **criterion)
     assert any(fault in text for text in trial.judge(run, 0.0)[0])
-    fine = Trial(Setting(), {}, strain=0.6, energy=1.1, recovers=0.03)
+    fine = Trial(Setting(), {}, strain=0.6, energy=1.1, recovery_strain=0.03)
     assert fine.judge(track((0.0, 0.5, 0.02), (0.0, 1.0, 0.0)), 0.0) == ([], pytest.approx(0.1)) \
         or fine.judge(track((0.0, 0.5, 0.02), (0.0, 1.0, 0.0)), 0.0)[0] == []
 
 
 def test_recovery_is_counted_from_the_end_of_the_cause_and_must_last():
     run = track((0.0, 0.5, 0.1, 0.5, 0.1, 0.1), (0.0,) * 6)
-    assert run.back_after(0.1, 0.2) == pytest.approx(0.3)
-    assert run.back_after(0.1, 0.05) is None
-    assert run.back_after(0.1, 0.2, within=0.2) is None
+    assert run.recovery_time(0.1, 0.2) == pytest.approx(0.3)
+    assert run.recovery_time(0.1, 0.05) is None
+    assert run.recovery_time(0.1, 0.2, within=0.2) is None
 
 
 def test_a_map_is_drawn(tmp_path):
@@ -91,5 +91,5 @@ def test_a_map_is_drawn(tmp_path):
 
 def test_a_scene_cannot_ask_for_what_the_cases_spoil():
     attempt = next(each for case in EVERY for each in case.attempts()
-                   if getattr(each, 'spoil', None))
+                   if getattr(each, 'make_unsafe', None))
     assert 'relaxation' not in str(replace(attempt, scene=sheet()).scene)

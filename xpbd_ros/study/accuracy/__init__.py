@@ -1,8 +1,8 @@
 """
-What accuracy costs in time: a scene under a ladder of settings, each with its error and its time.
+Error against time: run a scene with many solver settings, and measure error and time of each.
 
-``study`` finds errors against a truth (``truth``) in parallel, then times the settings one after
-another; ``choose`` marks the Pareto front and recommends a setting.
+``study`` computes errors against a true solution (``truth``) in parallel, then times the settings
+one after another; ``choose`` marks the Pareto front and recommends a setting.
 """
 
 from xpbd_ros.study.accuracy.measure import Study, study

@@ -1,15 +1,15 @@
 """
-Schemes that others use, or that are known to be wrong, to be drawn beside ours; for studies only.
+Baselines: other solvers, and one that is known to be wrong, for comparison in studies only.
 
-Written apart from the simulation, as a textbook has them: one constraint after another, scalar
-code, on the plain arrays of the reference solver's problem (edges, hinges, pins, damping).
+They share no code with the simulation: scalar Gauss-Seidel loops on the arrays of the reference
+solver's problem (edges, hinges, pins, damping).
 
-``pbd``  position-based dynamics (Müller et al. 2006), one step per frame: each iteration takes a
-share of every residual back, as much as one projection of XPBD (of stiff edges nearly all: α = 0),
-and forgets it. Its stiffness depends on time step and iterations.
-``textbook_xpbd``  XPBD (Macklin et al. 2016) as printed there: Gauss-Seidel, one step per frame.
-``decayed_multiplier``  XPBD that starts each substep with 0.95 of the last multipliers.
-``mass_spring``  springs and point masses by symplectic Euler.
+``pbd``  position-based dynamics (Müller et al. 2006), one step per frame: each iteration corrects
+a part of every residual, as much as one projection of XPBD does (nearly all of it for stiff
+edges), and keeps no multiplier. Its stiffness depends on time step and iterations.
+``textbook_xpbd``  XPBD as published (Macklin et al. 2016): Gauss-Seidel, one step per frame.
+``decayed_multiplier``  XPBD that starts each substep with 0.95 of the last multipliers; wrong.
+``mass_spring``  springs and point masses with symplectic Euler.
 """
 
 from dataclasses import dataclass
@@ -23,29 +23,29 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.solver_setting import Setting
-from xpbd_ros.study.reference import Edges, problem_of, Slants, Sums
+from xpbd_ros.study.reference import Edges, LinearSums, problem_of, Slants
 
 SCHEMES = {'textbook_xpbd': 0, 'pbd': 1, 'decayed_multiplier': 2, 'mass_spring': 3}
 KEPT = 0.95
-"""of the last multipliers, where they decay"""
+"""part of the last multipliers that ``decayed_multiplier`` keeps"""
 KNOWN = ('stretch', 'shear', 'bend', 'pin', 'damping')
-"""effects that they have, pins without a compliance"""
+"""effects that baselines have; pins without compliance"""
 
 
 def refusal(scene: Scene) -> str | None:
-    """Return why baselines cannot do a scene; None: they can."""
+    """Return the reason why baselines cannot run a scene; None if they can."""
     simulation = compile_scene(scene)
     for name in simulation.effects:
         if name not in KNOWN:
-            return f'effects.{name}: baselines do without it (they know: {", ".join(KNOWN)})'
+            return f'effects.{name}: baselines do not have it (known: {", ".join(KNOWN)})'
     try:
         problem = problem_of(simulation)
     except InputError as error:
         return str(error)
     if problem.all_of(Slants):
-        return 'effects.shear: baselines know edges along diagonals, which take square cells'
+        return 'effects.shear: baselines have edges along diagonals, which need square cells'
     if len(problem.x) > len(simulation.slot):
-        return 'pins: baselines hold rigidly; leave out compliance'
+        return 'pins: baselines have rigid pins only; leave out compliance'
     return None
 
 
@@ -58,7 +58,15 @@ class BaselineFrame:
 
 
 class Baseline:
-    """A scene solved by one of these; it steps like a simulation, and takes no inputs."""
+    """
+    A scene solved by a baseline, with the interface of ``Simulation``; it takes no commands.
+
+    Parameters
+    ----------
+    simulation : the scene, compiled; gives arrays and measures
+    setting : baseline, substeps and iterations
+
+    """
 
     def __init__(self, simulation: Simulation, setting: Setting):
         problem = problem_of(simulation)
@@ -70,7 +78,7 @@ class Baseline:
         self._w = np.where(problem.pinned, 0.0, 1.0 / problem.mass)
         self._pinned = np.flatnonzero(problem.pinned)
         self._edges = problem.all_of(Edges) or (np.zeros((0, 2), np.int64), *np.zeros((2, 0)))
-        self._bends = problem.all_of(Sums) or (
+        self._bends = problem.all_of(LinearSums) or (
             np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0))
         self._multiplier = np.zeros(len(self._edges[0]))
         self._moment = np.zeros((len(self._bends[0]), 3))
@@ -78,7 +86,7 @@ class Baseline:
 
     @property
     def bytes(self) -> int:
-        """Of all arrays that it computes with."""
+        """Size of all arrays that it computes with [bytes]."""
         return sum(array.nbytes for array in (
             self._x, self._v, self._w, self._multiplier, self._moment, *self._edges,
             *self._bends))
@@ -89,17 +97,17 @@ class Baseline:
 
     @property
     def state(self):
-        """The state of the simulation, with our positions in it."""
+        """The state of the simulation, with the baseline's positions and velocities."""
         state, slot = self._simulation.state, self._simulation.slot
         state.x[:, slot], state.v[:, slot] = self._x.T, self._v.T
         return state
 
     def stats(self) -> dict:
-        """Return nothing: a baseline has nothing to say."""
+        """Return no counters."""
         return {}
 
     def compile(self) -> None:
-        """Compile; nothing moves."""
+        """Compile the kernel, without a step."""
         self._advance(0)
 
     def step(self, commands=()) -> BaselineFrame:
@@ -123,7 +131,7 @@ class Baseline:
 @njit(nogil=True, error_model='numpy')
 def _advance(scheme, x, v, w, gravity, damping, edges, rest, stiffness, bends, weight,
              bend_stiffness, multiplier, moment, pinned, path, h, substeps, iterations):
-    """Advance x and v in place by some substeps of length h."""
+    """Advance x [m] and v [m/s] in place by some substeps of length h [s]."""
     kept = np.exp(-damping * h)
     before = np.empty_like(x)
     for n in range(substeps):
@@ -196,7 +204,7 @@ def _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness
 
 @njit(nogil=True, error_model='numpy')
 def _kick(x, v, w, edges, rest, stiffness, bends, weight, bend_stiffness, h):
-    """Add what springs and hinges do in a substep to the velocities."""
+    """Add the forces of springs and hinges to the velocities, for one substep."""
     for b in range(len(bends)):
         for k in range(3):
             c = 0.0

@@ -1,4 +1,4 @@
-"""Which settings are worth their time, and which to take."""
+"""Mark the Pareto front of error and time, and recommend a setting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,30 +13,30 @@ POSITION, SHAPE = 'position', 'shape'
 
 @dataclass
 class Row:
-    """A setting, what it costs and how wrong it is."""
+    """A setting with its errors and its timing."""
 
     setting: Setting
     errors: Errors
     timing: Timing | None = None
     pareto: bool = False
     scene: bool = False
-    """whether the scene itself says so"""
+    """whether it is the setting of the scene itself"""
 
     def error(self, by: str) -> float:
-        """Return the error that it is judged by [m]; not a number where there is none."""
+        """Return the error by POSITION (at the last time) or SHAPE [m]; NaN if there is none."""
         if by == SHAPE:
             return self.errors.height_m
         return self.errors.rms_m[-1] if self.errors.rms_m and self.errors.finite else math.nan
 
 
 def judged(rows: Sequence[Row], by: str) -> list[Row]:
-    """Return the rows that have both a time and an error, baselines left out."""
+    """Return the rows that have both a time and an error, without baselines."""
     return [row for row in rows if row.timing is not None and math.isfinite(row.error(by))
             and not row.setting.is_baseline]
 
 
 def on_front(points: Sequence[tuple[float, float]]) -> list[bool]:
-    """Tell which points (ms, error) no other beats in one of the two and equals in the other."""
+    """Return for each point (ms, error) whether no other point dominates it."""
     order = sorted(range(len(points)), key=lambda k: points[k])
     found, best, last = [False] * len(points), math.inf, None
     for k in order:
@@ -55,16 +55,18 @@ def mark_front(rows: Sequence[Row], by: str) -> None:
 def recommend(rows: Sequence[Row], by: str, *, budget: float | None = None,
               max_error: float | None = None, floor: float = 0.0) -> Row | None:
     """
-    Return the setting to take, or None where nothing meets what was asked.
+    Return the recommended row, or None if no row is within the limits.
 
-    With ``max_error`` the cheapest within it; else the most accurate of which 19 frames of 20 are
-    within the budget. Errors below ``floor`` count as equal.
+    With ``max_error`` it is the fastest row within it, else the most accurate row whose 95th
+    percentile of the frame time is within the budget.
 
     Parameters
     ----------
-    budget : [ms]
-    max_error : [m]
-    floor : how well the truth is known [m]
+    rows : candidates
+    by : POSITION or SHAPE
+    budget : time per frame [ms]; None for no limit
+    max_error : [m]; None for no limit
+    floor : uncertainty of the true solution [m]; smaller errors count as equal
 
     """
     known = [row for row in judged(rows, by)

@@ -1,11 +1,11 @@
-"""How far a run is from the truth."""
+"""Errors of a run against the true solution."""
 
 from dataclasses import dataclass
 import math
 
 import numpy as np
 
-from xpbd_ros.study.accuracy.trajectory import Edges, Track
+from xpbd_ros.study.accuracy.trajectory import Edges, Trajectory
 from xpbd_ros.study.accuracy.truth import differences, settled, Truth
 from xpbd_ros.study.reference import rms
 
@@ -14,33 +14,39 @@ NAN = math.nan
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one setting; not a number where it did not get that far."""
+    """
+    Errors of one setting; NaN at times that the run did not reach.
+
+    The errors of means are those of SETTLED, the last part of the run (``truth.settled``).
+    """
 
     rms_m: tuple[float, ...] = ()
-    """of positions, at each time of the truth [m]"""
+    """RMS error of positions at each time of the true solution [m]"""
     max_m: tuple[float, ...] = ()
+    """largest error of a position at each time [m]"""
     strain: tuple[float, ...] = ()
-    """root mean square over the edges, at each time"""
+    """RMS error of the strain over the edges, at each time"""
     energy: tuple[float, ...] = ()
-    """at each time, of the run's largest kinetic energy"""
+    """error of the total energy at each time, over the largest kinetic energy"""
     residual_m: float | None = None
-    """root mean square of C + α f at the last time [m]; None where no multipliers are kept"""
+    """RMS of C + α f at the last time [m]; None without multipliers"""
     height_m: float = NAN
-    """of the heights of the particles, lowest first, mean over the last part of the run [m]"""
+    """RMS error of the sorted heights of the particles, as means over the last part [m]"""
     mean_strain: float = NAN
-    """of the root mean square, mean over the last part of the run"""
+    """error of the RMS strain, as mean over the last part"""
     mean_energy: float = NAN
-    """mean over the last part of the run, of the largest kinetic energy"""
+    """error of the total energy, as mean over the last part, over the largest kinetic energy"""
     note: str = ''
+    """remark for the table"""
 
     @property
     def finite(self) -> bool:
-        """Whether the run came to its end."""
+        """Whether the run reached its end with finite numbers."""
         return math.isfinite(self.height_m)
 
 
-def errors(track: Track, truth: Truth, edges: Edges, dt: float) -> Errors:
-    """Compare a run with the truth; ``dt`` is a frame's length [s]."""
+def errors(track: Trajectory, truth: Truth, edges: Edges, dt: float) -> Errors:
+    """Compare a run with the true solution; ``dt`` is the frame period [s]."""
     kinetic = truth.most_kinetic or 1.0
     found = [[], [], [], []]
     for k, frame in enumerate(truth.frames):
@@ -62,6 +68,6 @@ def errors(track: Track, truth: Truth, edges: Edges, dt: float) -> Errors:
         means = differences(settled(track), (truth.heights, truth.strain, truth.mean_energy))
         means = (float(means[0]), float(means[1]), float(means[2] / kinetic))
     if track.redone:
-        note = f'{track.redone} of {len(track.kinetic) - 1} frames done again with line'
+        note = f'{track.redone} of {len(track.kinetic) - 1} frames computed again with line'
     residual = track.residual.get(int(truth.frames[-1])) if len(truth.frames) else None
     return Errors(*map(tuple, found), residual, *means, note)

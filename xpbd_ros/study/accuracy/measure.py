@@ -1,4 +1,4 @@
-"""A whole study: the truth, every setting's errors, then every setting's time."""
+"""A study: compute the true solution, the errors of all settings, then their times."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
 from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors, errors
-from xpbd_ros.study.accuracy.results_store import Book
+from xpbd_ros.study.accuracy.results_store import ResultsStore
 from xpbd_ros.study.accuracy.solver_setting import (
     BASELINES,
     ladder,
@@ -29,7 +29,7 @@ from xpbd_ros.study.accuracy.timing import time_frames, Timing
 from xpbd_ros.study.accuracy.trajectory import Edges, play
 from xpbd_ros.study.accuracy.truth import (
     AGREED,
-    CALM,
+    CHAOTIC,
     growth_of,
     horizon_of,
     independent,
@@ -41,19 +41,19 @@ from xpbd_ros.study.accuracy.truth import (
     times_of,
     Truth,
 )
-from xpbd_ros.study.accuracy.worker_pool import Job, share_out, TRUTH
+from xpbd_ros.study.accuracy.worker_pool import Job, run_tasks, TRUTH
 from xpbd_ros.study.machine import machine
 
 LOADED = 0.1
-"""part of the run's largest strain that must have been there while trajectories can be compared:
-positions of a cloth that has only fallen say little, and its shape is judged"""
+"""part of the run's largest strain that must occur while trajectories are predictable; otherwise
+settings are judged by shape, as positions of a cloth in free fall say little about a setting"""
 FORMAT = 2
-"""of what is kept in the folder"""
+"""version of the files in the folder"""
 
 
 @dataclass
 class Study:
-    """What came of it."""
+    """The result of a study."""
 
     scene: Scene
     frames: int
@@ -62,28 +62,30 @@ class Study:
     rows: list[Row]
     refused: list[Refused]
     by: str
-    """what settings are judged by: POSITION or SHAPE"""
+    """error that settings are judged by: POSITION or SHAPE"""
     machine: dict
+    """description of the computer"""
     particles: int
     notes: list[str] = field(default_factory=list)
+    """remarks for the report"""
 
     @property
     def floor(self) -> float:
-        """How well the truth is known, as far as settings are judged by it [m]."""
+        """Uncertainty of the true solution, in the error that settings are judged by [m]."""
         if self.by == SHAPE:
             return float(self.truth.scatter[0])
         return float(self.truth.uncertainty[-1]) if len(self.truth.uncertainty) else 0.0
 
     @property
     def what(self) -> str:
-        """What the error is, in words."""
+        """Name of the error that settings are judged by."""
         if self.by == SHAPE:
             return f'heights of the particles, mean from {self.settled_s:.3g} s on'
         return f'RMS position error at {self.truth.frames[-1] * self.frame_dt:.3g} s'
 
     @property
     def settled_s(self) -> float:
-        """Time from which means are taken [s]."""
+        """Start of the last part of the run, over which means are taken [s]."""
         return (self.frames - max(1, round(SETTLED * self.frames))) * self.frame_dt
 
 
@@ -92,26 +94,31 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
           baselines: bool = False, by: str | None = None, processes: int = 1,
           progress: Callable[[Iterable, str], Iterable] = lambda items, _: items) -> Study:
     """
-    Find errors and times of a scene's settings, and keep them in a folder as they come.
+    Measure errors and times of solver settings for a scene; keep the results in a folder.
 
     Parameters
     ----------
-    frames : how many
-    folder : is made, or holds an earlier part of the same study
-    times : frames at which positions are compared; none: as far as trajectories can be compared
+    scene : the scene
+    frames : number of frames
+    folder : new folder, or that of the same study, which then continues
+    times : frames at which positions are compared; empty for those of ``times_of``
     commands : inputs by frame
-    methods : to try
-    baselines : whether schemes that only studies know are run too
-    by : POSITION or SHAPE; None: what the scene lets be compared
-    processes : that errors are found in
-    progress : passes items on, and shows how far it is
+    methods : methods to try
+    baselines : whether to run the baselines too
+    by : POSITION or SHAPE; None chooses by LOADED
+    processes : number of processes for the errors
+    progress : wraps lists of tasks to show progress
+
+    Raises
+    ------
+    InputError : if the folder holds another study, or positions cannot be compared
 
     """
     commands = without_solver(commands or {})
     settings, refused = ladder(scene, methods, baselines=baselines)
     simulation = compile_scene(scene)
     here = machine()
-    book = Book(folder, {
+    store = ResultsStore(folder, {
         'scene': _hash(scene.raw), 'duration': str(frames), 'times': str(list(times)),
         'inputs': hashlib.blake2b(pickle.dumps(commands), digest_size=8).hexdigest(),
         'version': f'{__version__} {FORMAT} {CACHE_FOLDER.name}', 'machine': here['name']})
@@ -124,15 +131,15 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
     if baselines:
         settings, left = _without_baselines(settings, scene, commands)
         refused += left
-    missing = _in_order([one for one in settings if one.key not in book.errors])
+    missing = _in_order([one for one in settings if one.key not in store.errors])
     tasks = [('errors', (setting,), {}) for setting in missing]
-    for k, found in share_out(job, tasks, processes, 'settings', progress):
-        book.note_errors(missing[k].key, found)
-    for setting in progress([one for one in settings if one.key not in book.timings
-                             and book.errors[one.key].finite], 'timings'):
-        book.note_timing(setting.key, time_frames(job.simulation(setting), frames, commands))
+    for k, found in run_tasks(job, tasks, processes, 'settings', progress):
+        store.add_errors(missing[k].key, found)
+    for setting in progress([one for one in settings if one.key not in store.timings
+                             and store.errors[one.key].finite], 'timings'):
+        store.add_timing(setting.key, time_frames(job.simulation(setting), frames, commands))
     itself = setting_of(simulation).key
-    rows = [Row(setting, book.errors[setting.key], book.timings.get(setting.key),
+    rows = [Row(setting, store.errors[setting.key], store.timings.get(setting.key),
                 scene=setting.key == itself) for setting in settings]
     if by is None:
         by = POSITION if truth.loaded >= LOADED else SHAPE
@@ -145,35 +152,35 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
 
 
 def find_truth(job: Job, times: Sequence[int], processes: int, progress) -> Truth:
-    """Run our own ladder, the push and, where it can do the scene, the independent solver."""
+    """Run the simulation's own ladder, the perturbed run and, if it can, the reference solver."""
     rungs = own_rungs(job.scene)
     tasks = [('play', (setting, None), {}) for setting in reversed(rungs)]
     tasks.append(('play', (rungs[0], None), {'pushed': True}))
-    tracks = dict(share_out(job, tasks, processes, 'runs towards the limit', progress))
+    tracks = dict(run_tasks(job, tasks, processes, 'runs towards the limit', progress))
     for k, (_, (setting, _), _) in enumerate(tasks):
         if tracks[k].ended is not None:
             raise InputError(f'{job.scene.where}: not finite at frame {tracks[k].ended} with '
-                             f'{setting.substeps} substeps of {setting.method}; there is nothing '
-                             'to compare with')
+                             f'{setting.substeps} substeps of {setting.method}; there is no '
+                             'solution to compare with')
     tracks_up = [tracks[k] for k in reversed(range(len(rungs)))]
     simulation, pushed = compile_scene(job.scene), tracks[len(rungs)]
     size = size_of(simulation.frame().x)
     horizon = horizon_of(tracks_up, size)
     why_not = 'it takes no inputs' if job.commands else independent(job.scene)
-    if why_not is None and growth_of(pushed, tracks_up[0]).max() <= CALM * PUSH * size:
-        horizon = job.frames    # the independent solver carries on where our ladder is too coarse
+    if why_not is None and growth_of(pushed, tracks_up[0]).max() <= CHAOTIC * PUSH * size:
+        horizon = job.frames    # the reference solver is exact where the ladder is too coarse
     frames = list(times) or (times_of(horizon) if horizon > 0 else [])
     references = {}
     if why_not is None:
         wanted = [frame for frame in frames if frame <= horizon]
         tasks = [('reference', (frame,), {}) for frame in wanted]
-        references = {wanted[k]: found for k, found in share_out(
+        references = {wanted[k]: found for k, found in run_tasks(
             job, tasks, processes, 'independent solutions', progress)}
     return make(simulation, tracks_up, pushed, frames, references, horizon, why_not)
 
 
 def without_solver(commands: dict[int, list]) -> dict[int, list]:
-    """Return inputs without those that change the solver: that is what the study varies."""
+    """Return inputs without changes of the solver's keys, which the study varies itself."""
     found = {frame: [one for one in these
                      if not getattr(one, 'key', '').startswith('solver.')]
              for frame, these in commands.items()}
@@ -181,17 +188,18 @@ def without_solver(commands: dict[int, list]) -> dict[int, list]:
 
 
 def remarks(scene: Scene, truth: Truth, frames: int, dt: float) -> list[str]:
-    """Say where trajectories part, and why."""
+    """Return a note on when and why trajectories stop being predictable; empty if they do not."""
     if truth.horizon >= frames:
         return []
     moved = truth.growth[min(truth.horizon + 1, len(truth.growth) - 1):].max()
-    text = (f'trajectories part after {truth.horizon * dt:.3g} s: up to there our limit is '
-            f'known to {AGREED * truth.size:.1g} m, and a push of {PUSH * truth.size:.0e} m ')
-    if moved > CALM * PUSH * truth.size:
-        text += (f'grows to {moved:.1g} m in the end, whatever the solver; positions after it '
-                 'mean nothing')
+    text = (f'trajectories are predictable for {truth.horizon * dt:.3g} s: so long the limit of '
+            f'the simulation is known to {AGREED * truth.size:.1g} m. A perturbation of '
+            f'{PUSH * truth.size:.0e} m ')
+    if moved > CHAOTIC * PUSH * truth.size:
+        text += (f'grows to {moved:.1g} m, with any solver: later positions are chaotic and not '
+                 'compared')
     else:
-        text += f'grows to {moved:.1g} m only: more substeps than were tried would go further'
+        text += f'grows to {moved:.1g} m only: with more substeps the time would be longer'
     return [text]
 
 
@@ -205,7 +213,7 @@ def _without_baselines(settings: list[Setting], scene: Scene, commands
 
 
 def _in_order(settings: list[Setting]) -> list[Setting]:
-    """Put one of each kind first, so that each is compiled once; then the longest first."""
+    """Return one setting of each kind first, so that each compiles once, then the slowest."""
     first = {setting.kind: setting for setting in reversed(settings)}
     others = [one for one in settings if one not in first.values()]
     return [*first.values(),
@@ -219,7 +227,7 @@ def _hash(raw: dict) -> str:
 
 def again(scene: Scene, truth: Truth, frames: int, commands: dict[int, list],
           keys: dict) -> tuple[Errors, Timing]:
-    """Run a scene with a settings file's keys, as a user would, and return what comes of it."""
+    """Run a scene with the keys of a settings file; return its errors and timing."""
     scene = with_solver(scene, keys)
     commands = without_solver(commands)
     timing = time_frames(compile_scene(scene), frames, commands)

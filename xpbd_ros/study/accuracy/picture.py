@@ -1,4 +1,4 @@
-"""Error against time, as a picture: each method's curve, the front, real time, what is chosen."""
+"""Draw error against time: a curve per method, the Pareto front, real time, recommendation."""
 
 from collections.abc import Sequence
 import math
@@ -18,7 +18,7 @@ DASHES = {'ndf2': '-', 'bdf2': (0, (5, 1.5, 1, 1.5)), 'backward_euler': '--', 'l
 
 
 def curve_of(setting: Setting) -> str:
-    """Return the curve that a setting is on, in words."""
+    """Return the name of the curve that a setting is on."""
     if setting.is_baseline:
         return setting.method + (' 1×K' if setting.substeps == 1 else '')
     name = f'{setting.method} {setting.integrator}'
@@ -30,7 +30,7 @@ def curve_of(setting: Setting) -> str:
 
 
 def curves(rows: Sequence[Row], by: str) -> dict[str, list[Row]]:
-    """Return rows with a time and an error by curve, fastest first."""
+    """Return the rows with a time and an error by curve, fastest first."""
     found: dict[str, list[Row]] = {}
     for row in rows:
         if row.timing is not None and math.isfinite(row.error(by)):
@@ -40,7 +40,7 @@ def curves(rows: Sequence[Row], by: str) -> dict[str, list[Row]]:
 
 
 def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
-    """Return the most accurate row of each curve of which 19 frames of 20 are within some time."""
+    """Return the most accurate row of each curve whose p95 is within a time [ms]."""
     found = {}
     for name, these in curves(rows, by).items():
         fast = [row for row in these if row.timing.ms_p95 <= ms]
@@ -50,7 +50,7 @@ def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
 
 
 def draw(study: Study, file: Path, *, chosen: Row | None, budget: float) -> Path:
-    """Write the picture and return where."""
+    """Draw a study to a file, and return its path; ``budget`` [ms]."""
     figure, axes = page(12.0, 5.4, columns=2)
     _precision(axes[0, 0], study, chosen, budget)
     _bars(axes[0, 1], study, chosen, budget)
@@ -95,12 +95,12 @@ def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
                   linestyle='none', label='recommended')
     axis.set_xlabel('CPU time of a frame, median [ms]', fontsize=8)
     axis.set_ylabel(f'{study.what} [m]', fontsize=8)
-    axis.set_title(f'{study.scene.name}: what accuracy costs in time '
+    axis.set_title(f'{study.scene.name}: error against time '
                    f'({study.particles} particles)', fontsize=10, loc='left')
     axis.grid(alpha=0.2, which='major')
     if study.floor > 0.0:
         handle = Line2D([], [], color=MUTED, alpha=0.3, linewidth=6,
-                        label=f'truth is known to {study.floor:.1g} m')
+                        label=f'uncertainty of the true solution: {study.floor:.1g} m')
         handles = [*axis.get_legend_handles_labels()[0], handle]
     else:
         handles = axis.get_legend_handles_labels()[0]
@@ -123,4 +123,4 @@ def _bars(axis, study: Study, chosen: Row | None, budget: float) -> None:
     axis.set_xscale('log')
     axis.margins(x=0.35)
     axis.set_xlabel(f'{study.what} [m]', fontsize=8)
-    axis.set_title(f'least error within {budget:.3g} ms a frame', fontsize=10, loc='left')
+    axis.set_title(f'least error within {budget:.3g} ms per frame', fontsize=10, loc='left')

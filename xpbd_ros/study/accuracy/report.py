@@ -1,4 +1,4 @@
-"""What a study leaves in its folder: tables, pictures, a report, and the settings to take."""
+"""The files of a study: tables, report and the settings file of the recommendation."""
 
 import base64
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from xpbd_ros.study.accuracy.timing import Timing
 from xpbd_ros.study.machine import describe
 
 ALONE = 0.9
-"""share of a core below which a timed run was not alone"""
+"""CPU time over wall time below which other processes disturbed a timing"""
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1f2328; max-width: 76rem; margin: 2rem auto;
        padding: 0 1rem }
@@ -33,7 +33,7 @@ tr.front { background: #fdf3d7 } tr.chosen { font-weight: 600 } pre { background
 
 
 def numbers_of(row: Row, by: str) -> dict:
-    """Return a row as JSON and CSV have it."""
+    """Return a row as the keys of JSON and CSV."""
     errors, timing = row.errors, row.timing
 
     def last(values):
@@ -54,9 +54,9 @@ def numbers_of(row: Row, by: str) -> dict:
 
 
 def settings_text(study: Study, row: Row) -> str:
-    """Return the settings file: what ``run --settings`` and the node's ``settings`` take."""
+    """Return a settings file, for ``run --settings`` and the node's parameter ``settings``."""
     note = (f'# {study.scene.name}: {study.what} {row.error(study.by):.3g} m, '
-            f'{row.timing.ms_p50:.3g} ms a frame ({row.timing.ms_p95:.3g} ms p95)\n'
+            f'{row.timing.ms_p50:.3g} ms per frame ({row.timing.ms_p95:.3g} ms p95)\n'
             f'# on {describe(study.machine)}; found by xpbd_ros accuracy {__version__}\n')
     keys, scene = row.setting.block(), study.scene.top.solver
     if scene.error_target is not None:
@@ -65,7 +65,7 @@ def settings_text(study: Study, row: Row) -> str:
 
 
 def write_csv(study: Study, file: Path) -> Path:
-    """Write all rows, with the errors at each time."""
+    """Write all rows to a CSV file, with the errors at each time."""
     times = [f'{frame * study.frame_dt:.6g}' for frame in study.truth.frames]
     with file.open('w', newline='', encoding='utf-8') as stream:
         writer = None
@@ -88,22 +88,22 @@ ERRORS = {POSITION: {'RMS m': 'rms_error_m', 'max m': 'max_error_m', 'strain': '
           SHAPE: {'heights m': 'height_error_m', 'strain': 'mean_strain_error',
                   'energy': 'mean_energy_error', 'residual m': 'residual_m',
                   'RMS m, early': 'rms_error_m', 'max m, early': 'max_error_m'}}
-"""columns by what settings are judged by"""
+"""columns of errors: heading and key, by the error that settings are judged by"""
 
 
 def heads(by: str) -> list[str]:
-    """Return the heads of the table."""
+    """Return the headings of the table."""
     return [*HEADS, *ERRORS[by], 'note']
 
 
 def name_of(setting: Setting) -> str:
-    """Return a setting as people read it."""
+    """Return a setting as text, such as 'line bdf2 8×1'."""
     name = f'{setting.method} {setting.integrator} {setting.substeps}×{setting.iterations}'
     return name if setting.precision == 'float64' else f'{name} {setting.precision}'
 
 
 def cells(row: Row, by: str) -> list[str]:
-    """Return a row as people read it."""
+    """Return the cells of a row of the table."""
     n = numbers_of(row, by)
     note = ', '.join(filter(None, ('the scene' if row.scene else '',
                                    'baseline' if n['baseline'] else '', n['note'])))
@@ -119,7 +119,7 @@ def _short(value: float | None, form: str = '.3g') -> str:
 
 def facts(study: Study, chosen: Row | None, budget: float | None, max_error: float | None,
           again: tuple[Errors, Timing] | None) -> list[tuple[str, str]]:
-    """Return what there is to say before the table."""
+    """Return (heading, text) of the summary above the table."""
     said = [('scene', f'{study.scene.name}: {study.particles} particles, {study.frames} frames '
              f'of {1e3 * study.frame_dt:.4g} ms'),
             ('machine', describe(study.machine)),
@@ -130,17 +130,17 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
         said.append(('note', f'the machine was busy: timed runs had {100.0 * share:.0f} % of a '
                      'core, and their times may be too long'))
     if study.by == SHAPE:
-        said.append(('note', f'settings are judged by their shape: {study.what}; runs as good as '
-                     f'the truth differ by {study.floor:.2g} m in it'))
+        said.append(('note', f'settings are judged by their shape: {study.what}; it is known to '
+                     f'{study.floor:.2g} m'))
     wish = (f'an error of {max_error:g} m at most' if max_error is not None else '')
     if budget is not None:
-        wish += (' and ' if wish else '') + f'{budget:.4g} ms a frame (p95)'
+        wish += (' and ' if wish else '') + f'{budget:.4g} ms per frame (p95)'
     said.append(('asked', wish))
     if chosen is None:
-        said.append(('found', 'no setting gives this'))
+        said.append(('found', 'no setting meets this'))
         return said
     said.append(('found', f'{name_of(chosen.setting)}: {study.what} '
-                 f'{chosen.error(study.by):.3g} m, {chosen.timing.ms_p50:.3g} ms a frame, '
+                 f'{chosen.error(study.by):.3g} m, {chosen.timing.ms_p50:.3g} ms per frame, '
                  f'{chosen.timing.ms_p95:.3g} ms p95'))
     if again is not None:
         errors, timing = again
@@ -152,19 +152,19 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
 
 def write_page(study: Study, file: Path, picture: Path, said: Sequence[tuple[str, str]],
                chosen: Row | None, settings: str) -> Path:
-    """Write one page of HTML that needs no other file."""
+    """Write the report: one self-contained HTML file."""
     image = base64.b64encode(picture.read_bytes()).decode()
     parts = ['<!DOCTYPE html>', '<html lang="en"><head><meta charset="utf-8">',
              f'<title>{escape(study.scene.name)}: accuracy against time</title>',
              f'<style>{STYLE}</style></head><body>',
-             f'<h1>{escape(study.scene.name)}: what accuracy costs in time</h1>',
+             f'<h1>{escape(study.scene.name)}: error against time</h1>',
              f'<p>xpbd_ros {__version__}, '
              f'{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC</p>', '<table>',
              *(f'<tr><th>{name}</th><td>{escape(text)}</td></tr>' for name, text in said),
              '</table>',
              f'<p><img alt="error against time" src="data:image/png;base64,{image}"></p>']
     if settings:
-        parts += ['<h2>Settings to take</h2>', f'<pre>{escape(settings)}</pre>']
+        parts += ['<h2>Recommended settings</h2>', f'<pre>{escape(settings)}</pre>']
     parts += ['<h2>All settings</h2>',
               f'<p>{escape(legend(study))} Rows on the Pareto front are tinted.</p>',
               _table(heads(study.by), [(cells(row, study.by), ' '.join(filter(None, (
@@ -187,13 +187,13 @@ def write_page(study: Study, file: Path, picture: Path, said: Sequence[tuple[str
 
 
 def legend(study: Study) -> str:
-    """Say what the columns are."""
+    """Return an explanation of the columns."""
     mean = f'mean from {study.settled_s:.3g} s on'
     frames = study.truth.frames
     at = f'at {frames[-1] * study.frame_dt:.3g} s' if len(frames) else 'at no time'
     strain_and_energy = ('strain (root mean square over the edges) and energy (of the largest '
                          'kinetic energy)')
-    text = 'Time is CPU time of a frame, alone on one core. '
+    text = 'Times are CPU times per frame, on one core. '
     if study.by == SHAPE:
         text += (f'Heights (of the particles, lowest first, root mean square), '
                  f'{strain_and_energy} are errors of the {mean}; positions are compared {at}. ')

@@ -1,4 +1,4 @@
-"""What a study has found so far, line by line in a file, so that it can go on after a break."""
+"""The results of a study so far, one per line of a file, so that it can be continued."""
 
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -13,14 +13,14 @@ from xpbd_ros.study.accuracy.timing import Timing
 FILE = 'results.jsonl'
 
 
-class Book:
+class ResultsStore:
     """
     Errors and timings by the key of their setting, kept in a folder.
 
     Parameters
     ----------
-    folder : is made; or holds a study of the same, which goes on
-    about : what the study is of, by name; another study has other values
+    folder : new folder, or that of the same study, which then continues
+    about : values that identify the study, by name
 
     """
 
@@ -41,19 +41,19 @@ class Book:
             try:
                 folder.mkdir(parents=True)
             except OSError as error:
-                raise InputError(f'{folder}: cannot be made ({error.strerror})') from error
+                raise InputError(f'{folder}: cannot be created ({error.strerror})') from error
             lines = [{'study': about}]
-        part = self._file.with_suffix('.part')    # without a line that was cut short
+        part = self._file.with_suffix('.part')    # drops an incomplete last line
         part.write_text(''.join(f'{json.dumps(line)}\n' for line in lines), encoding='utf-8')
         part.replace(self._file)
 
-    def note_errors(self, key: str, found: Errors) -> None:
-        """Keep the errors of a setting."""
+    def add_errors(self, key: str, found: Errors) -> None:
+        """Store the errors of a setting."""
         self.errors[key] = found
         self._append({'setting': key, 'errors': _null(asdict(found))})
 
-    def note_timing(self, key: str, found: Timing) -> None:
-        """Keep what a setting takes."""
+    def add_timing(self, key: str, found: Timing) -> None:
+        """Store the timing of a setting."""
         self.timings[key] = found
         self._append({'setting': key, 'timing': asdict(found)})
 
@@ -63,7 +63,7 @@ class Book:
 
 
 def _lines(folder: Path, file: Path) -> Iterator[dict]:
-    """Yield the whole lines of a study."""
+    """Yield the complete lines of a results file."""
     try:
         text = file.read_text(encoding='utf-8')
     except (OSError, UnicodeDecodeError):
@@ -77,10 +77,11 @@ def _lines(folder: Path, file: Path) -> Iterator[dict]:
 
 
 def _compare(folder: Path, lines: list[dict], about: dict[str, str]) -> None:
-    """Refuse a folder that holds a study of something else."""
+    """Refuse a folder that holds another study."""
     before = lines[0].get('study') if lines else None
     if not isinstance(before, dict):
-        raise InputError(f'{folder / FILE}: is not of a study; name another folder')
+        raise InputError(f'{folder / FILE}: is not the results file of a study; name another '
+                         'folder')
     other = [name for name, value in about.items() if before.get(name) != value]
     if other:
         raise InputError(f'{folder}: holds a study with another {" and ".join(other)}; name '
@@ -88,7 +89,7 @@ def _compare(folder: Path, lines: list[dict], about: dict[str, str]) -> None:
 
 
 def _null(value):
-    """Return the same with None for what JSON has no number for."""
+    """Return plain data with None for non-finite numbers."""
     if isinstance(value, dict):
         return {key: _null(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -97,7 +98,7 @@ def _null(value):
 
 
 def _errors(found: dict) -> Errors:
-    """Return errors as they were."""
+    """Return stored errors, with NaN for None."""
     def number(value):
         if isinstance(value, list):
             return tuple(number(item) for item in value)

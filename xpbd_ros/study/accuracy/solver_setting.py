@@ -1,4 +1,4 @@
-"""One setting of the solver, and the ladder of settings that a scene is tried with."""
+"""Solver settings, and the ladder of settings that a study tries."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,20 +13,20 @@ from xpbd_ros.sim.simulation import Simulation
 
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
 BASELINES = ('pbd', 'textbook_xpbd', 'decayed_multiplier', 'mass_spring')
-"""of studies only: no scene can ask for them"""
+"""methods that exist in studies only"""
 UNBOUND_MS = 1e9
-"""a budget that bounds nothing"""
+"""a budget without effect [ms]"""
 FEWEST, RUNGS = 2, 9
-"""substeps of the lowest rung, and how many rungs a method has at most"""
+"""substeps of the lowest rung, and largest number of rungs of a method"""
 FINEST = 16
-"""substeps of the highest rung at most, times those that resolve the stretch"""
+"""largest number of substeps over those that resolve the stretch"""
 REPEATED = 4
-"""iterations of the settings that repeat within a substep"""
+"""iterations of the settings with several substeps and iterations"""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """How constraints are solved."""
+    """A solver setting."""
 
     method: str
     integrator: str
@@ -36,35 +36,35 @@ class Setting:
 
     @property
     def key(self) -> str:
-        """Its name, one for each setting."""
+        """Unique name of the setting."""
         name = f'{self.method} {self.integrator} {self.substeps}x{self.iterations}'
         return name if self.precision == 'float64' else f'{name} {self.precision}'
 
     @property
     def kind(self) -> tuple[str, str, str]:
-        """What is one piece of machine code."""
+        """Method, integrator and precision: settings that share compiled kernels."""
         return self.method, self.integrator, self.precision
 
     @property
     def is_baseline(self) -> bool:
-        """Whether only studies know it."""
+        """Whether it is one of BASELINES."""
         return self.method in BASELINES
 
     def block(self) -> dict:
-        """Return it as the keys of a ``solver`` section."""
+        """Return the keys of a ``solver`` section."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Refused:
-    """A setting, or all of a method, that the scene cannot be run with."""
+    """A method, or a method with an integrator, that cannot run the scene."""
 
     method: str
     reason: str
 
 
 def setting_of(simulation: Simulation) -> Setting:
-    """Return what a simulation runs with."""
+    """Return the setting of a simulation."""
     solver = simulation.solver
     return Setting(solver.method, solver.integrator, solver.substeps, solver.iterations,
                    solver.precision)
@@ -72,10 +72,10 @@ def setting_of(simulation: Simulation) -> Setting:
 
 def with_solver(scene: Scene, keys: dict) -> Scene:
     """
-    Return a scene with other keys in its ``solver`` section; None takes one out.
+    Return a scene with changed keys in its ``solver`` section; None removes a key.
 
-    Its ``error_target`` is left out: what a setting gives is what a study asks. So are its
-    ``threads``: runs share the cores as they are, and times are those of one.
+    ``error_target`` is removed, as a study measures fixed settings, and so is ``threads``, as runs
+    are timed on one core.
     """
     solver = {**(scene.raw.get('solver') or {}), 'error_target': None, 'threads': None, **keys}
     solver = {key: value for key, value in solver.items() if value is not None}
@@ -83,7 +83,7 @@ def with_solver(scene: Scene, keys: dict) -> Scene:
 
 
 def default_solver(scene: Scene) -> Setting:
-    """Return what ``auto`` takes for a scene where time is no object."""
+    """Return the setting that ``auto`` chooses with a budget of at least half a frame period."""
     top = scene.top.solver
     free = with_solver(scene, {'method': 'auto', 'integrator': None, 'substeps': None,
                                'iterations': 1, 'precision': 'float64',
@@ -94,10 +94,11 @@ def default_solver(scene: Scene) -> Setting:
 def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = False
            ) -> tuple[list[Setting], list[Refused]]:
     """
-    Return the settings to try: each method with each integrator, substeps by powers of two.
+    Return the settings to try, and those that cannot run the scene.
 
-    Beside them there are settings with one substep and many iterations, with some of both, and in
-    single precision; and what the scene itself says.
+    Each method runs with each integrator, with powers of two as substeps. There are also settings
+    with one substep and many iterations, with several of both, in single precision, and that of
+    the scene itself.
     """
     found, refused = {}, []
 
@@ -147,11 +148,11 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
         for setting in baseline_ladder(rungs_of(simulation, 'gauss_seidel', usual)):
             add(setting)
     finest = with_substeps(usual, FINEST * usual.substeps)
-    return [one for one in found.values() if one.key != finest.key], refused    # that is the truth
+    return [one for one in found.values() if one.key != finest.key], refused    # true solution
 
 
 def baseline_ladder(rungs: Sequence[int]) -> list[Setting]:
-    """Return the settings of what only studies know: as the papers that they are from use them."""
+    """Return the settings of the baselines, as their papers use them."""
     return [*(Setting(method, 'backward_euler', 1, count)
               for method in ('pbd', 'textbook_xpbd') for count in rungs),
             *(Setting('decayed_multiplier', 'backward_euler', count) for count in rungs),
@@ -159,7 +160,7 @@ def baseline_ladder(rungs: Sequence[int]) -> list[Setting]:
 
 
 def rungs_of(simulation: Simulation, method: str, usual: Setting) -> list[int]:
-    """Return powers of two up to what a whole frame pays for, by the table, or to FINEST."""
+    """Return powers of two up to FINEST, or to the substeps that fit into a frame period."""
     most = 1e9 * simulation.frame_dt / cost(method, 1, simulation.effects, simulation.state)
     top = max(3, int(log2(max(min(most, FINEST * usual.substeps), 1.0))))
     low = max(int(log2(FEWEST)), top - RUNGS + 1)

@@ -1,4 +1,4 @@
-"""What a setting takes: time of a frame, memory."""
+"""Time and memory of a setting."""
 
 from dataclasses import dataclass
 from time import perf_counter, thread_time
@@ -9,7 +9,7 @@ from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.cost.measure import array_bytes
 
 ENOUGH_S, LEAST_FRAMES = 2.0, 60
-"""a setting is timed for the whole run, or until both are reached"""
+"""a timing ends with the run, or once it has so many seconds and frames"""
 
 
 @dataclass(frozen=True)
@@ -17,20 +17,21 @@ class Timing:
     """Time and memory of one setting."""
 
     ms_p50: float
-    """CPU time of a frame: median [ms]"""
+    """median CPU time per frame [ms]"""
     ms_p95: float
+    """95th percentile of the CPU time per frame [ms]"""
     real_time_factor: float
-    """simulated over wall time"""
+    """simulated time over wall time"""
     frames: int
-    """that were timed"""
+    """number of timed frames"""
     bytes: int
-    """of all arrays of the simulation"""
+    """size of all arrays of the simulation [bytes]"""
     cpu_share: float = 1.0
-    """CPU time over wall time: 1 where nothing else was running"""
+    """CPU time over wall time; 1 on an idle machine"""
 
 
 def time_frames(simulation, frames: int, commands: dict[int, list]) -> Timing:
-    """Run a simulation from its start, with nothing beside it."""
+    """Time the frames of a simulation from its start; ``commands`` are its inputs by frame."""
     simulation.compile()
     taken = []
     start, cpu = perf_counter(), thread_time()
@@ -48,7 +49,7 @@ def time_frames(simulation, frames: int, commands: dict[int, list]) -> Timing:
 
 
 def memory(simulation) -> int:
-    """Return the bytes of all arrays that a simulation computes with."""
+    """Return the size of all arrays that a simulation computes with [bytes]."""
     if isinstance(simulation, Baseline):
         return simulation.bytes
     return array_bytes((simulation.state, *(built.parts for built in simulation.effects.values())),

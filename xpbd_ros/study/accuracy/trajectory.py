@@ -1,4 +1,4 @@
-"""A run of a scene, and what a study keeps of it."""
+"""Run a scene, and record its trajectory for a study."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,29 +11,29 @@ from xpbd_ros.sim.simulation import Simulation
 
 
 @dataclass(eq=False)
-class Track:
-    """What a run was like, frame by frame; the start is frame 0."""
+class Trajectory:
+    """Measures of a run, frame by frame; frame 0 is the start."""
 
     x: dict[int, np.ndarray]
-    """positions at the frames that were to be kept [m], each (particles, 3)"""
+    """positions by kept frame [m], each of shape (particles, 3)"""
     kinetic: np.ndarray
-    """[J], shape (frames + 1,)"""
+    """kinetic energy [J], shape (frames + 1,)"""
     energy: np.ndarray
-    """kinetic, elastic and that of gravity [J], shape (frames + 1,)"""
+    """kinetic, elastic and gravitational energy [J], shape (frames + 1,)"""
     strain: np.ndarray
-    """root mean square over the edges, shape (frames + 1,)"""
+    """RMS strain over the edges, shape (frames + 1,)"""
     heights: np.ndarray
-    """heights of all particles, lowest first [m]; shape (frames + 1, particles)"""
+    """sorted heights of all particles [m], shape (frames + 1, particles)"""
     residual: dict[int, float | None]
-    """root mean square of C + α f over the edges, at the frames that were kept [m]"""
+    """RMS of C + α f over the edges by kept frame [m]; None without multipliers"""
     ended: int | None = None
-    """the first frame that was not finite"""
+    """first frame that was not finite; None if all were"""
     redone: int = 0
-    """frames that ``explicit`` left to ``line``"""
+    """frames of ``explicit`` that were computed again with ``line``"""
 
 
 class Edges:
-    """The edges whose strain is looked at: of a grid those along warp and weft."""
+    """The edges whose strain is measured: all of a mesh, those along warp and weft of a grid."""
 
     def __init__(self, simulation: Simulation):
         pairs, rest = [np.zeros((0, 2), np.int64)], [np.zeros(0)]
@@ -50,23 +50,32 @@ class Edges:
         self.particles, self.rest = np.concatenate(pairs), np.concatenate(rest)
 
     def strain(self, x: np.ndarray) -> np.ndarray:
-        """Return l / L - 1 of each edge, x in natural order; shape (edges,)."""
+        """Return l / L - 1, shape (edges,), at positions ``x`` in natural order [m]."""
         i, j = self.particles.T
         return length(x[i] - x[j]) / self.rest - 1.0
 
 
 class Recorder:
-    """Fills in a track."""
+    """
+    Fill in a trajectory frame by frame.
+
+    Parameters
+    ----------
+    edges : edges whose strain is measured
+    frames, particles : numbers of them
+    kept : frames whose positions are kept; None for all
+
+    """
 
     def __init__(self, edges: Edges, frames: int, particles: int, kept: Sequence[int] | None):
         count = frames + 1
         self._edges, self._kept = edges, None if kept is None else set(kept)
-        self.track = Track({}, *np.full((3, count), np.nan), np.full((count, particles), np.nan),
-                           {})
+        self.track = Trajectory({}, *np.full((3, count), np.nan),
+                                np.full((count, particles), np.nan), {})
 
-    def note(self, frame: int, x: np.ndarray, kinetic: float, energy: float,
-             residual: Callable[[], float | None] = lambda: None) -> bool:
-        """Note a frame; return whether it was finite."""
+    def add(self, frame: int, x: np.ndarray, kinetic: float, energy: float,
+            residual: Callable[[], float | None] = lambda: None) -> bool:
+        """Add a frame; return whether it is finite."""
         track = self.track
         if not (np.isfinite(x).all() and np.isfinite(energy)):
             track.ended = frame
@@ -82,15 +91,16 @@ class Recorder:
 
 
 def play(simulation: Simulation, frames: int, *, commands: dict[int, list] | None = None,
-         kept: Sequence[int] | None = None) -> Track:
+         kept: Sequence[int] | None = None) -> Trajectory:
     """
-    Run a simulation from where it is.
+    Run a simulation from its present state, and return its trajectory.
 
     Parameters
     ----------
-    frames : how many
+    simulation : the simulation
+    frames : number of frames
     commands : inputs by frame
-    kept : frames whose positions are kept; None: all
+    kept : frames whose positions are kept; None for all
 
     """
     commands = commands or {}
@@ -100,21 +110,21 @@ def play(simulation: Simulation, frames: int, *, commands: dict[int, list] | Non
         for index in range(frames + 1):
             if index:
                 frame = simulation.step(commands.get(index, ()))
-            if not recorder.note(index, frame.x, kinetic_energy(simulation.state),
-                                 energy(simulation), lambda: residual(simulation)):
+            if not recorder.add(index, frame.x, kinetic_energy(simulation.state),
+                                energy(simulation), lambda: residual(simulation)):
                 break
     recorder.track.redone = int(simulation.stats().get('explicit_redone', 0))
     return recorder.track
 
 
 def energy(simulation: Simulation) -> float:
-    """Return kinetic, elastic and gravity's energy [J]."""
+    """Return the sum of kinetic, gravitational and elastic energy [J]."""
     state = simulation.state
     return kinetic_energy(state) + potential_energy(state) + elastic_energy(simulation)
 
 
 def residual(simulation: Simulation) -> float | None:
-    """Return the root mean square of C + α f over all edges [m]; None where f is not kept."""
+    """Return the RMS of C + α f over all edges [m]; None without multipliers."""
     left = []
     for built in simulation.effects.values():
         for part, edges in zip(built.parts, built.by_part):

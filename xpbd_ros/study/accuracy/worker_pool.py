@@ -1,4 +1,4 @@
-"""Runs of a scene, shared out to processes: one task is one run."""
+"""Run a scene many times in parallel processes; one task is one run."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
@@ -16,48 +16,48 @@ from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.accuracy.errors import Errors, errors
 from xpbd_ros.study.accuracy.solver_setting import default_solver, Setting, with_solver
-from xpbd_ros.study.accuracy.trajectory import Edges, play, Track
+from xpbd_ros.study.accuracy.trajectory import Edges, play, Trajectory
 from xpbd_ros.study.accuracy.truth import push, size_of, Truth
 from xpbd_ros.study.reference import limit, problem_of, Reference
 
 LEVELS = 7
-"""rungs of the independent solver at most"""
+"""largest number of step sizes of the reference solver"""
 CERTAIN = 1e-7
-"""how well it is asked to know positions, of the scene's size"""
+"""uncertainty of positions asked of the reference solver, over the scene's size"""
 
 
 @dataclass
 class Job:
-    """What every task needs."""
+    """The data and the methods of the tasks."""
 
     scene: Scene
     frames: int
     commands: dict[int, list]
     folder: Path
-    """where the truth and what it takes are kept"""
+    """folder of the study, for the true solution and intermediate files"""
 
     @cached_property
     def truth(self) -> Truth:
-        """The truth, once it is there."""
+        """The true solution, read from the folder."""
         return Truth.load(self.folder / TRUTH)
 
     def simulation(self, setting: Setting) -> Simulation | Baseline:
-        """Return the scene at its start, to be solved like this."""
+        """Return the scene at its start, compiled with a setting."""
         if setting.is_baseline:
             usual = with_solver(self.scene, default_solver(self.scene).block())
             return Baseline(compile_scene(usual), setting)
         return compile_scene(with_solver(self.scene, setting.block()))
 
     def play(self, setting: Setting, kept: Sequence[int] | None, *, pushed: bool = False
-             ) -> Track:
-        """Run the scene."""
+             ) -> Trajectory:
+        """Run the scene with a setting; ``pushed``: with a perturbed start."""
         simulation = self.simulation(setting)
         if pushed:
             push(simulation)
         return play(simulation, self.frames, commands=self.commands, kept=kept)
 
     def errors(self, setting: Setting) -> Errors:
-        """Run the scene and compare."""
+        """Run the scene with a setting, and compare it with the true solution."""
         truth = self.truth
         try:
             simulation = self.simulation(setting)
@@ -69,10 +69,10 @@ class Job:
         return replace(found, residual_m=None) if setting.is_baseline else found
 
     def reference(self, frame: int) -> Reference:
-        """Return the independent solver's answer at the end of a frame."""
+        """Return the solution of the reference solver at the end of a frame."""
         simulation = compile_scene(self.scene)
         problem = problem_of(simulation)
-        count = len(simulation.slot)    # what it has more are the places of pins
+        count = len(simulation.slot)    # further ones are targets of compliant pins
         found = limit(problem, frame * simulation.frame_dt, CERTAIN * size_of(problem.x[:count]),
                       levels=LEVELS, cache=self.folder / 'reference')
         return replace(found, x=found.x[:count], v=found.v[:count])
@@ -83,7 +83,7 @@ _job: Job | None = None
 
 
 def _begin(job: Job) -> None:
-    """Get a process ready; an interrupt is seen to by who started it."""
+    """Initialize a worker process; the parent process handles interrupts."""
     global _job
     _job = job
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -93,13 +93,13 @@ def _do(name: str, arguments: tuple, options: dict) -> Any:
     return getattr(_job, name)(*arguments, **options)
 
 
-def share_out(job: Job, tasks: Sequence[tuple[str, tuple, dict]], processes: int, what: str,
+def run_tasks(job: Job, tasks: Sequence[tuple[str, tuple, dict]], processes: int, what: str,
               progress: Callable[[Iterable, str], Iterable]) -> Iterator[tuple[int, Any]]:
     """
-    Do tasks, in as many processes as asked, and yield (number of the task, its result).
+    Run tasks in parallel processes, and yield (number of the task, its result) as they finish.
 
-    A task is the name of a method of ``Job``, its arguments and its options. When the caller ends
-    early the processes are ended.
+    A task is the name of a method of ``Job``, its arguments and its options. If the caller stops
+    early, the processes are terminated.
     """
     if processes == 1:
         for k in progress(range(len(tasks)), what):

@@ -1,4 +1,4 @@
-"""What a scene will be like at its setting, predicted before anything runs."""
+"""Predict stiffness, damping, substeps and time of a scene with its solver setting."""
 
 from xpbd_ros.study.prediction.report import check, Report
 

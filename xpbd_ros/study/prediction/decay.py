@@ -1,4 +1,4 @@
-"""Numerical damping: what the integrators take from an oscillation that nothing damps."""
+"""Numerical damping: the loss of amplitude of undamped oscillations by the integrator."""
 
 from dataclasses import dataclass
 from math import pi, sqrt
@@ -11,22 +11,22 @@ from xpbd_ros.sim.simulation import Simulation, Solver
 
 @dataclass(frozen=True)
 class Decay:
-    """One mode of one cloth."""
+    """The numerical damping of one mode of one cloth."""
 
     cloth: str
     mode: str
+    """'swing' or 'stretch'"""
     frequency_hz: float
     lost_per_second: float
-    """part of the amplitude"""
+    """part of the amplitude that is lost per second"""
 
 
 def factor(integrator: str, angle: float) -> float:
     """
-    Return |z| of one step for x'' = -ω² x, angle = ω h.
+    Return the amplification |z| of one step for x'' = -ω² x, with angle = ω h [rad].
 
     Backward Euler: 1 / (1 - i angle). BDF2: the root near 1 of (3/2 - i angle) z² - 2 z + 1/2.
-    NDF2: the largest root of (5/3 - i angle) z³ - (5/2) z² + z - 1/6. Leapfrog, where it is
-    stable: 1.
+    NDF2: the largest root of (5/3 - i angle) z³ - (5/2) z² + z - 1/6. Leapfrog: 1 while stable.
     """
     if integrator == 'leapfrog':
         return 1.0
@@ -39,10 +39,10 @@ def factor(integrator: str, angle: float) -> float:
 
 def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
     """
-    Return how fast the slowest swing and the longest stretch wave of each cloth fade.
+    Return the decay of the slowest swing and of the longest stretch wave of each cloth.
 
-    The swing is that of a chain as long as the cloth, ω = 1.2024 √(g / l); the wave a quarter
-    long, ω = π c / 2 l with c = √(modulus / density).
+    The swing is that of a chain as long as the cloth, ω = 1.2024 √(g / l). The wave is four times
+    as long as the cloth, ω = π c / 2 l with c = √(modulus / density).
     """
     found = []
     g = sqrt(sum(c * c for c in scene.top.gravity))

@@ -1,10 +1,10 @@
 """
-Even loads on a cloth, and the tensions that they ask for: what its stiffness is measured by.
+Uniform loads on a cloth, and the tensions that balance them, to measure its stiffness.
 
-``stretch`` and ``membrane``: the cloth hangs flat from one whole side, warp down and then weft
-down; from the side nearest to its pins where the scene has some. Full of gas, it is blown up
-instead. ``shear``: sheared evenly. ``bend``: rolled evenly. ``hinge`` and ``area``: each hinge
-folded by as much, each triangle grown by as large a part.
+``stretch`` and ``membrane``: the cloth hangs flat from one whole side, once with warp and once
+with weft down; from the side closest to its pins, if the scene has any. With ``pressure`` it is
+inflated instead. ``shear``: uniform shear. ``bend``: uniform curvature. ``hinge`` and ``area``:
+the same fold of each hinge, the same relative growth of each triangle.
 """
 
 from dataclasses import dataclass
@@ -15,53 +15,55 @@ from scipy.sparse.linalg import splu
 
 from xpbd_ros.sim.geometry.mesh import Mesh
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.numbering import natural_indices
 
 SOFT = 1e-9
-"""of the mean stiffness: holds what no constraint holds"""
+"""stiffness of a spring that holds each particle, over the mean stiffness of the cloth"""
 CAP = 0.05
-"""part of its length by which a mesh is hung: it has no row at its end"""
+"""part of the length of a mesh whose particles are held, as a mesh has no row at its end"""
 STIFF = 1e-12
-"""compliance of a rigid edge while tensions are sought, relative to the softest"""
+"""compliance of a rigid edge for the computation of tensions, over that of the softest edge"""
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """One cloth of a simulation at its rest shape, numbered by itself."""
+    """One cloth of a simulation at its rest shape, with particles numbered from 0."""
 
     name: str
     rest: np.ndarray
-    """along warp, across it, and the third way [m], shape (particles, 3)"""
+    """rest positions: along warp, across it, along the normal [m], shape (particles, 3)"""
     inv_mass: np.ndarray
-    """[1/kg], all free; shape (particles,)"""
+    """inverse masses without pins [1/kg], shape (particles,)"""
     held: np.ndarray
-    """particles that the scene pins"""
-    effects: dict[str, 'Part']
-    crowd: int
-    """most constraints at a particle, of the whole scene"""
+    """indices of the particles that the scene pins"""
+    effects: dict[str, 'ConstraintSet']
+    """constraints by effect"""
+    most_constraints: int
+    """largest number of constraints at a particle, of the whole scene"""
     is_grid: bool
     excess: float = 0.0
-    """volume that its gas would fill, beyond its own [m³]"""
+    """rest volume of its gas less the volume of its rest shape [m³]"""
 
 
 @dataclass(frozen=True)
-class Part:
-    """One effect's constraints on a cloth, in sweep order."""
+class ConstraintSet:
+    """The linearised constraints of one effect on a cloth, in sweep order."""
 
     jacobian: sparse.csr_matrix
-    """shape (rows, 3 particles)"""
+    """gradients, shape (rows, 3 particles); a constraint has b rows"""
     blocks: np.ndarray
-    """α of each constraint, of b rows: shape (constraints, b, b)"""
+    """α of each constraint, shape (constraints, b, b)"""
     along: np.ndarray
-    """0: nearer to warp, 1: nearer to weft; shape (constraints,)"""
+    """0 if closer to warp, 1 if closer to weft, shape (constraints,)"""
 
     @property
     def compliance(self) -> sparse.csr_matrix:
-        """α of all rows."""
+        """Block-diagonal matrix of α, shape (rows, rows)."""
         return _diagonal(self.blocks)
 
     @property
     def stiffness(self) -> sparse.csr_matrix:
-        """Its inverse; of what is rigid nearly so."""
+        """Inverse of ``compliance``, with STIFF for rigid constraints, shape (rows, rows)."""
         least = STIFF * max(self.blocks.max(initial=0.0), 1e-12)
         return _diagonal(np.linalg.inv(self.blocks + least * np.eye(self.blocks.shape[1])))
 
@@ -75,9 +77,8 @@ def _diagonal(blocks: np.ndarray) -> sparse.csr_matrix:
 
 
 def sheets(simulation: Simulation) -> list[Sheet]:
-    """Return the cloths of a simulation, with the constraints that are linear about rest."""
-    number = np.full(simulation.state.x.shape[1], -1)
-    number[simulation.slot] = np.arange(len(simulation.slot))
+    """Return the cloths of a simulation with their constraints, linearised about rest."""
+    number = natural_indices(simulation)
     count = np.zeros(simulation.state.x.shape[1], int)
     for built in simulation.effects.values():
         if built.constraints is not None:
@@ -111,8 +112,8 @@ def sheets(simulation: Simulation) -> list[Sheet]:
     return found
 
 
-def _part(rest, particles, slopes, listed, here) -> Part:
-    """Return constraints, given their slopes by particle: (constraints, rows, particles, 3)."""
+def _part(rest, particles, slopes, listed, here) -> ConstraintSet:
+    """Return constraints with gradients ``slopes``, shape (constraints, rows, particles, 3)."""
     d = rest[particles[:, 0]] - rest[particles[:, 1]]
     along = (np.abs(d[:, 1]) > np.abs(d[:, 0])).astype(int)
     count, b = slopes.shape[:2]
@@ -121,20 +122,20 @@ def _part(rest, particles, slopes, listed, here) -> Part:
     jacobian = sparse.csr_matrix((slopes.ravel(), (rows.ravel(), columns.ravel())),
                                  (b * count, 3 * len(rest)))
     blocks = listed.block if hasattr(listed, 'block') else listed.compliance[:, None, None]
-    return Part(jacobian, blocks[here], along)
+    return ConstraintSet(jacobian, blocks[here], along)
 
 
-def _gas(rest, corners, alpha: float) -> tuple[Part, float]:
-    """Return what holds a surface open, and its volume at rest [m³]."""
+def _gas(rest, corners, alpha: float) -> tuple[ConstraintSet, float]:
+    """Return the volume constraint of a closed surface, and its volume at rest [m³]."""
     sides = np.cross(rest[corners[:, [1, 2, 0]]], rest[corners[:, [2, 0, 1]]]) / 6.0
     slope = np.zeros(rest.shape)
     np.add.at(slope, corners, sides)
-    return (Part(sparse.csr_matrix(slope.reshape(1, -1)), np.full((1, 1, 1), alpha),
+    return (ConstraintSet(sparse.csr_matrix(slope.reshape(1, -1)), np.full((1, 1, 1), alpha),
                  np.zeros(1, int)), float((rest[corners[:, 0]] * sides[:, 0]).sum()))
 
 
 def in_axes(mesh: Mesh) -> np.ndarray:
-    """Return positions along the warp, across it where the mesh is widest, and the third way."""
+    """Return rest positions along the warp, along the widest direction across it, and normal."""
     if mesh.grid is not None:
         return mesh.positions
     warp = np.asarray(mesh.warp, float)
@@ -147,8 +148,8 @@ def in_axes(mesh: Mesh) -> np.ndarray:
 def _edges(listed, x):
     d = x[listed.particles[:, 0]] - x[listed.particles[:, 1]]
     l = np.linalg.norm(d, axis=1)[:, None]
-    u = np.divide(d, l, out=np.zeros_like(d), where=l > 0.0)    # 0: of another cloth
-    return np.stack([u, -u], 1)[:, None]    # C grows along u at the first particle
+    u = np.divide(d, l, out=np.zeros_like(d), where=l > 0.0)    # edges of other cloths have l = 0
+    return np.stack([u, -u], 1)[:, None]
 
 
 def _diagonals(listed, x):
@@ -156,7 +157,7 @@ def _diagonals(listed, x):
 
 
 def _curvatures(listed, x):
-    found = np.zeros((len(listed.weight), 1, 4, 3))    # each axis for itself: one says it all
+    found = np.zeros((len(listed.weight), 1, 4, 3))    # all three axes are alike: one suffices
     found[:, 0, :, 2] = listed.weight
     return found
 
@@ -165,7 +166,7 @@ def _angles(listed, x):
     x0, x1, x2, x3 = (x[listed.particles[:, k]] for k in range(4))
     e, a, b = x1 - x0, x2 - x0, x3 - x0
     n, o = np.cross(e, a), np.cross(b, e)
-    with np.errstate(invalid='ignore'):    # of another cloth
+    with np.errstate(invalid='ignore'):    # constraints of other cloths have no extent
         n, o = (v / (v * v).sum(1, keepdims=True) for v in (n, o))
         l = np.linalg.norm(e, axis=1)[:, None]
         s, t = ((v * e).sum(1, keepdims=True) / l for v in (a, b))
@@ -175,7 +176,7 @@ def _angles(listed, x):
 def _areas(listed, x):
     x0, x1, x2 = (x[listed.particles[:, k]] for k in range(3))
     n = np.cross(x1 - x0, x2 - x0)
-    with np.errstate(invalid='ignore'):    # of another cloth
+    with np.errstate(invalid='ignore'):    # constraints of other cloths have no extent
         n /= 2.0 * np.linalg.norm(n, axis=1)[:, None]
     g, h = np.cross(x2 - x0, n), np.cross(n, x1 - x0)
     return np.stack([-g - h, g, h], 1)[:, None]
@@ -191,7 +192,7 @@ SLOPES = {'bend': _curvatures, 'cross_bend': _edges, 'hinge': _angles, 'area': _
 
 
 def hung_side(sheet: Sheet, axis: int) -> np.ndarray:
-    """Return the particles of the side that a sheet hangs from along warp (0) or weft (1)."""
+    """Return the indices of the particles that hold a sheet along warp (0) or weft (1)."""
     place = sheet.rest[:, axis]
     low, high = place.min(), place.max()
     near = sheet.rest[sheet.held, axis].mean() if len(sheet.held) else low
@@ -200,8 +201,8 @@ def hung_side(sheet: Sheet, axis: int) -> np.ndarray:
     return np.flatnonzero(inward * (place - end) <= reach)
 
 
-def hanging(sheet: Sheet, axis: int, gravity: float, names: list[str]) -> np.ndarray:
-    """Return the tension of each edge of some effects [N] where the sheet hangs from a side."""
+def hanging_tensions(sheet: Sheet, axis: int, gravity: float, names: list[str]) -> np.ndarray:
+    """Return the tensions of all rows of effects [N] in a sheet that hangs from a side."""
     J, stiff = matrices(sheet, names)
     side = hung_side(sheet, axis)
     down = np.zeros(sheet.rest.shape)
@@ -210,29 +211,29 @@ def hanging(sheet: Sheet, axis: int, gravity: float, names: list[str]) -> np.nda
     free = np.ones(len(sheet.rest), bool)
     free[side] = False
     dofs = np.flatnonzero(np.repeat(free, 3))
-    return stiff @ (J[:, dofs] @ _moved(J[:, dofs], stiff, down.ravel()[dofs]))
+    return stiff @ (J[:, dofs] @ _displacement(J[:, dofs], stiff, down.ravel()[dofs]))
 
 
-def blown_up(sheet: Sheet, names: list[str]) -> np.ndarray:
-    """Return the tension in each row of some effects where gas pushes with 1 Pa; its own is -1."""
+def inflated_tensions(sheet: Sheet, names: list[str]) -> np.ndarray:
+    """Return the tensions of all rows of effects under 1 Pa; that of the pressure itself is -1."""
     gas = names.index('pressure')
     rest = names[:gas] + names[gas + 1:]
     push = sheet.effects['pressure'].jacobian.toarray().ravel()
     J, stiff = matrices(sheet, rest)
-    tension = stiff @ (J @ _moved(J, stiff, push))
+    tension = stiff @ (J @ _displacement(J, stiff, push))
     first = sum(sheet.effects[name].jacobian.shape[0] for name in names[:gas])
     return np.insert(tension, first, -1.0)
 
 
 def matrices(sheet: Sheet, names: list[str]) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    """Return the Jacobian of some effects, and their stiffness."""
+    """Return the Jacobian and the stiffness matrix of effects, stacked in the given order."""
     parts = [sheet.effects[name] for name in names]
     return (sparse.vstack([part.jacobian for part in parts]).tocsr(),
             sparse.block_diag([part.stiffness for part in parts]).tocsr())
 
 
-def _moved(J, stiff, force: np.ndarray) -> np.ndarray:
-    """Return how far a force moves what is linear; what nothing holds is held softly."""
+def _displacement(J, stiff, force: np.ndarray) -> np.ndarray:
+    """Return the static displacement by a force; SOFT makes the stiffness matrix regular."""
     K = (J.T @ stiff @ J).tocsc()
     K = K + SOFT * K.diagonal().mean() * sparse.identity(K.shape[0])
     return splu(K.tocsc()).solve(force)

@@ -1,4 +1,4 @@
-"""Everything that ``check`` has to say about a scene."""
+"""The report of ``xpbd_ros check``: predictions and warnings for a scene."""
 
 from dataclasses import dataclass, replace
 from math import ceil, inf
@@ -16,35 +16,39 @@ from xpbd_ros.study.prediction.stiffness import Row, stiffness, UNPREDICTED
 from xpbd_ros.study.prediction.substeps import needed, STRETCH
 
 ERRORS = (0.1, 0.01, 0.001)
-WORTH_SAYING = 0.1
-"""relative error of a stiffness that is warned about"""
+"""relative errors of the stretch for which substeps are predicted"""
+WARNED_ERROR = 0.1
+"""relative error of a stiffness from which on there is a warning"""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What a scene will be like."""
+    """Predictions for a scene."""
 
     solver: Solver
+    """setting, with ``auto`` resolved"""
     particles: int
     constraints: int
     stiffness: list[Row]
     decay: list[Decay]
     substeps_for: dict[str, int | None]
+    """substeps by relative error of the stretch; None if out of reach"""
     frame_ms: float
-    """expected, on the machine of ``scene.auto``'s table"""
+    """expected time of a frame on the CPU of ``scene.auto``'s table [ms]"""
     frame_dt_ms: float
+    """frame period [ms]"""
     warnings: list[str]
     notes: tuple[str, ...] = ()
-    """what was mended in meshes from files, and what nothing is said about"""
+    """repairs of meshes from files, and effects without a prediction"""
 
     @property
     def ok(self) -> bool:
-        """Whether there is nothing to warn about."""
+        """Whether there are no warnings."""
         return not self.warnings
 
 
 def check(scene: Scene) -> Report:
-    """Predict; nothing is compiled to machine code."""
+    """Return the predictions for a scene, without compiling kernels."""
     simulation = compile_scene(scene)
     solver = simulation.solver
     rows = stiffness(scene, simulation, solver)
@@ -52,7 +56,7 @@ def check(scene: Scene) -> Report:
     expected = frame_ms(simulation, solver)
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
-                *_unheld(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
+                *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
                   simulation.notes + _unpredicted(simulation))
@@ -64,7 +68,7 @@ def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:
-    """Return what a frame is expected to take by the table of ``scene.auto`` [ms]."""
+    """Return the expected time of a frame according to the table of ``scene.auto`` [ms]."""
     return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
                                          simulation.state)
 
@@ -75,41 +79,42 @@ def _count(simulation: Simulation) -> int:
 
 
 def size_of(scene: Scene, cloth: str) -> str:
-    """Return how large a cloth is, as people say it."""
+    """Return a cloth's name, with its resolution if it is a grid."""
     grid = scene.cloths[cloth].grid
     return cloth if grid is None else f'{cloth}: {grid.resolution[0]}x{grid.resolution[1]}'
 
 
 def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | None) -> list[str]:
-    """Say where the cloth will be softer, or stiffer, than asked."""
+    """Return warnings about cloths that will be softer or stiffer than asked."""
     found, solver = [], simulation.solver
     for row in rows:
-        if np.isinf(row.asked) or abs(row.error) <= WORTH_SAYING:
+        if np.isinf(row.asked) or abs(row.error) <= WARNED_ERROR:
             continue
         where = f' along {row.direction}' if row.direction else ''
         text = (f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
                 f'{row.effective:.3g} {row.unit}{where} ({row.effect}), not {row.asked:.6g}')
         if row.effect == 'pressure':
-            text = (f'{row.cloth} at {solver.substeps} substeps has {row.effective:.3g} Pa more '
-                    f'than outside, not {row.asked:.4g}')
+            text = (f'{row.cloth} at {solver.substeps} substeps has an overpressure of '
+                    f'{row.effective:.3g} Pa, not {row.asked:.4g}')
         if row.effect in STRETCH:
-            text += f'; {_cure(scene, simulation, enough)}'
+            text += f'; {_remedy(scene, simulation, enough)}'
         else:
-            count = ceil(solver.substeps * (abs(row.error) / WORTH_SAYING)**0.5)
+            count = ceil(solver.substeps * (abs(row.error) / WARNED_ERROR)**0.5)
             text += f'; about {count} substeps would do'
         found.append(text)
     if not found and enough is not None and solver.substeps < enough:
         found.append(f'{solver.substeps} substeps are too few for the stretch waves of this cloth:'
-                     f' errors above 10 %; {_cure(scene, simulation, enough)}')
+                     f' errors above 10 %; {_remedy(scene, simulation, enough)}')
     return found
 
 
-def _cure(scene: Scene, simulation: Simulation, enough: int | None) -> str:
+def _remedy(scene: Scene, simulation: Simulation, enough: int | None) -> str:
+    """Return the substeps, or the method, with which the stretch is resolved."""
     solver = simulation.solver
     ways = [] if enough is None else [f'{enough} substeps']
     if solver.method != 'line':
         line = replace(solver, method='line', integrator=INTEGRATOR['line'])
-        count = needed(scene, simulation, line, WORTH_SAYING)
+        count = needed(scene, simulation, line, WARNED_ERROR)
         if count is not None:
             ways.append('method line' if count <= solver.substeps
                         else f'method line with {count} substeps')
@@ -123,7 +128,7 @@ def _slow(expected: float, frame_dt_ms: float) -> list[str]:
             'substeps, a coarser cloth or a lower frame_rate would hold real time']
 
 
-def _unheld(scene: Scene) -> list[str]:
+def _unsupported(scene: Scene) -> list[str]:
     held = scene.sections.get('pins') or 'pin' in scene.effects or 'contact' in scene.effects
     if held or not any(scene.top.gravity):
         return []
@@ -131,29 +136,29 @@ def _unheld(scene: Scene) -> list[str]:
 
 
 def _thin(scene: Scene, simulation: Simulation) -> list[str]:
-    """Say which colliders slip between particles."""
+    """Return warnings about colliders that fit between particles."""
     found = []
     spacing = max((cloth.mesh.gap for cloth in simulation.cloths), default=0.0)
     for name, entry in scene.sections.get('colliders', {}).items():
-        size = _across(entry, simulation.effects['contact'].shapes.get(name))
+        size = _width(entry, simulation.effects['contact'].shapes.get(name))
         if size < spacing:
             found.append(f'colliders.{name}: {size:g} m across, and particles are {spacing:.3g} m '
-                         'apart: it can slip between them; a finer cloth would feel it')
+                         'apart: it can pass between them; use a finer cloth')
     return found
 
 
-def _across(entry: Entry, shape: Field | np.ndarray | None) -> float:
-    """Return how far apart particles may be that a collider still catches [m]."""
+def _width(entry: Entry, shape: Field | np.ndarray | None) -> float:
+    """Return the largest spacing of particles that a collider cannot pass between [m]."""
     if entry.plane is not None or entry.heights is not None:
         return inf
     if entry.box is not None or entry.mesh is not None:
         size = entry.box.size if entry.mesh is None else shape.size
-        return sorted(size)[1]    # a plate is thin and still catches particles
+        return sorted(size)[1]    # particles hit a thin plate too
     return 2.0 * (entry.sphere or entry.capsule or entry.cylinder).radius
 
 
 def _coarse(scene: Scene, simulation: Simulation) -> list[str]:
-    """Say where float32 loses gravity (doc/numerics.md 2.5)."""
+    """Return a warning if float32 loses gravity (doc/numerics.md 2.5)."""
     if simulation.solver.precision != 'float32':
         return []
     h = simulation.frame_dt / simulation.solver.substeps
@@ -162,5 +167,5 @@ def _coarse(scene: Scene, simulation: Simulation) -> list[str]:
     if fall == 0.0 or 0.5 * grain <= 0.01 * fall:
         return []
     return [f'float32 rounds positions to {grain:.2g} m here, and gravity moves a particle by '
-            f'{fall:.2g} m in a substep: it is lost by up to {min(1.0, 0.5 * grain / fall):.0%}; '
-            'precision float64, or an origin nearer to the cloth']
+            f'{fall:.2g} m in a substep: up to {min(1.0, 0.5 * grain / fall):.0%} of gravity is '
+            'lost; take precision float64, or an origin closer to the cloth']

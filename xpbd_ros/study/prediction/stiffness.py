@@ -1,4 +1,4 @@
-"""The stiffness that a setting really gives, predicted before anything runs."""
+"""Predict the stiffness that a solver setting really gives."""
 
 from dataclasses import dataclass
 
@@ -7,62 +7,80 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation, Solver
-from xpbd_ros.study.prediction.law import APART, BACK, FORTH, Law, WHOLE
-from xpbd_ros.study.prediction.loads import blown_up, hanging, hung_side, Sheet, sheets
+from xpbd_ros.study.prediction.loads import (
+    hanging_tensions,
+    hung_side,
+    inflated_tensions,
+    Sheet,
+    sheets,
+)
+from xpbd_ros.study.prediction.static_response import (
+    BACKWARD,
+    DIRECT,
+    FORWARD,
+    JACOBI,
+    StaticResponse,
+)
 
 WARP, WEFT = 0, 1
-SEEN = 0.01
-"""constraints under less than this part of the largest tension say nothing about stiffness"""
-SHARE = {'backward_euler': 1.0, 'leapfrog': 1.0, 'bdf2': 2.0 / 3.0, 'ndf2': 0.6}
-"""H of an integrator, in substeps"""
-PLANE = ('cross_bend', 'area', 'pressure', 'shear', 'membrane', 'stretch')
-"""what acts within a surface, in projection order"""
-UNPREDICTED = {'volume': 'its constraints have no direction at rest, and the law is one for small '
-                         'displacements',
-               'cross_bend': 'flat hinges give way to small folds, whatever the substeps'}
-"""effects with a stiffness of which nothing is said, and why"""
-LEAST = 1e-6
-"""overpressure of which nothing is said [Pa]"""
-EARTH = 9.80665
-"""[m/s²]; any would do, the law is linear"""
+SIGNIFICANT = 0.01
+"""least tension of the constraints that are evaluated, over the largest tension"""
+STEP_RATIO = {'backward_euler': 1.0, 'leapfrog': 1.0, 'bdf2': 2.0 / 3.0, 'ndf2': 0.6}
+"""effective step H of an integrator over the substep"""
+IN_PLANE = ('cross_bend', 'area', 'pressure', 'shear', 'membrane', 'stretch')
+"""effects that act within a surface, in projection order"""
+UNPREDICTED = {'volume': 'its constraints have no direction at rest, and the prediction is one '
+                         'for small displacements',
+               'cross_bend': 'flat hinges yield to small folds with any number of substeps'}
+"""effects whose stiffness is not predicted, with the reason"""
+LEAST_PRESSURE = 1e-6
+"""smallest overpressure that is reported [Pa]"""
+GRAVITY = 9.80665
+"""load of hanging cloth [m/s²]; any value gives the same stiffness, as the response is linear"""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What one effect of a cloth was asked for and what it gives."""
+    """Asked and effective stiffness of one effect of a cloth."""
 
     cloth: str
     effect: str
     direction: str | None
+    """'warp', 'weft' or None"""
     unit: str
     asked: float
-    """inf: rigid"""
+    """stiffness in the scene; inf if rigid"""
     effective: float
-    """mean over the constraints: what the whole gives"""
+    """stiffness of the cloth as a whole"""
     effective_min: float
+    """smallest stiffness of a constraint"""
     effective_max: float
+    """largest stiffness of a constraint"""
 
     @property
     def error(self) -> float:
-        """How much more it gives than it was asked to, relative; inf where it should be rigid."""
+        """Relative error of the strain, asked / effective - 1; inf for rigid constraints."""
         return 0.0 if np.isinf(self.effective) else self.asked / self.effective - 1.0
 
 
 def step_length(solver: Solver, frame_dt: float) -> float:
-    """Return H of a substep [s] for a particle that goes on undisturbed."""
-    return frame_dt / solver.substeps * SHARE[solver.integrator]
+    """Return the effective step H of a substep [s], for a particle with a full history."""
+    return frame_dt / solver.substeps * STEP_RATIO[solver.integrator]
 
 
-def law_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
-           held: np.ndarray = (), damping: float = 0.0) -> Law:
+def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
+                held: np.ndarray = (), damping: float = 0.0) -> StaticResponse:
     """
-    Return the law for some effects of a sheet.
+    Return the static response of effects of a sheet.
 
     Parameters
     ----------
+    sheet : the cloth
     names : effects, in projection order
-    held : particles that do not move
-    damping : rate [1/s]; takes from the mobilities
+    solver : setting
+    frame_dt : frame period [s]
+    held : indices of particles that do not move
+    damping : damping rate [1/s], which reduces the mobilities
 
     """
     H = step_length(solver, frame_dt)
@@ -75,146 +93,150 @@ def law_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
     if solver.method == 'line' and sheet.is_grid:
         others = np.concatenate([rows[name] for name in names if name != 'stretch']
                                 or [np.zeros(0, int)])
-        passes = [(FORTH, others)]
+        passes = [(FORWARD, others)]
         if 'stretch' in rows:
             edges, along = rows['stretch'], sheet.effects['stretch'].along
-            lines = [(WHOLE, edges[along == WARP]), (WHOLE, edges[along == WEFT])]
-            passes += [*lines, *lines, (BACK, others), (FORTH, edges)]
+            lines = [(DIRECT, edges[along == WARP]), (DIRECT, edges[along == WEFT])]
+            passes += [*lines, *lines, (BACKWARD, others), (FORWARD, edges)]
         else:
-            passes.append((BACK, others))
+            passes.append((BACKWARD, others))
     elif solver.method in ('line', 'gauss_seidel_symmetric'):
-        passes = [(FORTH, everything), (BACK, everything)]
+        passes = [(FORWARD, everything), (BACKWARD, everything)]
     elif solver.method == 'jacobi':
-        passes = [(APART, everything)]
+        passes = [(JACOBI, everything)]
     elif solver.method == 'explicit':
         passes = []
     else:
-        passes = [(FORTH, everything)]
-    return Law(sparse.vstack([part.jacobian for part in parts]).tocsr(),
-               sparse.block_diag([part.compliance for part in parts]).tocsr(), mobility,
-               tuple(passes), solver.iterations, 1.0 / sheet.crowd,
-               np.concatenate([a + np.arange(b - a) // part.blocks.shape[1]
-                               for part, a, b in zip(parts, sizes[:-1], sizes[1:])]))
+        passes = [(FORWARD, everything)]
+    return StaticResponse(
+        sparse.vstack([part.jacobian for part in parts]).tocsr(),
+        sparse.block_diag([part.compliance for part in parts]).tocsr(), mobility, tuple(passes),
+        solver.iterations, 1.0 / sheet.most_constraints,
+        np.concatenate([a + np.arange(b - a) // part.blocks.shape[1]
+                        for part, a, b in zip(parts, sizes[:-1], sizes[1:])]))
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:
-    """Return a row for each modulus of each cloth at some setting."""
+    """Return a row for each modulus of each cloth with a solver setting."""
     rate = scene.effects['damping'].rate if 'damping' in scene.effects else 0.0
     return [row for sheet in sheets(simulation)
-            for row in _Bench(sheet, scene.cloth_effects[sheet.name],
-                              scene.top.solver.compliance_scale, solver, simulation.frame_dt,
-                              rate).rows()]
+            for row in _LoadedSheet(sheet, scene.cloth_effects[sheet.name],
+                                    scene.top.solver.compliance_scale, solver,
+                                    simulation.frame_dt, rate).rows()]
 
 
 @dataclass(frozen=True)
-class _Bench:
-    """One sheet at a setting, to be loaded."""
+class _LoadedSheet:
+    """One sheet with a solver setting, under the loads of ``loads``."""
 
     sheet: Sheet
     asked: dict
-    """what the scene says of its effects"""
+    """parameters of the effects in the scene"""
     scale: float
+    """``solver.compliance_scale``"""
     solver: Solver
     frame_dt: float
+    """frame period [s]"""
     rate: float
-    """of the damping [1/s]"""
+    """damping rate [1/s]"""
 
     def rows(self) -> list[Row]:
         """Return a row for each modulus."""
         sheet, parts = self.sheet, self.sheet.effects
-        plane, found = [name for name in PLANE if name in parts], []
+        plane, found = [name for name in IN_PLANE if name in parts], []
         if 'bend' in parts:
             curved = np.zeros(3 * len(sheet.rest))
             curved[2::3] = 0.5 * sheet.rest[:, 0]**2
-            found.append(self.alone('bend', 'N m', parts['bend'].jacobian @ curved, ['bend']))
+            found.append(self.displaced('bend', 'N m', parts['bend'].jacobian @ curved, ['bend']))
         if 'hinge' in parts:
-            found.append(self.alone('hinge', 'N m', np.ones(len(parts['hinge'].blocks)),
-                                    ['hinge']))
-        if 'area' in parts:    # α is A0 over what is asked
-            found.append(self.alone('area', 'N/m', parts['area'].blocks.ravel(), plane))
+            found.append(self.displaced('hinge', 'N m', np.ones(len(parts['hinge'].blocks)),
+                                        ['hinge']))
+        if 'area' in parts:    # α is the rest area over the stiffness
+            found.append(self.displaced('area', 'N/m', parts['area'].blocks.ravel(), plane))
         if 'shear' in parts:
             sheared = np.zeros(3 * len(sheet.rest))
             sheared[0::3] = sheet.rest[:, 1]
-            found.append(self.alone('shear', 'N/m', parts['shear'].jacobian @ sheared, plane))
-        taut = 'pressure' in parts and len(plane) > 1
-        return found + (self.blown_up(plane) if taut else self.hung(plane))
+            found.append(self.displaced('shear', 'N/m', parts['shear'].jacobian @ sheared, plane))
+        inflatable = 'pressure' in parts and len(plane) > 1
+        return found + (self.inflated(plane) if inflatable else self.hanging(plane))
 
-    def law(self, names: list[str], held=()) -> Law:
-        """Return the law of some effects."""
-        return law_of(self.sheet, names, self.solver, self.frame_dt, held=held,
-                      damping=self.rate)
+    def response(self, names: list[str], held=()) -> StaticResponse:
+        """Return the static response of effects."""
+        return response_of(self.sheet, names, self.solver, self.frame_dt, held=held,
+                           damping=self.rate)
 
-    def at(self, names: list[str], name: str) -> np.ndarray:
-        """Return the rows that an effect has in the law of some."""
+    def rows_of(self, names: list[str], name: str) -> np.ndarray:
+        """Return the indices of an effect's rows in the response of effects."""
         sizes = {n: self.sheet.effects[n].jacobian.shape[0] for n in names}
         first = sum(sizes[n] for n in names[:names.index(name)])
         return first + np.arange(sizes[name])
 
-    def alone(self, name: str, unit: str, residual: np.ndarray, names: list[str]) -> Row:
-        """Return the row of an effect that is displaced, and no other."""
-        law, rows = self.law(names), self.at(names, name)
-        tension = np.zeros(law.coupling.shape[0])
+    def displaced(self, name: str, unit: str, residual: np.ndarray, names: list[str]) -> Row:
+        """Return the row of an effect with given residuals, while others have no tension."""
+        response, rows = self.response(names), self.rows_of(names, name)
+        tension = np.zeros(response.coupling.shape[0])
         tension[rows] = self.sheet.effects[name].stiffness @ residual
         modulus = self.asked[name].stiffness or self.asked[name].warp
-        return self.row(name, None, unit, modulus, law, tension, rows)
+        return self.row(name, None, unit, modulus, response, tension, rows)
 
     def directions(self, names: list[str]):
-        """Yield effect, direction, axis, modulus and rows of moduli along warp and weft."""
+        """Yield effect, direction, axis, modulus and rows for warp and weft."""
         for name in ('membrane', 'stretch'):
             if name not in names:
                 continue
-            rows, along = self.at(names, name), self.sheet.effects[name].along
+            rows, along = self.rows_of(names, name), self.sheet.effects[name].along
             for axis, direction in ((WARP, 'warp'), (WEFT, 'weft')):
                 if name == 'membrane':
                     yield name, direction, axis, self.asked[name].moduli[axis], rows[axis::3]
                 elif (along == axis).any():
                     modulus = getattr(self.asked[name], direction)
-                    if modulus is None:    # a compliance of every edge alike
+                    if modulus is None:    # the scene gives a compliance
                         alpha = self.asked[name].compliance
                         modulus = 1.0 / alpha if alpha else np.inf
                     yield name, direction, axis, modulus, rows[along == axis]
 
-    def hung(self, names: list[str]) -> list[Row]:
-        """Return rows of what hangs from one side and then the other."""
+    def hanging(self, names: list[str]) -> list[Row]:
+        """Return the rows of a sheet that hangs along warp and along weft."""
         found, loads = [], {}
         for name, direction, axis, modulus, rows in self.directions(names):
             if axis not in loads:
-                loads[axis] = (self.law(names, hung_side(self.sheet, axis)),
-                               hanging(self.sheet, axis, EARTH, names))
+                loads[axis] = (self.response(names, hung_side(self.sheet, axis)),
+                               hanging_tensions(self.sheet, axis, GRAVITY, names))
             found.append(self.row(name, direction, 'N/m', modulus, *loads[axis], rows))
         return found
 
-    def blown_up(self, names: list[str]) -> list[Row]:
+    def inflated(self, names: list[str]) -> list[Row]:
         """
-        Return rows of a skin under its gas, and of the overpressure that comes of both.
+        Return the rows of an inflated surface, and that of its overpressure.
 
-        With tensions T and stretches C of skin and gas under 1 Pa, virtual work has T·C the
-        volume that 1 Pa makes room for, so that the gas's excess leaves (V* - V) / T·C.
+        With the tensions T and the residuals C of surface and gas under 1 Pa, T·C is, by virtual
+        work, the volume gained per 1 Pa, so that the overpressure is (V* - V) / T·C.
         """
-        law, tension = self.law(names), blown_up(self.sheet, names)
-        found = [self.row(name, direction, 'N/m', modulus, law, tension, rows)
+        response, tension = self.response(names), inflated_tensions(self.sheet, names)
+        found = [self.row(name, direction, 'N/m', modulus, response, tension, rows)
                  for name, direction, _, modulus, rows in self.directions(names)]
-        wanted = self.sheet.excess / (tension @ (law.compliance @ tension))
-        given = tension @ law.stretches(tension)
-        if abs(wanted) > LEAST:
+        wanted = self.sheet.excess / (tension @ (response.compliance @ tension))
+        given = tension @ response.residuals(tension)
+        if abs(wanted) > LEAST_PRESSURE:
             left = self.sheet.excess / given if given > 0.0 else np.inf
             found.append(Row(self.sheet.name, 'pressure', None, 'Pa', float(wanted),
                              *[float(left)] * 3))
         return found
 
-    def row(self, name: str, direction: str | None, unit: str, modulus: float, law: Law,
-            tension: np.ndarray, rows: np.ndarray) -> Row:
-        """Return what some rows of a law give under tensions."""
-        return _row(self.sheet.name, name, direction, unit, modulus / self.scale, law, tension,
-                    rows)
+    def row(self, name: str, direction: str | None, unit: str, modulus: float,
+            response: StaticResponse, tension: np.ndarray, rows: np.ndarray) -> Row:
+        """Return the stiffness that rows of a response have under tensions [N]."""
+        return _row(self.sheet.name, name, direction, unit, modulus / self.scale, response,
+                    tension, rows)
 
 
-def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float, law: Law,
-         tension: np.ndarray, rows: np.ndarray) -> Row:
-    given = law.stretches(tension)[rows]
-    wanted, tension = (law.compliance @ tension)[rows], tension[rows]
-    seen = np.abs(tension) >= SEEN * np.abs(tension).max()
-    sign, given, wanted, tension = (a[seen] for a in (np.sign(tension), given, wanted, tension))
+def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float,
+         response: StaticResponse, tension: np.ndarray, rows: np.ndarray) -> Row:
+    given = response.residuals(tension)[rows]
+    wanted, tension = (response.compliance @ tension)[rows], tension[rows]
+    evaluated = np.abs(tension) >= SIGNIFICANT * np.abs(tension).max()
+    sign, given, wanted, tension = (
+        a[evaluated] for a in (np.sign(tension), given, wanted, tension))
     with np.errstate(divide='ignore'):
         if np.isinf(asked):
             mean, each = np.abs(tension).sum() / (sign * given).sum(), tension / given
@@ -222,6 +244,6 @@ def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float
             mean = asked * (sign * wanted).sum() / (sign * given).sum()
             each = asked * wanted / given
     each = np.where(sign * given > 0.0, each, np.inf)
-    mean = mean if mean > 0.0 else np.inf    # gives nothing, but for rounding
+    mean = mean if mean > 0.0 else np.inf    # rigid up to rounding errors
     return Row(cloth, effect, direction, unit, float(asked), float(mean), float(each.min()),
                float(each.max()))

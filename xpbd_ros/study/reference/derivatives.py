@@ -1,8 +1,8 @@
 """
-Numbers that carry their first and second derivatives along: exact, no differences are taken.
+Automatic differentiation: numbers with exact first and second derivatives.
 
-A formula written once gives its value from plain arrays and, from numbers of this kind, gradient
-and Hessian as well: with u and v of derivatives u', u'' and v', v'',
+A formula evaluated with plain arrays gives its value; evaluated with jets, it also gives gradient
+and Hessian. For u and v with derivatives u', u'' and v', v'',
 
     (u v)' = u v' + v u',   (u v)'' = u v'' + v u'' + u' v'ᵀ + v' u'ᵀ,
     f(u)'' = f' u'' + f'' u' u'ᵀ.
@@ -13,12 +13,16 @@ import numpy as np
 
 class Jet:
     """
-    Values (m,), with derivatives by q variables, (m, q), and twice, (m, q, q), or 0.
+    Values with derivatives with respect to q variables.
 
-    Where second derivatives are None, none are worked out.
+    Parameters
+    ----------
+    value : shape (m,)
+    first : gradients, shape (m, q)
+    second : Hessians, shape (m, q, q), or 0; None if they are not computed
     """
 
-    __array_ufunc__ = None    # so that an array times a jet is left to the jet
+    __array_ufunc__ = None    # makes array * jet call Jet.__rmul__
 
     def __init__(self, value, first, second):
         self.value, self.first, self.second = value, first, second
@@ -50,12 +54,12 @@ class Jet:
 
 
 def _by_row(factor, more: int):
-    """Return a factor per row so that it multiplies derivatives."""
+    """Return factors, shape (m,), with ``more`` axes appended; scalars unchanged."""
     return np.reshape(factor, np.shape(factor) + (1,) * more) if np.ndim(factor) else factor
 
 
 def of_two(u: Jet, v: Jet, value, by_u, by_v, by_uu, by_uv, by_vv) -> Jet:
-    """Return f(u, v), given its value and its derivatives."""
+    """Return the jet of f(u, v), given the value and the partial derivatives of f."""
     first = _by_row(by_u, 1) * u.first + _by_row(by_v, 1) * v.first
     if u.second is None:
         return Jet(value, first, None)
@@ -69,12 +73,12 @@ def of_two(u: Jet, v: Jet, value, by_u, by_v, by_uu, by_uv, by_vv) -> Jet:
 
 
 def _squared(u: Jet, by: np.ndarray) -> np.ndarray:
-    """Return by u' u'ᵀ."""
+    """Return ``by`` u' u'ᵀ, shape (m, q, q)."""
     return (by[:, None] * u.first)[:, :, None] * u.first[:, None, :]
 
 
 def variables(z: np.ndarray, order: int) -> list:
-    """Return one for each column of z (m, q): an array (order 0), or a jet of order 1 or 2."""
+    """Return the columns of z, shape (m, q), as arrays (order 0) or as jets of order 1 or 2."""
     if order == 0:
         return list(z.T)
     unit = np.eye(z.shape[1])[:, None]
@@ -82,7 +86,7 @@ def variables(z: np.ndarray, order: int) -> list:
 
 
 def root(u):
-    """Return √u; where u is 0, derivatives of 0."""
+    """Return √u, with zero derivatives where u is 0."""
     if not isinstance(u, Jet):
         return np.sqrt(u)
     value = np.sqrt(u.value)
@@ -94,7 +98,7 @@ def root(u):
 
 
 def angle(y, x):
-    """Return atan2(y, x) [rad]; where both are 0, derivatives of 0."""
+    """Return atan2(y, x) [rad], with zero derivatives where both are 0."""
     if not isinstance(y, Jet):
         return np.arctan2(y, x)
     square = y.value**2 + x.value**2
@@ -105,7 +109,7 @@ def angle(y, x):
 
 
 def wrapped(u):
-    """Return an angle less the whole turns that bring it to within half a turn."""
+    """Return an angle reduced by whole turns to [-π, π] [rad]."""
     value = u.value if isinstance(u, Jet) else u
     return u - 2.0 * np.pi * np.round(value / (2.0 * np.pi))
 

@@ -1,12 +1,13 @@
 """
-What stores energy: each kind of element with its energy, as doc/numerics.md 5 writes it down.
+Elastic elements: each kind with its energy, as in doc/numerics.md 5.
 
-The energy of an element is a function of a few vectors that are linear in its particles' places,
-z = Σ w_i (x_i - x_0): an edge, two sides of a triangle, the columns of a deformation gradient. Its
-gradient and its Hessian follow from the formula alone (``derivatives``), exactly. Clamped, that is
-with its negative eigenvalues left out, a Hessian in z is positive semidefinite, and so it is in x.
+The energy of an element is a function of a few vectors that are linear in the positions of its
+particles, z = Σ w_i (x_i - x_0): an edge, two sides of a triangle, the columns of a deformation
+gradient. Its exact gradient and Hessian follow from this formula (``derivatives``). If the Hessian
+in z is clamped, that is its negative eigenvalues are set to 0, it is positive semidefinite, and so
+is the Hessian in x.
 
-Nothing here is shared with the simulation: it is judged by this.
+No code is shared with the simulation, which is tested against this.
 """
 
 from dataclasses import dataclass, fields
@@ -25,10 +26,10 @@ class Elements:
     """Elements of one kind; arrays are checked, copied and made read-only; all in SI units."""
 
     particles: Array
-    """shape (m, k)"""
+    """indices of the k particles of each element, shape (m, k)"""
 
     def __post_init__(self):
-        """Refuse what has no meaning, and keep read-only copies."""
+        """Check the arrays, and keep read-only copies."""
         for entry in fields(self):
             kind = np.int64 if entry.name == 'particles' else float
             array = np.array(getattr(self, entry.name), kind, order='C')
@@ -45,11 +46,11 @@ class Elements:
             raise ValueError(f'{self.name}.particles: must have shape (m, k) '
                              f'(got {self.particles.shape})')
         if self.particles.shape[1] == 2 and (self.particles[:, 0] == self.particles[:, 1]).any():
-            raise ValueError(f'{self.name}.particles: must join two')
+            raise ValueError(f'{self.name}.particles: must be two different particles')
 
     @property
     def name(self) -> str:
-        """What they are called in messages."""
+        """Name of the kind in messages."""
         return type(self).__name__.lower()
 
     @property
@@ -59,45 +60,45 @@ class Elements:
 
     @property
     def weights(self) -> Array:
-        """The w of the vectors, without that of particle 0; shape (1 or m, vectors, k - 1)."""
+        """Weights w of the vectors without those of particle 0, (1 or m, vectors, k - 1)."""
         return np.eye(self.particles.shape[1] - 1)[None]
 
     @cached_property
     def shares(self) -> Array:
-        """The w of all particles, of sum 0; shape (1 or m, vectors, k)."""
+        """Weights w of all particles, with sum 0, shape (1 or m, vectors, k)."""
         return np.concatenate([-self.weights.sum(2, keepdims=True), self.weights], 2)
 
     def energies(self, z: list) -> Array | Jet:
-        """Return what each stores [J], of vectors each x, y, z."""
+        """Return the energy of each element [J] for vectors z, each as components x, y, z."""
         raise NotImplementedError
 
     def vectors(self, x: Array) -> Array:
-        """Return z, shape (m, vectors, 3)."""
+        """Return the vectors z at positions x [m], shape (m, vectors, 3)."""
         corners = x[self.particles]
         return self.weights @ (corners[:, 1:] - corners[:, :1])
 
     def evaluated(self, x: Array, order: int) -> Array | Jet:
-        """Return ``energies``, and so many derivatives by all components of z in turn."""
+        """Return ``energies`` at positions x, with derivatives by z up to an order."""
         columns = variables(self.vectors(x).reshape(len(self.particles), -1), order)
         return self.energies([columns[k:k + 3] for k in range(0, len(columns), 3)])
 
     def energy(self, x: Array) -> float:
-        """Return what they store [J]."""
+        """Return the energy of all elements [J]."""
         return float(self.evaluated(x, 0).sum())
 
     def slope(self, x: Array) -> Array:
-        """Return the gradient of each by its particles [N], shape (m, k, 3)."""
+        """Return the gradient of each energy by its particles [N], shape (m, k, 3)."""
         first = self.evaluated(x, 1).first
         return self.shares.swapaxes(1, 2) @ first.reshape(len(first), -1, 3)
 
     def curvature(self, x: Array) -> Array:
-        """Return the Hessian of each by z [N/m], shape (m, 3 vectors, 3 vectors)."""
+        """Return the Hessian of each energy by z [N/m], shape (m, 3 vectors, 3 vectors)."""
         jet = self.evaluated(x, 2)
         count = jet.first.shape[1]
         return np.broadcast_to(jet.second, (len(self.particles), count, count))
 
     def blocks(self, x: Array, *, clamp: bool = False) -> Array:
-        """Return the Hessian of each by its particles [N/m], shape (m, k, k, 3, 3)."""
+        """Return the Hessian of each energy by its particles [N/m], shape (m, k, k, 3, 3)."""
         found = self.curvature(x)
         if clamp:
             values, modes = np.linalg.eigh(found)
@@ -109,17 +110,17 @@ class Elements:
 
     def bound(self, x: Array) -> Array:
         """
-        Return, by particle of each, what adds up to a bound of the Hessian's rows [N/m], (m, k).
+        Return the contributions of elements to a bound of the Hessian [N/m], shape (m, k).
 
-        With κ the largest eigenvalue by z, in magnitude, zᵀ H z ≤ κ (Σ |w_i| |x_i|)²
-        ≤ κ Σ|w_j| Σ |w_i| |x_i|².
+        Their sum b_i at each particle satisfies xᵀ H x ≤ Σ b_i |x_i|². With κ the largest
+        magnitude of an eigenvalue by z, zᵀ H z ≤ κ (Σ |w_i| |x_i|)² ≤ κ Σ|w_j| Σ |w_i| |x_i|².
         """
         kappa = np.abs(np.linalg.eigvalsh(self.curvature(x))).max(1, initial=0.0)
         w = np.sqrt(np.square(self.shares).sum(1))
         return kappa[:, None] * w * w.sum(1, keepdims=True)
 
     def outer(self, x: Array) -> tuple[Array, float] | None:
-        """Return u (n, 3) and a so that u uᵀ / a is to be added to the Hessian; None: nothing."""
+        """Return u, shape (n, 3), and a for a term u uᵀ / a of the Hessian; None without one."""
         return None
 
 
@@ -139,7 +140,7 @@ class Edges(Elements):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Slants(Elements):
-    """E = k (|x1 - x0| - |x3 - x2|)² / 2: what the diagonals of a cell differ by."""
+    """E = k (|x1 - x0| - |x3 - x2|)² / 2 of the difference of a cell's diagonals."""
 
     stiffness: Array
     """k [N/m], shape (m,)"""
@@ -154,17 +155,17 @@ class Slants(Elements):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Sums(Elements):
+class LinearSums(Elements):
     """
-    E = B |Σ w_i x_i|² / 2, the w of sum 0.
+    E = B |Σ w_i x_i|² / 2, with weights of sum 0.
 
-    Isometric hinges (doc/numerics.md 5.5), and springs that are nothing long, such as seams.
+    For isometric hinges (doc/numerics.md 5.5), and for springs of zero length such as seams.
     """
 
     weight: Array
     """w of all particles, shape (m, k)"""
     stiffness: Array
-    """B, shape (m,)"""
+    """B [N/m] for dimensionless weights, shape (m,)"""
 
     @property
     def weights(self):
@@ -185,7 +186,7 @@ class Membranes(Elements):
     inverse: Array
     """D⁻¹ [1/m], shape (m, 2, 2)"""
     moduli: Array
-    """K, the area in it [N m], shape (m, 3, 3)"""
+    """K, multiplied by the rest area [N m], shape (m, 3, 3)"""
 
     @property
     def weights(self):
@@ -203,7 +204,7 @@ class Hinges(Elements):
     """
     E = k (θ - θ0)² / 2 of the dihedral angle about x0, x1; x2 and x3 opposite.
 
-    As doc/numerics.md 5.6; of the angles that differ by whole turns, the one nearest to θ0.
+    As doc/numerics.md 5.6; θ is chosen modulo whole turns to be closest to θ0.
     """
 
     rest_angle: Array
@@ -237,7 +238,9 @@ class Areas(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tetrahedra(Elements):
     """
-    Neo-Hookean (doc/numerics.md 5.9), with a barrier that opens a point: J = det F, n² = tr FᵀF,
+    Neo-Hookean (doc/numerics.md 5.9), with a term that opens a collapsed body.
+
+    With J = det F and n² = tr FᵀF,
 
     E = μ (n² - 3 - 2 (J - 1) + 8/9 (J - 1)² + (n - √3)² / 3) / 2 + λ (J - 1)² / 2.
     F = (x_i - x_0) Dm⁻¹.
@@ -246,9 +249,9 @@ class Tetrahedra(Elements):
     inverse: Array
     """Dm⁻¹ [1/m], shape (m, 3, 3)"""
     shear: Array
-    """μ, the rest volume in it [J], shape (m,)"""
+    """μ, multiplied by the rest volume [J], shape (m,)"""
     bulk: Array
-    """λ, likewise [J], shape (m,)"""
+    """λ, multiplied by the rest volume [J], shape (m,)"""
 
     @property
     def weights(self):
@@ -265,10 +268,11 @@ class Tetrahedra(Elements):
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Gas(Elements):
     """
-    E = (V - V*)² / (2 α) of what closed triangles hold, V = Σ x0·(x1×x2) / 6.
+    E = (V - V*)² / (2 α) of the volume in a closed surface, V = Σ x0·(x1×x2) / 6.
 
-    One energy for the whole surface (doc/numerics.md 5.10): its Hessian is p ∇²V + ∇V ∇Vᵀ / α with
-    p = (V - V*) / α. Corners are counted from their mean: that changes no volume, no derivative.
+    There is one energy for all triangles (doc/numerics.md 5.10). Its Hessian is
+    p ∇²V + ∇V ∇Vᵀ / α, with p = (V - V*) / α. Corners are relative to their mean, which changes no
+    volume or derivative.
     """
 
     rest_volume: Array
@@ -288,7 +292,7 @@ class Gas(Elements):
         return dot(z[0], cross(z[1], z[2])) * (1.0 / 6.0)
 
     def pressure(self, x: Array) -> float:
-        """Return minus what it has more than outside [Pa]."""
+        """Return p = (V - V*) / α, minus the overpressure [Pa]."""
         return float((super().energy(x) - self.rest_volume) / self.compliance)
 
     def energy(self, x):

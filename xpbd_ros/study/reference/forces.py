@@ -1,9 +1,9 @@
 """
-The forces of each kind of element, written out for leapfrog: one element after another.
+Forces of each kind of element for leapfrog, with gradients derived by hand.
 
-Gradients by hand, as doc/numerics.md 5 has them, apart from the formulas of ``elements``, which
-they are tested against. A place is x + low: ``low`` is what rounding took from x. Each adds -∇E to
-``f``.
+They follow doc/numerics.md 5, independently of the formulas of ``elements``, against which they
+are tested. A position is x + low, where ``low`` is the rounding error of x. Each kernel adds
+-∇E [N] to ``f``.
 """
 
 from math import atan2, pi, sqrt
@@ -16,9 +16,9 @@ from xpbd_ros.study.reference.elements import (
     Edges,
     Gas,
     Hinges,
+    LinearSums,
     Membranes,
     Slants,
-    Sums,
     Tetrahedra,
 )
 
@@ -27,8 +27,8 @@ small = njit(nogil=True, error_model='numpy', inline='always')
 
 
 @small
-def _way(x, low, i, j):
-    """Return the vector from one particle to another."""
+def _edge(x, low, i, j):
+    """Return the vector from particle i to particle j [m]."""
     return (x[j, 0] - x[i, 0] + (low[j, 0] - low[i, 0]),
             x[j, 1] - x[i, 1] + (low[j, 1] - low[i, 1]),
             x[j, 2] - x[i, 2] + (low[j, 2] - low[i, 2]))
@@ -45,10 +45,10 @@ def _dot(a, b):
 
 
 @fast
-def pull_edges(x, low, f, particles, rest_length, stiffness):
+def edge_forces(x, low, f, particles, rest_length, stiffness):
     for e in range(len(particles)):
         i, j = particles[e, 0], particles[e, 1]
-        d = _way(x, low, i, j)
+        d = _edge(x, low, i, j)
         l = sqrt(_dot(d, d))
         if l == 0.0:
             continue
@@ -59,10 +59,10 @@ def pull_edges(x, low, f, particles, rest_length, stiffness):
 
 
 @fast
-def pull_slants(x, low, f, particles, stiffness):
+def slant_forces(x, low, f, particles, stiffness):
     for c in range(len(particles)):
         i0, i1, i2, i3 = particles[c]
-        d, e = _way(x, low, i0, i1), _way(x, low, i2, i3)
+        d, e = _edge(x, low, i0, i1), _edge(x, low, i2, i3)
         l, g = sqrt(_dot(d, d)), sqrt(_dot(e, e))
         if l == 0.0 or g == 0.0:
             continue
@@ -75,7 +75,7 @@ def pull_slants(x, low, f, particles, stiffness):
 
 
 @fast
-def pull_sums(x, low, f, particles, weight, stiffness):
+def sum_forces(x, low, f, particles, weight, stiffness):
     for h in range(len(particles)):
         first = particles[h, 0]
         for k in range(3):
@@ -88,10 +88,10 @@ def pull_sums(x, low, f, particles, weight, stiffness):
 
 
 @fast
-def pull_membranes(x, low, f, particles, inverse, moduli):
+def membrane_forces(x, low, f, particles, inverse, moduli):
     for t in range(len(particles)):
         i0, i1, i2 = particles[t]
-        d, e = _way(x, low, i0, i1), _way(x, low, i0, i2)
+        d, e = _edge(x, low, i0, i1), _edge(x, low, i0, i2)
         p1, q1, p2, q2 = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0], inverse[t, 1, 1]
         c = (p1 * d[0] + p2 * e[0], p1 * d[1] + p2 * e[1], p1 * d[2] + p2 * e[2])
         g = (q1 * d[0] + q2 * e[0], q1 * d[1] + q2 * e[1], q1 * d[2] + q2 * e[2])
@@ -109,10 +109,10 @@ def pull_membranes(x, low, f, particles, inverse, moduli):
 
 
 @fast
-def pull_hinges(x, low, f, particles, rest_angle, stiffness):
+def hinge_forces(x, low, f, particles, rest_angle, stiffness):
     for h in range(len(particles)):
         i0, i1, i2, i3 = particles[h]
-        e, a, b = _way(x, low, i0, i1), _way(x, low, i0, i2), _way(x, low, i0, i3)
+        e, a, b = _edge(x, low, i0, i1), _edge(x, low, i0, i2), _edge(x, low, i0, i3)
         n, o = _cross(e, a), _cross(b, e)
         l, nn, oo = sqrt(_dot(e, e)), _dot(n, n), _dot(o, o)
         if nn == 0.0 or oo == 0.0:
@@ -131,10 +131,10 @@ def pull_hinges(x, low, f, particles, rest_angle, stiffness):
 
 
 @fast
-def pull_areas(x, low, f, particles, rest_area, stiffness):
+def area_forces(x, low, f, particles, rest_area, stiffness):
     for t in range(len(particles)):
         i0, i1, i2 = particles[t]
-        a, b = _way(x, low, i0, i1), _way(x, low, i0, i2)
+        a, b = _edge(x, low, i0, i1), _edge(x, low, i0, i2)
         n = _cross(a, b)
         twice = sqrt(_dot(n, n))
         if twice == 0.0:
@@ -148,10 +148,11 @@ def pull_areas(x, low, f, particles, rest_area, stiffness):
 
 
 @fast
-def pull_tetrahedra(x, low, f, particles, inverse, shear, bulk):
+def tetrahedron_forces(x, low, f, particles, inverse, shear, bulk):
     for t in range(len(particles)):
         i0, i1, i2, i3 = particles[t]
-        a, b, c, m = _way(x, low, i0, i1), _way(x, low, i0, i2), _way(x, low, i0, i3), inverse[t]
+        a, b, c = _edge(x, low, i0, i1), _edge(x, low, i0, i2), _edge(x, low, i0, i3)
+        m = inverse[t]
         u = (a[0] * m[0, 0] + b[0] * m[1, 0] + c[0] * m[2, 0],
              a[1] * m[0, 0] + b[1] * m[1, 0] + c[1] * m[2, 0],
              a[2] * m[0, 0] + b[2] * m[1, 0] + c[2] * m[2, 0])
@@ -180,17 +181,17 @@ def pull_tetrahedra(x, low, f, particles, inverse, shear, bulk):
 
 
 @fast
-def push_gas(x, low, f, particles, rest_volume, compliance):
+def gas_forces(x, low, f, particles, rest_volume, compliance):
     origin = particles[0, 0]
     six = 0.0
     for t in range(len(particles)):
         i, j, k = particles[t]
-        six += _dot(_way(x, low, origin, i), _cross(_way(x, low, origin, j),
-                                                    _way(x, low, origin, k)))
+        six += _dot(_edge(x, low, origin, i), _cross(_edge(x, low, origin, j),
+                                                    _edge(x, low, origin, k)))
     push = -(six / 6.0 - rest_volume) / compliance / 6.0
     for t in range(len(particles)):
         i, j, k = particles[t]
-        a, b, c = (_way(x, low, origin, i), _way(x, low, origin, j), _way(x, low, origin, k))
+        a, b, c = (_edge(x, low, origin, i), _edge(x, low, origin, j), _edge(x, low, origin, k))
         bc, ca, ab = _cross(b, c), _cross(c, a), _cross(a, b)
         for m in range(3):
             f[i, m] += push * bc[m]
@@ -198,7 +199,7 @@ def push_gas(x, low, f, particles, rest_volume, compliance):
             f[k, m] += push * ab[m]
 
 
-PULLS = {Edges: pull_edges, Slants: pull_slants, Sums: pull_sums, Membranes: pull_membranes,
-         Hinges: pull_hinges, Areas: pull_areas, Tetrahedra: pull_tetrahedra,
-         Gas: push_gas}
-"""kernel(x, low, f, particles, *parameters) of each kind"""
+FORCE_KERNELS = {
+    Edges: edge_forces, Slants: slant_forces, LinearSums: sum_forces, Membranes: membrane_forces,
+    Hinges: hinge_forces, Areas: area_forces, Tetrahedra: tetrahedron_forces, Gas: gas_forces}
+"""kernel(x, low, f, particles, *parameters) by kind of element"""

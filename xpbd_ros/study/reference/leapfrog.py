@@ -1,33 +1,38 @@
 """
-Leapfrog (velocity Verlet), damping exact in the kicks.
+Leapfrog (velocity Verlet), with exact damping in the kicks.
 
-Symmetric in time, so its error has even powers of dt only. Refuses a step that is too long to be
-stable.
+It is symmetric in time, so its error has even powers of dt only. Unstable steps are refused.
 """
 
 import numpy as np
 from scipy.sparse.linalg import eigsh, LinearOperator
 
-from xpbd_ros.study.reference.forces import fast, PULLS, small
+from xpbd_ros.study.reference.forces import fast, FORCE_KERNELS, small
 from xpbd_ros.study.reference.problem import Array, highest_frequency_bound, loads, Problem
-from xpbd_ros.study.reference.run import check, pinned_velocity, start, watched
+from xpbd_ros.study.reference.run import check, pinned_velocity, start, with_progress
 from xpbd_ros.study.reference.stiffness import Stiffness
 
 BLOCKS = 64
-"""times in a run that leapfrog looks whether its step is still stable"""
+"""number of checks in a run that the step is still stable"""
 
 
 class StepTooLongError(ValueError):
-    """Leapfrog at this step would blow up."""
+    """Leapfrog is unstable with this step."""
 
 
 def explicit(problem: Problem, dt: float, steps: int) -> tuple[Array, Array]:
     """
     Take leapfrog steps: half a kick, a drift, half a kick.
 
-    A kick of τ is exact for the forces where it happens: v <- v e + (f / m) (1 - e) / c, with
-    e = exp(-c τ). Positions and velocities carry what rounding took from them along: a sheet that
-    may wrinkle makes 1e10 times more of it in half a second.
+    A kick of length τ is exact for constant forces: v <- v e + (f / m) (1 - e) / c, with
+    e = exp(-c τ). Positions and velocities are stored with their rounding errors, because a sheet
+    that may wrinkle amplifies these by 1e10 in half a second.
+
+    Parameters
+    ----------
+    problem : the initial value problem
+    dt : step [s]
+    steps : number of steps
 
     Returns
     -------
@@ -36,7 +41,7 @@ def explicit(problem: Problem, dt: float, steps: int) -> tuple[Array, Array]:
 
     Raises
     ------
-    StepTooLongError : dt is above 2 / ω for the highest frequency ω, at the start or later on
+    StepTooLongError : if dt exceeds 2 / ω for the highest frequency ω, at the start or later
 
     """
     check(dt, steps)
@@ -44,7 +49,8 @@ def explicit(problem: Problem, dt: float, steps: int) -> tuple[Array, Array]:
     x, v = problem.x.copy(), start(problem)
     free, pull = ~problem.pinned, np.empty_like(x)
     x_low, v_low = np.zeros_like(x), np.zeros_like(v)
-    pulls = [(PULLS[type(part)], part.particles, part.parameters) for part in problem.elements]
+    kernels = [(FORCE_KERNELS[type(part)], part.particles, part.parameters)
+               for part in problem.elements]
     load, mass = loads(problem), problem.mass
     lost = -np.expm1(-0.5 * problem.damping * dt)
     gain = lost / problem.damping if problem.damping else 0.5 * dt
@@ -52,13 +58,14 @@ def explicit(problem: Problem, dt: float, steps: int) -> tuple[Array, Array]:
 
     def kick(lost, gain):
         pull[:] = load
-        for add, particles, parameters in pulls:
+        for add, particles, parameters in kernels:
             add(x, x_low, pull, particles, *parameters)
         _kick(v, v_low, pull, mass, free, lost, gain)
 
     kick(lost, gain)
     size = -(-steps // BLOCKS)
-    for first in watched(range(0, steps, size), f'explicit, dt = {dt:.3g} s', -(-steps // size)):
+    for first in with_progress(range(0, steps, size), f'explicit, dt = {dt:.3g} s',
+                               -(-steps // size)):
         _check_stable(stiffness, x, dt, first)
         last = min(first + size, steps)
         for n in range(first + 1, last + 1):
@@ -67,7 +74,7 @@ def explicit(problem: Problem, dt: float, steps: int) -> tuple[Array, Array]:
                 x[problem.pinned] = problem.at(n * dt)
             kick(*(whole if n < steps else (lost, gain)))
         if not np.isfinite(x).all():
-            raise StepTooLongError(f'dt = {dt:.6g} s: leapfrog blew up within {last} steps')
+            raise StepTooLongError(f'dt = {dt:.6g} s: leapfrog was unstable within {last} steps')
     v[problem.pinned] = pinned_velocity(problem, dt, steps)
     return x, v
 
@@ -76,8 +83,8 @@ def highest_frequency(problem: Problem, x: Array | None = None) -> float:
     """
     Return the highest angular frequency of small vibrations about x [rad/s].
 
-    The largest eigenvalue of M^-1/2 H M^-1/2, in magnitude, by Lanczos iteration. Leapfrog is
-    stable for dt below 2 / ω.
+    Its square is the largest eigenvalue of M^-1/2 H M^-1/2 in magnitude (Lanczos iteration).
+    Leapfrog is stable for dt below 2 / ω.
     """
     return _highest_frequency(Stiffness(problem), problem.x if x is None else x)
 
@@ -95,7 +102,7 @@ def _highest_frequency(stiffness: Stiffness, x: Array) -> float:
 
 
 def _check_stable(stiffness: Stiffness, x: Array, dt: float, step: int) -> None:
-    """Raise StepTooLongError if dt is not below 2 / ω; a bound says so quickly for most steps."""
+    """Raise StepTooLongError if dt is not below 2 / ω; a cheap bound of ω suffices mostly."""
     if dt * highest_frequency_bound(stiffness.problem, x) < 2.0:
         return
     longest = 2.0 / _highest_frequency(stiffness, x)
@@ -106,7 +113,7 @@ def _check_stable(stiffness: Stiffness, x: Array, dt: float, step: int) -> None:
 
 @small
 def _added(high, low, change):
-    """Return high + low + change as a rounded sum and what rounding took from it (Knuth)."""
+    """Return high + low + change as a rounded sum and its rounding error (Knuth)."""
     change += low
     total = high + change
     part = total - high

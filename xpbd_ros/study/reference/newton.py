@@ -1,20 +1,20 @@
 """
-Backward Euler and BDF2, and what is at rest, by Newton's method (doc/numerics.md 11).
+Backward Euler, BDF2 and equilibria by Newton's method (doc/numerics.md 11).
 
-Each step minimises its energy, with an exact sparse factorisation. No multipliers, no sweeps. The
-first step of BDF2 is backward Euler: local error O(dt²), so the whole stays of second order.
+Each step minimises its energy with a sparse factorisation, without multipliers or sweeps. The
+first step of BDF2 is backward Euler, with a local error O(dt²), so the order remains 2.
 """
 
 import numpy as np
 
 from xpbd_ros.study.reference.problem import Array, gradient, loads, potential, Problem, slope
-from xpbd_ros.study.reference.run import check, pinned_velocity, start, watched
+from xpbd_ros.study.reference.run import check, pinned_velocity, start, with_progress
 from xpbd_ros.study.reference.stiffness import Stiffness
 
 TOLERANCE = 1e-10
-"""largest force left by Newton's method, relative to the largest m g"""
+"""largest residual force of Newton's method, over the largest m g"""
 ITERATIONS = 2000
-"""Newton steps before giving up; in time a few do, an equilibrium may be hundreds away"""
+"""Newton steps, at most; a time step needs a few, an equilibrium may need hundreds"""
 
 
 def newton(problem: Problem, dt: float, steps: int, *,
@@ -22,15 +22,16 @@ def newton(problem: Problem, dt: float, steps: int, *,
     """
     Take implicit steps, each solved to ``TOLERANCE``.
 
-    With H = dt (backward Euler) or 2 dt / 3 (BDF2), and what the formula makes of the past,
-    x̄ and v̄, a step is v = v̄ + H (f(x) / m - c v), x = x̄ + H v. That x minimises
+    With H = dt (backward Euler) or 2 dt / 3 (BDF2), and the history terms x̄ and v̄ of the
+    formula, a step is v = v̄ + H (f(x) / m - c v), x = x̄ + H v. That x minimises
 
         E(x) - Σ m g·x + s Σ m |x - x̃|² / 2,   s = (1 + c H) / H²,   x̃ = x̄ + H v̄ / (1 + c H)
 
     Parameters
     ----------
-    dt : [s]
-    steps : how many
+    problem : the initial value problem
+    dt : step [s]
+    steps : number of steps
     integrator : 'backward_euler' or 'bdf2'
 
     Returns
@@ -46,7 +47,7 @@ def newton(problem: Problem, dt: float, steps: int, *,
     free = stiffness.free
     x, v = problem.x.copy(), start(problem)
     x_old, v_old = x, v
-    for n in watched(range(steps), f'{integrator}, dt = {dt:.3g} s', steps):
+    for n in with_progress(range(steps), f'{integrator}, dt = {dt:.3g} s', steps):
         if integrator == 'backward_euler' or n == 0:
             H, x_past, v_past = dt, x, v
         else:
@@ -66,13 +67,18 @@ def newton(problem: Problem, dt: float, steps: int, *,
 
 def equilibrium(problem: Problem, *, x: Array | None = None) -> Array:
     """
-    Return positions where all forces vanish, and that a small push does not leave [m], (n, 3).
+    Return the positions of a stable equilibrium of forces [m], shape (n, 3).
 
-    Newton's method with a pull to where it is that fades as the steps succeed.
+    Newton's method is regularized by a multiple of the mass matrix, which falls as steps succeed.
 
     Parameters
     ----------
-    x : where to start from [m], shape (n, 3); None: the problem's own start
+    problem : the forces and the pins
+    x : positions to start from [m], shape (n, 3); None for those of the problem
+
+    Raises
+    ------
+    RuntimeError : if Newton's method does not converge, or the equilibrium is unstable
 
     """
     stiffness = Stiffness(problem)
@@ -80,8 +86,8 @@ def equilibrium(problem: Problem, *, x: Array | None = None) -> Array:
     x[problem.pinned] = problem.at(0.0)
     x = _minimum(stiffness, x, tolerance=tolerance_of(problem, x, problem.v, np.inf), shift=100.0)
     if not stiffness.stable(x):
-        raise RuntimeError('the forces vanish, but the least push would end this equilibrium; '
-                           'start elsewhere')
+        raise RuntimeError('the forces vanish, but the equilibrium is unstable; start from other '
+                           'positions')
     return x
 
 
@@ -90,8 +96,8 @@ def _minimum(stiffness: Stiffness, x: Array, *, tolerance: float, pull: float = 
     """
     Minimise the potential plus pull Σ m |x - target|² / 2 over the free particles.
 
-    ``shift`` [1/s²] times the masses is added to the Hessian while steps fail (Levenberg and
-    Marquardt), and fades while they succeed.
+    ``shift`` [1/s²] times the mass matrix is added to the Hessian (Levenberg-Marquardt); it grows
+    while steps fail and falls while they succeed.
     """
     problem = stiffness.problem
     m = problem.mass[:, None]
@@ -121,20 +127,20 @@ def _minimum(stiffness: Stiffness, x: Array, *, tolerance: float, pull: float = 
                 break
             length *= 0.5
             if length < 1e-12:
-                raise RuntimeError(f'Newton: no way down, with {largest:.3g} N left')
+                raise RuntimeError(f'Newton: no descent, with a residual of {largest:.3g} N')
         x, value = trial, there
         if shift:
             shift = max(0.1 * shift, 1e-6) if length == 1.0 else 10.0 * shift
-    raise RuntimeError(f'Newton: {least:.3g} N left after {ITERATIONS} steps '
-                       f'(wanted {tolerance:.3g} N)')
+    raise RuntimeError(f'Newton: not converged after {ITERATIONS} steps, with a residual of '
+                       f'{least:.3g} N (tolerance {tolerance:.3g} N)')
 
 
 def tolerance_of(problem: Problem, x: Array, v: Array, dt: float) -> float:
     """
-    Return the force that a step may leave [N]: what TOLERANCE says, or what rounding leaves.
+    Return the largest residual force of a step [N], by TOLERANCE or by rounding errors.
 
-    Without gravity or a force the forces at the start of the step are the measure. ``dt`` may be
-    infinite.
+    Without gravity or a constant force it is relative to the forces at the start of the step.
+    ``dt`` [s] may be infinite.
     """
     free = ~problem.pinned
     scale = np.linalg.norm(loads(problem)[free], axis=1).max()

@@ -1,9 +1,9 @@
 """
-What the reference solver solves, as plain arrays, and its energy with its gradient.
+The initial value problem of the reference solver as plain arrays, its energy and gradient.
 
     m x'' = -∇E(x) + m g + f - m c x',   E the sum over ``elements``
 
-with pinned particles at positions given in time.
+Pinned particles have positions given as functions of time.
 """
 
 from collections.abc import Callable
@@ -24,36 +24,35 @@ EPS = float(np.finfo(float).eps)
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Problem:
     """
-    An initial value problem of particles and what stores energy between them.
+    An initial value problem of particles with elastic elements.
 
-    The arrays are checked, copied and made read-only. Everything is in SI units.
+    The arrays are checked, copied and made read-only. All units are SI.
     """
 
     x: Array
     """positions at the start [m], shape (n, 3)"""
     v: Array | None = None
-    """velocities at the start [m/s], shape (n, 3); None: at rest. Those of pinned particles are
-    not read."""
+    """velocities at the start [m/s], shape (n, 3); None for rest; unused for pinned particles"""
     mass: Array
-    """[kg], shape (n,), > 0"""
+    """masses [kg], shape (n,), > 0"""
     pinned: Array | None = None
-    """bool, shape (n,); None: all are free"""
+    """whether a particle is pinned, shape (n,); None if none is"""
     motion: Callable[[float], ArrayLike] | None = None
-    """time since the start [s] -> positions [m] of the pinned particles, by rising index, shape
-    (p, 3); None: they stay where they are"""
+    """time since the start [s] -> positions of the pinned particles in the order of their indices
+    [m], shape (p, 3); None if they do not move"""
     interval: float | None = None
-    """motion is smooth within each interval of this length, and may kink between two [s]"""
+    """length of the intervals in which motion is smooth [s]; its velocity may jump between them"""
     gravity: Array = (0.0, 0.0, 0.0)
     """[m/s²], shape (3,)"""
     damping: float = 0.0
     """rate c at which velocities decay [1/s]"""
     force: Array | None = None
-    """constant force on each [N], shape (n, 3); None: none"""
+    """constant force on each particle [N], shape (n, 3); None for none"""
     elements: tuple[Elements, ...] = ()
-    """what stores energy"""
+    """elastic elements"""
 
     def __post_init__(self):
-        """Refuse what has no meaning, and keep read-only copies."""
+        """Check the values, and keep read-only copies."""
         n = len(self.x)
         zeros = np.zeros((n, 3))
         for name, value, shape, kind in (
@@ -88,11 +87,11 @@ class Problem:
                              f'(got {self.at(0.0).shape})')
 
     def at(self, t: float) -> Array:
-        """Return the positions of the pinned particles [m], shape (p, 3)."""
+        """Return the positions of the pinned particles at time t [m], shape (p, 3)."""
         return self.x[self.pinned] if self.motion is None else np.array(self.motion(t), float)
 
     def all_of(self, kind: type[Elements]) -> tuple[Array, ...]:
-        """Return particles and parameters of all elements of a kind, or an empty tuple."""
+        """Return particles and parameters of all elements of a kind; empty without any."""
         found = [(part.particles, *part.parameters) for part in self.elements
                  if type(part) is kind]
         return tuple(map(np.concatenate, zip(*found)))
@@ -103,9 +102,9 @@ class Problem:
 
     def force_rounding(self, x: Array, pull: float = 0.0) -> float:
         """
-        Return how far rounded positions alone take the gradient from 0 [N].
+        Return the error of the gradient by rounding of positions [N].
 
-        ``pull`` [1/s²] times its mass holds each particle in place as well.
+        ``pull`` [1/s²] times the mass is a further stiffness of each particle.
         """
         k = pull * self.mass + 0.5 * self._stiffness_at_start
         return float(4.0 * EPS * k.max() * np.abs(x).max())
@@ -127,7 +126,7 @@ def loads(problem: Problem) -> Array:
 
 
 def elastic(problem: Problem, x: Array) -> float:
-    """Return E(x), the energy stored [J]."""
+    """Return the elastic energy E(x) [J]."""
     return sum((part.energy(x) for part in problem.elements), 0.0)
 
 
@@ -143,7 +142,7 @@ def gradient(problem: Problem, x: Array) -> Array:
 
 
 def slope(problem: Problem, x: Array) -> tuple[Array, float]:
-    """Return the gradient of ``potential`` [N], and what rounding makes of that [J]."""
+    """Return the gradient of ``potential`` [N], and the rounding error of the energy [J]."""
     total = -loads(problem)
     size = np.abs(total).sum()
     for part in problem.elements:
@@ -155,7 +154,7 @@ def slope(problem: Problem, x: Array) -> tuple[Array, float]:
 
 
 def stiffness_bound(problem: Problem, x: Array) -> Array:
-    """Return, by particle, what zᵀ H z ≤ Σ bound |z_i|² holds for [N/m], shape (n,)."""
+    """Return b of a bound zᵀ H z ≤ Σ b_i |z_i|² of the Hessian [N/m], shape (n,)."""
     total = np.zeros(len(x))
     for part in problem.elements:
         total += np.bincount(part.particles.ravel(), part.bound(x).ravel(), len(x))
@@ -164,9 +163,9 @@ def stiffness_bound(problem: Problem, x: Array) -> Array:
 
 def highest_frequency_bound(problem: Problem, x: Array) -> float:
     """
-    Return an angular frequency that no vibration about x exceeds [rad/s].
+    Return an upper bound of the angular frequencies of vibrations about x [rad/s].
 
-    On a flat sheet of edges it is √2 times too high.
+    For a flat sheet of edges it is √2 times the highest frequency.
     """
     rate = stiffness_bound(problem, x) / problem.mass
     return float(np.sqrt(rate[~problem.pinned].max(initial=0.0)))

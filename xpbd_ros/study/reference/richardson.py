@@ -1,8 +1,8 @@
 """
-Either method taken to dt → 0.
+Extrapolate either method to dt → 0.
 
-A ladder of steps, each half the one before, one Richardson extrapolation on top, and an
-uncertainty from how the last extrapolations differ.
+Runs with steps that halve each time are extrapolated (Richardson); the uncertainty follows from
+the differences of the last extrapolations.
 """
 
 from dataclasses import dataclass
@@ -19,30 +19,30 @@ from xpbd_ros.study.reference.newton import newton, tolerance_of
 from xpbd_ros.study.reference.problem import Array, EPS, highest_frequency_bound, Problem, rms
 
 POWERS = {'explicit': (2, 4), 'bdf2': (2, 3), 'backward_euler': (1, 2)}
-"""the first two powers of dt in the error at a fixed time"""
+"""the two lowest powers of dt in the error at a fixed time"""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Where the particles are at a time, and how well that is known."""
+    """Positions and velocities at a time, with their uncertainties."""
 
     x: Array
     """positions [m], shape (n, 3)"""
     v: Array
     """velocities [m/s], shape (n, 3)"""
     uncertainty: float
-    """of x: root mean square over the particles [m]"""
+    """uncertainty of x, RMS over the particles [m]"""
     uncertainty_v: float
-    """of v, likewise [m/s]"""
+    """uncertainty of v, RMS over the particles [m/s]"""
     time: float
-    """since the problem's start [s]"""
+    """time since the start of the problem [s]"""
     method: str
     """'explicit', 'bdf2' or 'backward_euler'"""
     ladder: tuple[tuple[float, float], ...]
-    """each step dt [s], and how far its positions are from x (root mean square) [m]"""
+    """(step dt [s], RMS distance of its positions from x [m]) of each run"""
 
     def error(self, x: Array) -> float:
-        """Return how far positions (n, 3) are from these: root mean square [m]."""
+        """Return the RMS distance of positions, shape (n, 3), from these [m]."""
         return rms(x - self.x)
 
 
@@ -54,24 +54,25 @@ def limit(problem: Problem, time: float, tolerance: float, *, method: str = 'exp
 
     With rungs X(dt), X(dt/2), … of a method of order p, the extrapolation is
     T_k = X_k + (X_k - X_{k-1}) / (2^p - 1), whose error goes with the next power q. With
-    d_k = rms(T_k - T_{k-1}), the uncertainty is max(d_k, d_{k-1} / 2^q): where the powers hold,
-    the error is 2^q - 1 times less. Where d shrinks by less than half from rung to rung, what the
-    further rungs would add is counted in. What rounding and the tolerance of Newton's method may
-    have done is added. At least four rungs are taken.
+    d_k = rms(T_k - T_{k-1}), the uncertainty is max(d_k, d_{k-1} / 2^q); if the error has these
+    powers, it is smaller by 2^q - 1. If d falls by less than half from rung to rung, the expected
+    change by further rungs is added, as are the effects of rounding and of the tolerance of
+    Newton's method. There are at least four rungs.
 
     The ladder ends when the uncertainty is within ``tolerance``, after ``levels`` rungs, or when
-    two rungs in a row have not lowered it (rounding, or a sheet that wrinkles chaotically); what
-    has the least uncertainty is returned. That may be above the tolerance: look at it.
+    two rungs in a row have not lowered it, by rounding or in a chaotic scene. The result with the
+    smallest uncertainty is returned, which may exceed the tolerance.
 
     Parameters
     ----------
-    time : since the start [s]; a multiple of the problem's ``interval`` if it has one
-    tolerance : [m]
+    problem : the initial value problem
+    time : time since the start [s]; a multiple of the problem's ``interval`` if it has one
+    tolerance : wanted uncertainty of the positions [m]
     method : 'explicit', 'bdf2' or 'backward_euler'
-    dt : about the first and longest step [s]; None: a quarter of a frame for implicit methods,
-        what is stable whatever the shape for leapfrog
-    levels : rungs at most
-    cache : folder where rungs are kept, so that asking again, or for less tolerance, is quick
+    dt : approximate first and longest step [s]; None for 1/240 s with implicit methods, and for
+        a step that is stable at the start with leapfrog
+    levels : largest number of rungs
+    cache : folder where rungs are kept for later calls
 
     """
     if method not in POWERS:
@@ -84,8 +85,8 @@ def limit(problem: Problem, time: float, tolerance: float, *, method: str = 'exp
     if problem.interval is not None:
         multiple = round(time / problem.interval)
         if multiple < 1 or abs(multiple * problem.interval - time) > 1e-9 * time:
-            raise ValueError(f'time: must be a multiple of {problem.interval:g} s, where the '
-                             f'motion kinks (got {time:g})')
+            raise ValueError(f'time: must be a multiple of {problem.interval:g} s, the interval '
+                             f'of the motion (got {time:g})')
     if dt is None:
         fastest = highest_frequency_bound(problem, problem.x)
         dt = 1.0 / 240.0 if method != 'explicit' else 1.99 / max(fastest, 1e-300)
@@ -123,7 +124,7 @@ def _run(problem: Problem, method: str, dt: float, steps: int) -> tuple[Array, A
 
 def _extrapolated(problem: Problem, method: str, time: float,
                   solutions: dict[int, tuple[Array, Array]]) -> Reference:
-    """Extrapolate from the rungs, by their number of steps."""
+    """Return the extrapolation of the solutions, given by number of steps."""
     p, q = POWERS[method]
     counts = sorted(solutions)
     found = []
@@ -145,13 +146,13 @@ def _extrapolated(problem: Problem, method: str, time: float,
 
 
 def _uncertainty(before: float, last: float, q: int) -> float:
-    """Return what two successive changes of the extrapolation say about the last."""
+    """Return the uncertainty of an extrapolation from its last two changes."""
     ratio = min(last / before, 0.9) if before > 0.0 else 0.0
     return max(last, before / 2**q) * max(1.0, ratio / (1.0 - ratio))
 
 
 class _Rungs:
-    """Solutions by number of steps, kept in a file if there is a folder for it."""
+    """Solutions by number of steps, also kept in a file if a folder is given."""
 
     def __init__(self, folder: str | os.PathLike | None, problem: Problem, method: str,
                  time: float, first: int):
@@ -169,7 +170,7 @@ class _Rungs:
             pass    # absent or corrupt: computed again
 
     def add(self, steps: int, solution: tuple[Array, Array]) -> None:
-        """Keep a rung."""
+        """Add a solution."""
         self.solutions[steps] = solution
         if self._file is None:
             return
@@ -183,7 +184,7 @@ class _Rungs:
 
 
 def _key(problem: Problem, method: str, time: float, first: int) -> str:
-    """Hash all that a solution depends on: the problem, the ladder, and this code."""
+    """Return a hash of all that a solution depends on: problem, steps and this code."""
     digest = hashlib.blake2b(digest_size=16)
     for file in sorted(FilePath(__file__).parent.glob('*.py')):
         digest.update(file.read_bytes())

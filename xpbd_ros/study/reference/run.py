@@ -1,4 +1,4 @@
-"""What both methods of the reference solver begin and end a run with."""
+"""Functions that both methods of the reference solver share."""
 
 from collections.abc import Iterable
 import sys
@@ -9,7 +9,7 @@ from xpbd_ros.study.reference.problem import Array, Problem
 
 
 def check(dt: float, steps: int) -> None:
-    """Refuse what has no meaning."""
+    """Check step and number of steps."""
     if not 0.0 < dt < np.inf:
         raise ValueError(f'dt: must be > 0 s (got {dt:g})')
     if steps < 0:
@@ -17,12 +17,12 @@ def check(dt: float, steps: int) -> None:
 
 
 def start(problem: Problem) -> Array:
-    """Return the velocities to start with [m/s]; those of pinned particles are 0."""
+    """Return the initial velocities [m/s]; those of pinned particles are 0."""
     return np.where(problem.pinned[:, None], 0.0, problem.v)
 
 
 def pinned_velocity(problem: Problem, dt: float, steps: int) -> Array:
-    """Return the velocities of the pinned particles at the end [m/s]: a backward difference."""
+    """Return the velocities of the pinned particles at the end [m/s], by backward differences."""
     if problem.motion is None or steps == 0:
         return np.zeros((int(problem.pinned.sum()), 3))
     at = [problem.at((steps - k) * dt) for k in range(min(steps, 2) + 1)]
@@ -31,8 +31,8 @@ def pinned_velocity(problem: Problem, dt: float, steps: int) -> Array:
     return (1.5 * at[0] - 2.0 * at[1] + 0.5 * at[2]) / dt
 
 
-def watched(items: Iterable, what: str, total: int) -> Iterable:
-    """Pass items on, with a bar on stderr if that is a terminal."""
+def with_progress(items: Iterable, what: str, total: int) -> Iterable:
+    """Return an iterable of the items, with a progress bar on stderr if that is a terminal."""
     if not sys.stderr.isatty():
         return items
     from tqdm import tqdm

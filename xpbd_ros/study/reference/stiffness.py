@@ -1,12 +1,13 @@
 """
-The Hessian of a problem's energy over the free particles, and the solution of systems with it.
+The Hessian of a problem's energy over the free particles, and linear systems with it.
 
-It is S + U A⁻¹ Uᵀ: S sparse, one column of U for each surface full of gas (Woodbury),
+The Hessian is S + U A⁻¹ Uᵀ, with S sparse and one column of U for each gas-filled surface. By the
+Woodbury formula
 
     (S + U A⁻¹ Uᵀ)⁻¹ = S⁻¹ - S⁻¹ U C⁻¹ Uᵀ S⁻¹,   C = A + Uᵀ S⁻¹ U
 
-which has as many negative eigenvalues as S has more than C (Haynsworth). So it is known to be
-positive where a skin that only its gas holds open makes S indefinite.
+Its number of negative eigenvalues is that of S less that of C (Haynsworth), so definiteness can be
+decided also where S alone is indefinite, as for a surface that only its gas holds open.
 """
 
 import numpy as np
@@ -16,15 +17,15 @@ from scipy.sparse.linalg import LinearOperator, splu
 from xpbd_ros.study.reference.problem import Array, Problem
 
 LU = {'diag_pivot_thresh': 0.0, 'options': {'SymmetricMode': True}}
-"""of SuperLU, so that a symmetric matrix keeps its diagonal as pivots"""
+"""options of SuperLU that keep the diagonal of a symmetric matrix as pivots"""
 
 
 class Stiffness:
     """
-    The Hessian at any positions.
+    The Hessian as a function of positions.
 
-    The pattern of non-zeros is found once, and the particles are numbered once so that the factors
-    stay sparse (minimum degree).
+    The sparsity pattern and a fill-reducing order of the particles (minimum degree) are computed
+    once.
     """
 
     def __init__(self, problem: Problem):
@@ -48,7 +49,7 @@ class Stiffness:
         rows, columns = order[rows[kept]], order[columns[kept]]
         key, where = np.unique(columns * f + rows, return_inverse=True)
         columns, rows = np.divmod(key, f)
-        # A block (3, 3) for each pair of particles that meet, in a fixed place.
+        # one (3, 3) block for each pair of particles that share an element
         place = np.full(len(kept), -1)
         place[kept] = where
         self._blocks = len(key)
@@ -66,10 +67,10 @@ class Stiffness:
 
     def matrix(self, x: Array, *, mass: float = 0.0, clamp: bool = False) -> sparse.csc_matrix:
         """
-        Return S at x plus ``mass`` [1/s²] times the masses [N/m].
+        Return S at x plus ``mass`` [1/s²] times the mass matrix [N/m].
 
-        Rows are x, y, z of each of ``self.particles`` in turn. ``clamp`` leaves out what may be
-        negative.
+        Rows are x, y, z of each of ``self.particles`` in turn. ``clamp`` sets negative eigenvalues
+        of each element to 0.
         """
         values = np.zeros((self._blocks, 9))
         for part, place in zip(self.problem.elements, self._places):
@@ -89,12 +90,12 @@ class Stiffness:
                 np.array([a for _, a in found]))
 
     def operator(self, x: Array) -> LinearOperator:
-        """Return the whole Hessian at x, to be multiplied with."""
+        """Return the Hessian at x as a linear operator."""
         S, (U, a) = self.matrix(x), self.outer(x)
         return LinearOperator(self._shape, lambda z: S @ z + U @ ((U.T @ z) / a), dtype=float)
 
     def factor(self, x: Array, mass: float) -> 'Factor':
-        """Factor the Hessian plus ``mass`` times the masses; clamped unless it is positive."""
+        """Factorize the Hessian plus ``mass`` times the mass matrix; clamped if indefinite."""
         U, a = self.outer(x)
         for clamp in (False, True):
             try:
@@ -108,21 +109,21 @@ class Stiffness:
         raise AssertionError
 
     def stable(self, x: Array) -> bool:
-        """Return whether the Hessian of E at x has no negative eigenvalue beyond rounding."""
+        """Return whether the Hessian at x has no negative eigenvalues, up to rounding."""
         try:
             return Factor(self.matrix(x, mass=1e-6), *self.outer(x)).positive
         except RuntimeError:
             return False
 
     def solve(self, factor: 'Factor', force: Array) -> Array:
-        """Solve for displacements of all particles [m], given forces [N]; both (n, 3)."""
+        """Return the displacements by forces, with those of pinned particles 0; both (n, 3)."""
         step = np.zeros_like(force)
         step[self.particles] = factor.solve(force[self.particles].ravel()).reshape(-1, 3)
         return step
 
 
 class Factor:
-    """S + U A⁻¹ Uᵀ, factored."""
+    """A factorization of S + U A⁻¹ Uᵀ."""
 
     def __init__(self, S: sparse.csc_matrix, U: Array, a: Array):
         self._lu = splu(S, permc_spec='NATURAL', **LU)
@@ -131,7 +132,7 @@ class Factor:
 
     @property
     def positive(self) -> bool:
-        """Whether the whole is positive definite (Sylvester, Haynsworth)."""
+        """Whether the matrix is positive definite (Sylvester, Haynsworth)."""
         lu = self._lu
         if not np.array_equal(lu.perm_r, lu.perm_c):
             return False
@@ -139,7 +140,7 @@ class Factor:
         return int((lu.U.diagonal() <= 0.0).sum()) == int((inner < 0.0).sum())
 
     def solve(self, right: Array) -> Array:
-        """Solve a system."""
+        """Return the solution of the linear system with a right-hand side."""
         first = self._lu.solve(right)
         if not len(self._inner):
             return first
@@ -147,7 +148,7 @@ class Factor:
 
 
 def _minimum_degree(rows: Array, columns: Array, count: int) -> Array:
-    """Return the rank of each of ``count`` particles in an order that leaves little fill-in."""
+    """Return the rank of each of ``count`` particles in an order with little fill-in."""
     if count == 0:
         return np.zeros(0, np.int64)
     graph = sparse.coo_matrix((np.full(len(rows), -1.0), (rows, columns)), (count, count)).tocsc()

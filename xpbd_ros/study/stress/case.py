@@ -1,4 +1,4 @@
-"""What a hard case is: what is tried, at which setting, and what came of it."""
+"""HardCase cases: solver setting, outcome, and the registry of cases."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Setting:
-    """How a case is solved."""
+    """A solver setting."""
 
     method: str = 'line'
     integrator: str = 'bdf2'
@@ -16,7 +16,7 @@ class Setting:
     precision: str = 'float64'
 
     def __str__(self) -> str:
-        """Return it in a few words."""
+        """Return the setting as text, such as 'line bdf2 8x1'."""
         text = f'{self.method} {self.integrator} {self.substeps}x{self.iterations}'
         return text + (f' {self.precision}' if self.precision != 'float64' else '')
 
@@ -28,39 +28,44 @@ class Setting:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one attempt."""
+    """The result of one attempt."""
 
     setting: str
+    """name of the attempt: its setting and its label"""
     good: bool
+    """whether it met all criteria"""
     finite: bool | None = None
-    """None where it was refused at the door"""
+    """whether all numbers stayed finite; None for a refused scene"""
     strain_max: float | None = None
+    """largest strain of an edge"""
     energy_rise: float | None = None
-    """of the total energy over that at the start, in parts of what the cloth can have"""
+    """largest rise of the total energy over that at the start, over the energy scale"""
     recovered: bool | None = None
-    """None where there is nothing to recover from"""
+    """whether the strain recovered; None if the case does not ask for that"""
     recovery_s: float | None = None
-    """after the cause ended [s]"""
+    """time from the end of the cause to recovery [s]"""
     reported: str = ''
-    """what the user is told"""
+    """messages to the user"""
     why: str = ''
-    """what it missed"""
+    """criteria that it missed; empty if it passed"""
     textbook: bool | None = None
-    """whether a textbook solver meets the same; None where it has nothing of the kind"""
+    """whether the textbook solver meets the criteria; None if it lacks an effect of the case"""
     textbook_why: str = ''
+    """criteria that the textbook solver missed"""
     skipped: bool = False
+    """whether it was not run"""
 
 
 class Attempt(Protocol):
-    """One run, or one refusal."""
+    """One run, or one scene that must be refused."""
 
     def outcome(self) -> Outcome:
-        """Do it."""
+        """Run the attempt and return its result."""
 
 
 @dataclass(frozen=True)
-class Hard:
-    """One case: ``attempts()`` says what is tried."""
+class HardCase:
+    """One case; ``attempts()`` returns its attempts."""
 
     id: str
     title: str
@@ -69,12 +74,12 @@ class Hard:
     slow: bool = False
 
 
-HARD: list[Hard] = []
+CASES: list[HardCase] = []
 
 
 def hard(id_: str, title: str, *, slow: bool = False):
-    """Register a function that yields attempts."""
+    """Return a decorator that registers a function, which yields attempts, as a case."""
     def register(attempts):
-        HARD.append(Hard(id_, title, attempts.__module__.rpartition('.')[2], attempts, slow))
+        CASES.append(HardCase(id_, title, attempts.__module__.rpartition('.')[2], attempts, slow))
         return attempts
     return register

@@ -1,4 +1,4 @@
-"""Commands: pins pulled apart, teleported, on and off; gusts; parameters changed live."""
+"""Commands: pins pulled apart, teleported, grasped and released; gusts; live parameters."""
 
 from dataclasses import replace
 from functools import partial
@@ -10,12 +10,12 @@ from xpbd_ros.study.stress.scenes import FEW, FIRM, LINE, sheet, SIZE, USUAL
 from xpbd_ros.study.stress.trial import Trial
 
 MAX_SPEED = 5.0
-"""at which a pin follows, unless the scene says otherwise [m/s]"""
+"""default ``max_speed`` of a pin [m/s]"""
 
 
 @hard('H12', 'pins pulled apart, then released')
 def pulled():
-    """To one and a half lengths, slowly and fast; the cloth springs back and is whole."""
+    """Stretch to 1.5 times the length, slowly and fast; the cloth recovers after release."""
     for speed, label in ((0.2, 'slowly'), (MAX_SPEED, 'fast')):
         end = 0.5 * SIZE / speed
 
@@ -27,16 +27,16 @@ def pulled():
         for setting in USUAL:
             if setting.method == 'explicit':
                 setting = replace(setting, substeps=120)
-            yield Trial(setting, sheet(), end + 2.6, pins=pull, ended=end + 0.2, strain=3.0,
-                        speed=60.0, recovers=0.01, label=label)
+            yield Trial(setting, sheet(), end + 2.6, pins=pull, cause_end=end + 0.2, strain=3.0,
+                        speed=60.0, recovery_strain=0.01, label=label)
 
 
 @hard('H13', 'a pin is sent 10 m away in one message')
 def pin_teleports():
     """
-    It follows at its largest speed, which is said, and the cloth comes along.
+    The pin follows at its largest speed, which is reported, and the cloth with it.
 
-    The free edge whips, in the limit of small steps too, to less than four times that speed.
+    The free edge is faster, also in the limit of small steps, but by less than a factor of 4.
     """
     def jump(t):
         return {'b': (0.0, 10.0, 0.0), 'a': (0.0, 10.0, 0.0)} if t > 0.1 else {}
@@ -45,27 +45,27 @@ def pin_teleports():
         return {'b': (0.5 * SIZE, 0.0, 0.0)} if 0.1 < t < 0.5 else {'b': (0.0, 0.0, 0.0)}
 
     for setting in USUAL:
-        yield Trial(setting, sheet(), 4.6, pins=jump, ended=2.2, speed=4.0 * MAX_SPEED,
-                    recovers=0.01, tells=('pins_at_max_speed',), label='both')
-        yield Trial(setting, sheet(FIRM), 3.0, pins=one, ended=0.6, recovers=0.01, strain=3.0,
-                    tells=('pins_at_max_speed',), label='one, and back')
+        yield Trial(setting, sheet(), 4.6, pins=jump, cause_end=2.2, speed=4.0 * MAX_SPEED,
+                    recovery_strain=0.01, reports=('pins_at_max_speed',), label='both')
+        yield Trial(setting, sheet(FIRM), 3.0, pins=one, cause_end=0.6, recovery_strain=0.01,
+                    strain=3.0, reports=('pins_at_max_speed',), label='one, and back')
 
 
-@hard('H14', 'a pin taken and left in every frame')
+@hard('H14', 'a pin grasped or released in every frame')
 def on_and_off():
-    """Finite, and whole when it ends; invalid commands are refused."""
+    """All stays finite, and the cloth recovers afterwards; invalid commands are refused."""
     def blink(t):
         k = round(t * 60.0)
         return {'b': None if k % 2 and t < 1.5 else (0.0, 0.0, 0.0)}
 
     for setting in USUAL:
-        yield Trial(setting, sheet(FIRM), 4.0, pins=blink, ended=1.5, speed=3.0 * MAX_SPEED,
-                    recovers=0.01)
+        yield Trial(setting, sheet(FIRM), 4.0, pins=blink, cause_end=1.5, speed=3.0 * MAX_SPEED,
+                    recovery_strain=0.01)
     far = [Grasp('c', Pose((9.0, 9.0, 9.0)), 0.01), Release('nobody'),
            MovePin('nobody', Pose())]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: far if k == 3 else [], textbook=False,
-                tells=('no free particle within', "pin 'nobody' holds nothing"),
-                label='nothing there, and nobody')
+                reports=('no free particle within', "pin 'nobody' holds nothing"),
+                label='nothing to grasp, unknown pins')
     yield Refusal('an index out of range', sheet(pins={'a': [0, 999]}), (
         'pins.a.at: indices must be from 0 to 120 (got [0, 999])',))
 
@@ -73,10 +73,10 @@ def on_and_off():
 @hard('H28', 'a gust of 30 m/s on light cloth')
 def gust():
     """
-    What is free gets no faster than the wind.
+    A free sheet gets no faster than the wind.
 
-    A sheet held at two corners snaps taut and whips: to 50 m/s in the limit of short steps (48.4
-    with 512 substeps of ``line``, 49.9 with 2048 of ``gauss_seidel``), and to no more than that.
+    A sheet held at two corners snaps taut, and its free edge reaches 50 m/s in the limit of short
+    steps (48.4 with 512 substeps of ``line``, 49.9 with 2048 of ``gauss_seidel``).
     """
     def blow(k):
         return [SetWind((0.0, 30.0, 0.0))] if k == 30 else []
@@ -93,7 +93,7 @@ def gust():
 
 
 def storm(k: int):
-    """Return changes of parameters, some of them by six orders of magnitude, in turn."""
+    """Return the changed parameters of frame ``k``, some by six orders of magnitude."""
     if k >= 120:
         return [] if k > 120 else [
             SetKey('cloths.c.effects.stretch.warp', 1000.0), SetKey('gravity', [0, 0, -9.80665]),
@@ -112,11 +112,11 @@ def storm(k: int):
 
 @hard('H30', 'parameters changed in every frame')
 def live():
-    """Over six orders of magnitude, while it runs: bounded, and whole when it ends."""
+    """Change parameters by six orders of magnitude; strain stays bounded and recovers."""
     for setting in USUAL:
         if setting.method != 'explicit':
-            yield Trial(setting, sheet(FIRM), 4.5, commands=storm, ended=2.1, recovers=0.02,
-                        textbook=False)
+            yield Trial(setting, sheet(FIRM), 4.5, commands=storm, cause_end=2.1,
+                        recovery_strain=0.02, textbook=False)
 
     def steps(last, k):
         count = (4, 64, 8, 200, 16)[k // 2 % 5]
@@ -126,12 +126,11 @@ def live():
     for setting in USUAL:
         if setting.method != 'explicit':
             yield Trial(setting, sheet(), 4.5, commands=partial(steps, setting.substeps),
-                        ended=2.1, recovers=0.02, speed=30.0, textbook=False, label='substeps')
+                        cause_end=2.1, recovery_strain=0.02, speed=30.0, textbook=False,
+                        label='substeps')
     bad = [SetKey('gravity', [0.0, float('nan'), 0.0]), SetKey('solver.substeps', -1),
            SetKey('cloths.c.effects.stretch.warp', float('inf')), SetKey('nothing', 1)]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: bad if k == 3 else [], textbook=False,
-                tells=('gravity[1]: must be finite', 'solver.substeps: must be at least 1',
+                reports=('gravity[1]: must be finite', 'solver.substeps: must be at least 1',
                        'stretch.warp: must be finite', 'nothing: cannot change'),
-                recovers=0.01, label='without sense')
-
-
+                recovery_strain=0.01, label='invalid values')

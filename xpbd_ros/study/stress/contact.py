@@ -1,4 +1,4 @@
-"""Contact: teleports, squeezing, what has no normal, bullets, slopes, cloth against itself."""
+"""Contact: teleports, squeezing, undefined normals, bullets, slopes, self-collision."""
 
 from dataclasses import replace
 from functools import partial
@@ -13,26 +13,20 @@ from xpbd_ros.study.stress.trial import Trial
 
 GAP = 0.004
 DEPENETRATION = 1.0
-"""speed at which what is too deep may come out [m/s]"""
-
-
-def box(track_x, centre, half) -> float:
-    """Return how deep the deepest particle is in a box [m]."""
-    q = np.abs(track_x - centre) - half
-    return float(max(0.0, -q.max(1).min()))
+"""largest speed at which a penetration is resolved [m/s]"""
 
 
 @hard('H15', 'a collider jumps into the cloth')
 def collider_teleports():
-    """It follows at its largest speed; what is overrun comes out gently, and is whole."""
+    """The collider follows at its largest speed; cloth inside it comes out slowly and recovers."""
     ball = {'ball': {'sphere': {'radius': 0.1}, 'position': [0.2, 3.0, 0.2], 'friction': 0.4}}
 
     def jump(t):
         return {'ball': (0.0, -3.0 if 0.5 <= t < 1.5 else 0.0, 0.0)}
 
     for setting in USUAL:
-        yield Trial(setting, sheet(colliders=ball), 4.5, colliders=jump, ended=2.1, speed=15.0,
-                    recovers=0.01, tells=('colliders_at_max_speed',), label='jumps')
+        yield Trial(setting, sheet(colliders=ball), 4.5, colliders=jump, cause_end=2.1, speed=15.0,
+                    recovery_strain=0.01, reports=('colliders_at_max_speed',), label='jumps')
 
     def deep(k):
         if k == 20:
@@ -45,14 +39,14 @@ def collider_teleports():
 
     for setting in USUAL:
         most = (3.0 if setting.method == 'explicit' else 2.0) * DEPENETRATION
-        yield Trial(setting, sheet(), 4.0, commands=deep, ended=2.0, recovers=0.01,
-                    also=partial(gently, most), speed=most, textbook=False,
+        yield Trial(setting, sheet(), 4.0, commands=deep, cause_end=2.0, recovery_strain=0.01,
+                    check=partial(gently, most), speed=most, textbook=False,
                     label='appears half a radius deep')
 
 
 @hard('H16', 'squeezed between two colliders')
 def squeezed():
-    """Less room than the thickness: no jitter, and each gives half."""
+    """With less room than twice the thickness, there is no jitter, and each side gives half."""
     blocks = {name: {'box': {'size': [1.0, 1.0, 0.2]}, 'position': [0.2, 0.2, z]}
               for name, z in (('below', -0.1 - GAP), ('above', 0.3))}
     scene = sheet(pose=FLAT, pins={}, colliders=blocks)
@@ -67,19 +61,19 @@ def squeezed():
         return '' if worst <= 0.5 * (2.0 * GAP - room) + 1e-4 else f'{worst:.2g} m too deep'
 
     for setting in USUAL:
-        yield Trial(setting, scene, 3.0, colliders=close, still=1e-3, strain=0.5, also=deep)
+        yield Trial(setting, scene, 3.0, colliders=close, end_speed=1e-3, strain=0.5, check=deep)
 
 
 def exactly(middle, x):
-    """Return places with the middle particle at this one."""
+    """Return a start at rest with the middle particle at ``middle`` [m]."""
     found = x.copy()
     found[N * N // 2] = middle
     return found, np.zeros_like(x)
 
 
-@hard('H17', 'where a normal is not defined')
+@hard('H17', 'undefined normals')
 def no_normal():
-    """Particles at centres, on edges and corners; shapes without extent."""
+    """Put particles at centres and on edges of colliders; shapes without extent are refused."""
     def outside(track):
         way = float(np.linalg.norm(track.x[-1]))
         return '' if way >= 0.06 else f'{way:.2g} m from the centre'
@@ -97,11 +91,11 @@ def no_normal():
                         label=name)
             if 'sphere' in name:
                 yield Trial(setting, {**scene, 'gravity': [0.0, 0.0, 0.0]}, 1.0,
-                            place=partial(exactly, mid), strain=3.0, label=f'{name}, at rest')
+                            start=partial(exactly, mid), strain=3.0, label=f'{name}, at rest')
     for setting in FEW:
         ball = {'thing': {'sphere': {'radius': 0.06}, 'position': [0.0, 0.0, 0.0]}}
         yield Trial(setting, sheet(grid=(1, 1), pins={}, gravity=0.0, colliders=ball), 1.0,
-                    also=outside, label='one particle at the centre of a sphere')
+                    check=outside, label='one particle at the centre of a sphere')
     for shape, says in (({'sphere': {'radius': 0.0}}, 'radius: must be > 0 m (got 0.0)'),
                         ({'box': {'size': [0.1, 0.0, 0.1]}}, 'must be > 0 m (got 0.0)'),
                         ({'plane': {'normal': [0.0, 0.0, 0.0]}}, 'normal: must not be zero')):
@@ -110,7 +104,7 @@ def no_normal():
 
 @hard('H18', 'a bullet against a sheet of 1 mm')
 def bullet():
-    """A cloth of 100 m/s, and a plate of 1 mm that moves as fast, end on the side they came."""
+    """A cloth at 100 m/s does not pass a plate of 1 mm, nor such a plate at 100 m/s the cloth."""
     plate = {'plate': {'box': {'size': [4.0, 4.0, 0.001]}, 'position': [0.2, 0.2, 0.0],
                        'friction': 0.4, 'max_speed': 100.0}}
     scene = sheet(pose={'position': [0.0, 0.0, 1.0]}, pins={}, colliders=plate, gravity=-1.0)
@@ -123,7 +117,7 @@ def bullet():
         return '' if z.min() >= 0.0 else f'{(z < 0.0).sum()} particles got through'
 
     for setting in USUAL:
-        yield Trial(setting, scene, 1.0, place=thrown, also=above, label='the cloth moves')
+        yield Trial(setting, scene, 1.0, start=thrown, check=above, label='the cloth moves')
     still = sheet(pose=FLAT, pins={}, gravity=0.0, damping=0.0,
                   colliders={'plate': {**plate['plate'], 'position': [0.2, 0.2, -5.0]}})
 
@@ -135,12 +129,12 @@ def bullet():
         return '' if z.min() >= 5.0 else f'{(z < 5.0).sum()} particles got through'
 
     for setting in USUAL:
-        yield Trial(setting, still, 0.5, colliders=sweep, also=carried, label='the plate moves')
+        yield Trial(setting, still, 0.5, colliders=sweep, check=carried, label='the plate moves')
 
 
 @hard('H26', 'thousands of contacts')
 def many():
-    """A sheet on a slope of 5 degrees sticks, and no particle jitters."""
+    """A sheet on a slope of 5 degrees sticks without jitter."""
     a = np.radians(5.0)
 
     def moved(track):
@@ -152,11 +146,11 @@ def many():
         scene = sheet(grid=(n, n), pose={'position': [0.0, 0.0, GAP]}, pins={}, colliders={
             'slope': {'plane': {}, 'friction': 0.4}})
         scene['gravity'] = [9.80665 * float(np.sin(a)), 0.0, -9.80665 * float(np.cos(a))]
-        yield Trial(setting, scene, 2.0, still=1e-3, also=moved, label=f'{n * n} particles')
+        yield Trial(setting, scene, 2.0, end_speed=1e-3, check=moved, label=f'{n * n} particles')
 
 
 def on_table(mu: float, angle: float, **keys) -> dict:
-    """Return a sheet on a plane that falls towards +x."""
+    """Return a sheet on a plane, with gravity tilted towards +x by an angle [degrees]."""
     a = np.radians(angle)
     scene = sheet(pose={'position': [0.0, 0.0, GAP]}, pins={}, friction=mu, damping=0.0,
                   colliders={'slope': {'plane': {}, 'friction': mu, **keys}}, scene_effects={
@@ -166,12 +160,12 @@ def on_table(mu: float, angle: float, **keys) -> dict:
     return scene
 
 
-@hard('H29', 'friction and restitution at their ends')
+@hard('H29', 'extreme friction and restitution')
 def extremes():
     """
-    No friction slides as it falls; a hundred holds on a cliff.
+    Without friction the sheet slides freely; with μ = 100 it sticks on a slope of 80 degrees.
 
-    A full bounce gains nothing; where there is none, what landed does not come up again.
+    With restitution 1 it gains no energy; with restitution 0 it does not bounce.
     """
     def way(expected, most, track):
         got = track.x[-1][:, 0].mean() - track.x[0][:, 0].mean()
@@ -188,11 +182,11 @@ def extremes():
         if setting.precision == 'float32':
             continue
         slide = 0.5 * 9.80665 * float(np.sin(np.radians(30.0)))
-        yield Trial(setting, on_table(0.0, 30.0), 1.0, also=partial(way, slide, 0.05 * slide),
+        yield Trial(setting, on_table(0.0, 30.0), 1.0, check=partial(way, slide, 0.05 * slide),
                     label='μ = 0')
-        yield Trial(setting, on_table(100.0, 80.0), 1.0, also=partial(way, 0.0, 1e-6),
+        yield Trial(setting, on_table(100.0, 80.0), 1.0, check=partial(way, 0.0, 1e-6),
                     label='μ = 100')
-        yield Trial(setting, dropped, 1.0, also=comes_up, label='restitution 0')
+        yield Trial(setting, dropped, 1.0, check=comes_up, label='restitution 0')
     for setting in FEW:
         scene = on_table(0.0, 0.0, restitution=1.0)
         scene['cloths']['c']['pose']['position'] = [0.0, 0.0, 0.5]
@@ -200,7 +194,7 @@ def extremes():
 
 
 def folded(x):
-    """Return a sheet folded in two, the halves a little apart."""
+    """Return a sheet folded in two, with 3 cm between the halves."""
     found = x.copy()
     over = found[:, 0] > SIZE / 2.0
     found[over, 2] += 0.03
@@ -209,27 +203,25 @@ def folded(x):
 
 
 def slammed(x):
-    """Return that fold with its upper half thrown at the other."""
+    """Return a folded sheet whose upper half moves towards the lower one at 30 m/s."""
     found, v = folded(x)
     v[x[:, 0] > SIZE / 2.0, 2] = -30.0
     return found, v
 
 
 def tangled(x):
-    """Return a sheet that lies through itself anyhow."""
+    """Return a sheet with random displacements, which crosses itself."""
     noise = np.random.default_rng(1).normal(0.0, 0.02, x.shape)
     return x + noise, np.zeros_like(x)
 
 
-@hard('H27', 'cloth against itself', slow=True)
+@hard('H27', 'self-collision', slow=True)
 def itself():
     """
-    A fold, one slammed shut, and a heap: nothing gets through itself or the floor, in any frame.
+    In a fold, a slammed fold and a heap the cloth never passes through itself or the floor.
 
-    A tangle does not explode.
-
-    The tangle starts with edges strained by a half, which alone make it as fast as 120 m/s in the
-    limit of short steps: what must not be is more energy than there was, or speed that stays.
+    A tangle gains no energy and slows down. Its edges start with strains of 1/2, which alone make
+    it as fast as 120 m/s in the limit of short steps.
     """
     thickness = 0.01
     effects = {'pin': {}, 'contact': {'thickness': GAP}, 'friction': {}, 'damping': {'rate': 3.0},
@@ -250,18 +242,18 @@ def itself():
                                    ('a heap', None, heap), ('tangled', tangled, {
                                        'position': [0.0, 0.0, 0.3]})):
             scene = sheet(pose=pose, pins={}, colliders=floor, scene_effects=effects)
-            tangle = {'energy': 0.0, 'still': 10.0} if label == 'tangled' else {
-                'speed': 30.0 if label == 'slammed shut' else 10.0, 'also': through}
-            yield Trial(setting, scene, 2.0, place=place, label=label,
-                        apart=min(thickness, 0.5 * SPACING), **tangle)
+            tangle = {'energy': 0.0, 'end_speed': 10.0} if label == 'tangled' else {
+                'speed': 30.0 if label == 'slammed shut' else 10.0, 'check': through}
+            yield Trial(setting, scene, 2.0, start=place, label=label,
+                        cloth_distance=min(thickness, 0.5 * SPACING), **tangle)
 
 
 COPLANAR = 1e-9
-"""an edge that does not get further than this from a triangle's plane lies in it [m]"""
+"""an edge whose ends are closer than this to a triangle's plane does not cross it [m]"""
 
 
 def crossings(x: np.ndarray, triangles: np.ndarray) -> int:
-    """Return how many pairs of edge and triangle, without a particle in common, cross."""
+    """Return the number of crossing pairs of an edge and a triangle without a common particle."""
     edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
     a, b, c = (x[triangles[:, k]] for k in range(3))
     p, q = x[edges[:, 0], None], x[edges[:, 1], None]

@@ -1,4 +1,4 @@
-"""Geometry: bad meshes, folds, collapsed sheets, bodies inside out, random starts."""
+"""Geometry: invalid meshes, folds, collapsed sheets, inverted bodies, random starts."""
 
 from dataclasses import replace
 from functools import partial
@@ -17,15 +17,15 @@ SQUARE = '0 0 0', '1 0 0', '1 1 0', '0 1 0'
 
 
 def obj(name: str, vertices, faces) -> str:
-    """Write an OBJ file and return its name."""
+    """Write an OBJ file and return its path."""
     file = Path(FOLDER.name) / f'{name.replace(" ", "_")}.obj'
     file.write_text('\n'.join([*(f'v {v}' for v in vertices), *(f'f {f}' for f in faces), '']))
     return str(file)
 
 
-@hard('H6', 'meshes that are none')
+@hard('H6', 'invalid meshes')
 def bad_meshes():
-    """Refused, or mended and said."""
+    """Invalid meshes are refused, or repaired with a note."""
     for name, vertices, faces, says, mended in (
             ('coincident vertices', (*SQUARE, '1 1 0'), ('1 2 3', '1 5 4'), ('merged',), True),
             ('a triangle twice', SQUARE, ('1 2 3', '1 3 4', '2 3 1'), ('twice',), True),
@@ -38,10 +38,10 @@ def bad_meshes():
             ('a needle', (*SQUARE, '0.5 1e-14 0'), ('1 2 3', '1 2 5'), ('degenerate',), False),
             ('an edge with three triangles', (*SQUARE, '0 0 1'), ('1 2 3', '1 3 4', '1 3 5'), (
                 'more than two triangles',), False),
-            ('a vertex that is no number', ('0 0 nan', *SQUARE[1:]), ('1 2 3', '1 3 4'), (
+            ('a vertex that is NaN', ('0 0 nan', *SQUARE[1:]), ('1 2 3', '1 3 4'), (
                 'must be finite',), False),
-            ('a corner that is not there', SQUARE, ('1 2 3', '1 3 9'), ('does not exist',), False),
-            ('nothing', (), (), ('has no triangles',), False)):
+            ('an index without a vertex', SQUARE, ('1 2 3', '1 3 9'), ('does not exist',), False),
+            ('an empty file', (), (), ('has no triangles',), False)):
         scene = {'cloths': {'c': {'mesh': {'file': obj(name, vertices, faces)}, 'density': 0.2,
                                   'effects': {'stretch': {'warp': 10.0, 'weft': 10.0}}}}}
         yield Refusal(name, scene, says, mended)
@@ -52,7 +52,7 @@ FOLDING = alone({'stretch': {'warp': 1000.0, 'weft': 1000.0}, 'hinge': {'stiffne
 
 
 def folded(angle: float, speed: float, x):
-    """Return a sheet folded along its middle by an angle, the flap turning on at a speed."""
+    """Return a sheet folded by an angle [rad]; the flap's edge moves at a speed [m/s]."""
     found, v = x.copy(), np.zeros_like(x)
     arm = np.maximum(found[:, 0] - SIZE / 2.0, 0.0)
     over = arm > 0.0
@@ -64,12 +64,12 @@ def folded(angle: float, speed: float, x):
 
 
 NEARLY_SHUT = 2.6
-"""angle of the book at rest [rad]"""
+"""fold angle of the book at rest [rad]"""
 PAGES = np.array([(SIZE / 6.0 * i, SIZE / 6.0 * j, 0.0) for j in range(3) for i in range(7)])
 
 
 def book() -> dict:
-    """Return two stiff pages whose hinge is at rest when they are nearly shut."""
+    """Return the scene of two stiff pages whose hinge is at rest at NEARLY_SHUT."""
     corners = [(7 * j + i, 7 * j + i + 1, 7 * j + i + 8, 7 * j + i + 7)
                for j in range(2) for i in range(6)]
     faces = [f'{p + 1} {q + 1} {r + 1}' for a, b, c, d in corners for p, q, r in (
@@ -82,27 +82,27 @@ def book() -> dict:
 
 @hard('H7', 'folds of half a turn and more')
 def folds():
-    """No kick: nothing gets faster than the energy that there was."""
+    """Hinges at and beyond half a turn cause no jump of force: energy does not rise."""
     settings = (*FEW, replace(LINE, substeps=32), Setting('jacobi', 'backward_euler'))
     for label, angle, speed in (('flat', 0.0, 0.0), ('half a turn', np.pi, 0.0),
                                 ('minus half a turn', -np.pi, 0.0),
                                 ('through half a turn', 0.9 * np.pi, 2.0)):
         for setting in settings:
-            yield Trial(setting, FOLDING, 2.0, place=partial(folded, angle, speed), energy=0.05,
+            yield Trial(setting, FOLDING, 2.0, start=partial(folded, angle, speed), energy=0.05,
                         strain=2.0, speed=10.0, label=label)
     scene, shut = book(), folded(0.95 * np.pi, 2.0, PAGES)
     for setting in settings:
-        yield Trial(setting, scene, 2.0, place=lambda x: shut, energy=0.05, strain=2.0,
+        yield Trial(setting, scene, 2.0, start=lambda x: shut, energy=0.05, strain=2.0,
                     speed=10.0, label='a book that shuts further')
 
 
 SHEET = alone({'membrane': {'young': 1000.0, 'poisson': 0.3}})
-"""finite elements alone"""
+"""a soft membrane of finite elements, without other effects"""
 STIFF = alone({'membrane': {'young': 1e6, 'poisson': 0.3}})
 
 
 def collapsed(shape: str, x):
-    """Return a sheet without extent along one or two axes; its held corners stay."""
+    """Return a sheet collapsed along one or two axes, or mirrored; pinned corners stay."""
     found = x.copy()
     inner = np.ones(len(x), bool)
     inner[[N * (N - 1), N * N - 1]] = False
@@ -117,20 +117,20 @@ def collapsed(shape: str, x):
     return found, np.zeros_like(x)
 
 
-@hard('H8', 'a membrane collapsed')
+@hard('H8', 'collapsed membranes')
 def membranes():
-    """To a line, to a point, or mirrored: it spreads again."""
+    """Collapsed to a line or a point, or mirrored, a membrane recovers its shape."""
     for shape in ('line', 'nearly a line', 'point', 'nearly a point', 'mirrored'):
         for setting in (*FEW, replace(LINE, substeps=32)):
-            yield Trial(setting, SHEET, 4.0, place=partial(collapsed, shape), recovers=0.05,
+            yield Trial(setting, SHEET, 4.0, start=partial(collapsed, shape), recovery_strain=0.05,
                         label=shape)
             if 'nearly' in shape:
-                yield Trial(setting, STIFF, 4.0, place=partial(collapsed, shape), recovers=0.05,
-                            strain=2.0, label=f'{shape}, stiff')
+                yield Trial(setting, STIFF, 4.0, start=partial(collapsed, shape),
+                            recovery_strain=0.05, strain=2.0, label=f'{shape}, stiff')
 
 
 def body() -> str:
-    """Write a block of 3 × 2 × 2 cells of tetrahedra as VTK and return its name."""
+    """Write a block of 3 × 2 × 2 cells of tetrahedra as VTK and return its path."""
     nx, ny, nz = 3, 2, 2
     points = [(i, j, k) for k in range(nz + 1) for j in range(ny + 1) for i in range(nx + 1)]
     number = {p: n for n, p in enumerate(points)}
@@ -153,19 +153,17 @@ def body() -> str:
     return str(file)
 
 
-
-
 def crushed(shape: str, x):
-    """Return a body as it is, inside out, flat, or a point."""
+    """Return a body at rest, inverted, flat, or (nearly) in one point."""
     middle = x.mean(0)
     scale = {'at rest': (1.0, 1.0, 1.0), 'inside out': (1.0, 1.0, -1.0), 'flat': (1.0, 1.0, 0.0),
              'nearly a point': (1e-3, 1e-3, 1e-3), 'a point': (0.0, 0.0, 0.0)}[shape]
     return middle + (x - middle) * scale, np.zeros_like(x)
 
 
-@hard('H9', 'bodies inside out')
+@hard('H9', 'inverted bodies')
 def bodies():
-    """They come back to the volume that they had."""
+    """Inverted and collapsed bodies recover their volume."""
     def whole(track):
         tetrahedra, rest = track.tetrahedra
         a, b, c, d = (track.x[-1][tetrahedra[:, k]] for k in range(4))
@@ -177,12 +175,12 @@ def bodies():
                   gravity=0.0, density=200.0, damping=2.0, pose=FLAT)
     for shape in ('at rest', 'inside out', 'flat', 'nearly a point', 'a point'):
         for setting in FEW:
-            yield Trial(setting, scene, 3.0, place=partial(crushed, shape), also=whole,
-                        recovers=0.05, label=shape)
+            yield Trial(setting, scene, 3.0, start=partial(crushed, shape), check=whole,
+                        recovery_strain=0.05, label=shape)
 
 
 def flattened(x):
-    """Return a sheet pressed to half its length, all in one plane."""
+    """Return a sheet compressed to half its length within its plane."""
     found = x.copy()
     top = found[:, 2] > SIZE * (1.0 - 0.5 / N)
     found[~top, 2] = SIZE - 0.5 * (SIZE - found[~top, 2])
@@ -190,7 +188,7 @@ def flattened(x):
 
 
 def random(x):
-    """Return particles anywhere in a box; the held corners stay."""
+    """Return particles at random positions in a box; pinned corners stay."""
     found = np.random.default_rng(7).uniform(0.0, SIZE, x.shape)
     for k in (N * (N - 1), N * N - 1):
         found[k] = x[k]
@@ -199,8 +197,8 @@ def random(x):
 
 @hard('H31', 'flattened and random starts')
 def starts():
-    """The sheet comes back to its lengths."""
+    """The sheet recovers its rest lengths."""
     for setting in USUAL:
         for place in (flattened, random):
-            yield Trial(setting, sheet(FIRM), 3.0, place=place, recovers=0.01,
+            yield Trial(setting, sheet(FIRM), 3.0, start=place, recovery_strain=0.01,
                         label=place.__name__)

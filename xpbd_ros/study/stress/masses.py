@@ -1,4 +1,4 @@
-"""Edges and masses: rigid, absent, of unequal weight, coincident, held at both ends."""
+"""Edges and masses: rigid, without stiffness, unequal masses, coincident, pinned at both ends."""
 
 from dataclasses import replace
 from functools import partial
@@ -22,20 +22,20 @@ from xpbd_ros.study.stress.scenes import (
 from xpbd_ros.study.stress.trial import Trial
 
 GENTLE = 0.05
-"""how far the total energy may rise, of what the cloth can have"""
+"""largest rise of the total energy over the energy scale"""
 
 
 @hard('H1', 'rigid everywhere')
 def rigid():
-    """A sheet falls from level about its held edge: energy does not rise."""
+    """A level rigid sheet falls, held by two corners: energy does not rise."""
     scene = sheet(RIGID, pose=FLAT, damping=0.5)
     for setting in USUAL:
         yield Trial(setting, scene, 2.0, energy=GENTLE)
 
 
-@hard('H2', 'stiffness next to nothing')
+@hard('H2', 'stiffness close to zero')
 def absent():
-    """Falls freely, as one particle does, to 1e-12."""
+    """All particles fall alike, to 1e-12."""
     def free(track):
         way = track.x[-1] - track.x[0]
         spread = np.abs(way - way.mean(0)).max() / np.abs(way).max()
@@ -48,12 +48,12 @@ def absent():
             # a velocity is known to the rounding of x over h
             most = (1e-4 if setting.precision == 'float32'
                     else 1e-12 * max(1.0, 0.25 * setting.substeps))
-            yield Trial(setting, scene, 0.5, also=free, label=f'{compliance:g} m/N')
+            yield Trial(setting, scene, 0.5, check=free, label=f'{compliance:g} m/N')
 
 
-@hard('H3', 'no numbers, or without sense')
+@hard('H3', 'invalid parameters')
 def senseless():
-    """Refused at the door, with the key and the value."""
+    """Negative, zero and non-finite parameters are refused with key and value."""
     for key, value, says in (
             ('compliance', -1.0, 'at least 0 m/N (got -1.0)'),
             ('compliance', float('nan'), 'finite m/N (got nan)'),
@@ -68,7 +68,7 @@ def senseless():
 
 
 def heavy(count: int, ratio: float, mass):
-    """Return masses with every ``count``-th column so much heavier, from the far end on."""
+    """Return masses with every ``count``-th column heavier by ``ratio``, from the last on."""
     found = mass.reshape(-1, N).copy()
     found[:, ::-1][:, ::count] *= ratio
     return found.ravel()
@@ -80,10 +80,10 @@ TIP, BETWEEN = partial(heavy, N, 1e6), partial(heavy, 5, 1e6)
 @hard('H4', 'mass ratio of a million')
 def unequal():
     """
-    A heavy tip on a light strip, and light particles between heavy ones.
+    A heavy tip on a light strip, and light particles between heavy ones, cause no instability.
 
-    Within a substep a light particle must not be thrown about its heavy neighbour: T h² w < L.
-    Lines that are this fine carry the weight; what is coarser is soft, and no more than that.
+    A light particle must move by less than an edge within a substep: T h² w < L. With 512 substeps
+    the strip is as stiff as asked; with fewer it is only softer.
     """
     strip = sheet({**SOFT, 'stretch': {'warp': 1e6, 'weft': 1e6}}, grid=(N, 3),
                   size=(SIZE, 2.0 * SPACING), pose={'orientation': DOWN}, pins={'a': 'edge_x0'},
@@ -99,53 +99,53 @@ def unequal():
 
 
 def rows(x):
-    """Return places with two rows of particles on a third."""
+    """Return a start with two rows of particles at the positions of a third."""
     found = x.reshape(N, N, 3).copy()
     found[4] = found[6] = found[5]
     return found.reshape(-1, 3), np.zeros_like(x)
 
 
 def patch(x):
-    """Return places with a patch of particles drawn together in one point."""
+    """Return a start with a patch of particles in one point."""
     found = x.reshape(N, N, 3).copy()
     found[3:7, 3:7] = found[5, 5]
     return found.reshape(-1, 3), np.zeros_like(x)
 
 
 def one(x):
-    """Return places with all particles in one point."""
+    """Return a start with all particles in one point."""
     return np.zeros_like(x), np.zeros_like(x)
 
 
 @hard('H5', 'coincident particles')
 def coincident():
     """
-    They part, in the same way in every run, and the sheet recovers.
+    Coincident particles part, in the same way in every run, and the sheet recovers.
 
-    From one point it opens crumpled: where lines are solved in many substeps it comes back to its
-    shape; where a setting is far softer than asked, a fold keeps a part of its edges pressed.
+    From one point it opens crumpled. With ``line`` and many substeps it recovers its shape; with
+    settings that are far softer than asked, folds keep some edges compressed.
     """
     for setting in USUAL:
         resolved = setting.method == 'line' and setting.substeps >= 32
-        yield Trial(setting, sheet(FIRM, pins={}, gravity=0.0), 3.0, place=one,
-                    recovers=0.01 if resolved else 0.6, label='all of them')
+        yield Trial(setting, sheet(FIRM, pins={}, gravity=0.0), 3.0, start=one,
+                    recovery_strain=0.01 if resolved else 0.6, label='all of them')
         for place, label in ((patch, 'a patch'), (rows, 'three rows')):
-            yield Trial(setting, sheet(), 3.0, place=place, recovers=0.01, label=label)
+            yield Trial(setting, sheet(), 3.0, start=place, recovery_strain=0.01, label=label)
 
 
-@hard('H10', 'both ends of an edge held, three lengths apart')
+@hard('H10', 'both ends of an edge pinned, three lengths apart')
 def held_edge():
-    """The edge is left alone, and the pins feel it."""
+    """The edge moves no particle, and its force is in the wrenches of the pins."""
     def felt(track):
         if not track.force:
             return ''
         pull = abs(track.force['b'][0] - track.force['a'][0]) / 2.0
-        expected = 1000.0 * 2.0 * SPACING / 2.0    # an edge of the rim has half a cell beside it
+        expected = 1000.0 * 2.0 * SPACING / 2.0    # an edge of the border is half as stiff
         return '' if pull >= expected else f'{pull:.3g} N on the pins, not {expected:.3g}'
 
     scene = sheet(pins={'a': [N * (N - 1)], 'b': [N * (N - 1) + 1]})
     for setting in USUAL:
-        yield Trial(setting, scene, 3.0, strain=20.0, speed=20.0, also=felt,
+        yield Trial(setting, scene, 3.0, strain=20.0, speed=20.0, check=felt,
                     pins=lambda t: {'b': (2.0 * SPACING * min(1.0, t), 0.0, 0.0)},
                     note='forces on ~/pin_states')
 
@@ -153,10 +153,10 @@ def held_edge():
 @hard('H11', 'rigid strip between pins that are too far apart')
 def too_far():
     """
-    Cannot be: it is still, and every edge of a line is strained as the whole is: to twice.
+    The constraints cannot be met: the strip is at rest, and all its edges have a strain of 1.
 
-    Of a sheet held by two corners only one row is too long, by a fiftieth; the others hang from
-    it, and nothing gets faster than by a fall over the spacing of its particles.
+    In a sheet held by two corners only one row is too short, by 2 %. The others hang from it, and
+    no particle gets faster than by a fall through the spacing of particles.
     """
     def even(track):
         along = np.abs(np.diff(track.edges, axis=1)[:, 0]) == 1
@@ -173,14 +173,14 @@ def too_far():
 
     for setting in USUAL:
         for scene, label in ((strip, 'a strip'), (wide, 'a sheet')):
-            yield Trial(setting, scene, 4.0, pins=apart, still=1e-3, label=label, also=even)
-        yield Trial(setting, sheet(RIGID), 4.0, pins=partial(apart, part=0.02), still=1e-2,
+            yield Trial(setting, scene, 4.0, pins=apart, end_speed=1e-3, label=label, check=even)
+        yield Trial(setting, sheet(RIGID), 4.0, pins=partial(apart, part=0.02), end_speed=1e-2,
                     speed=(2.0 * 9.80665 * SPACING)**0.5, label='a sheet by its corners')
 
 
 @hard('H33', 'masses of 1e-12 kg and less')
 def light():
-    """No denormal number is left."""
+    """No denormal numbers are left in the state."""
     def normal(track):
         tiny = np.finfo(np.float64).tiny
         left = [name for name, a in (('x', track.x[-1]), ('v', track.v[-1]))
@@ -192,8 +192,8 @@ def light():
                        'shear': {'stiffness': 1e2 * density},
                        'bend': {'stiffness': 5e-4 * density}}, density=density, damping=20.0)
         for setting in USUAL:
-            yield Trial(setting, scene, 3.0, also=normal, label=label,
-                        recovers=0.01, place=patch)
+            yield Trial(setting, scene, 3.0, check=normal, label=label,
+                        recovery_strain=0.01, start=patch)
 
     def sways(x):
         v = np.zeros_like(x)
@@ -201,5 +201,5 @@ def light():
         return x, v
 
     for setting in USUAL:
-        yield Trial(setting, sheet(pose=FLAT, gravity=0.0, damping=20.0), 1.5, also=normal,
-                    place=sways, textbook=False, label='a sway that dies away')
+        yield Trial(setting, sheet(pose=FLAT, gravity=0.0, damping=20.0), 1.5, check=normal,
+                    start=sways, textbook=False, label='a sway that dies away')

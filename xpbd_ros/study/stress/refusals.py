@@ -1,4 +1,4 @@
-"""What must be refused before anything runs, with its reason, or be mended and said."""
+"""Scenes that must be refused with a reason, or be repaired with a note."""
 
 from dataclasses import dataclass
 
@@ -10,17 +10,17 @@ from xpbd_ros.study.stress.case import Outcome
 
 @dataclass(frozen=True)
 class Refusal:
-    """A scene that must not be accepted."""
+    """A scene that must be refused, or repaired."""
 
     name: str
     scene: dict
     says: tuple[str, ...]
-    """texts of the one line that refuses it"""
+    """texts that the error must contain"""
     mended: bool = False
-    """whether it is accepted instead, and the same is said in a note"""
+    """whether the scene is repaired instead, with these texts in a note"""
 
     def outcome(self) -> Outcome:
-        """Try to load it."""
+        """Try to compile the scene, and return the result."""
         try:
             simulation = compile_scene(scene_from_mapping(self.scene, where='case', name='case'))
             text = '; '.join(simulation.notes) if self.mended else ''
@@ -30,5 +30,5 @@ class Refusal:
             why = 'was refused' if self.mended else ''
         missing = [word for word in self.says if word not in text]
         if missing and not why:
-            why = f'did not say: {", ".join(missing)}'
+            why = f'not in the message: {", ".join(missing)}'
         return Outcome(self.name, not why, reported=text.split(': ', 1)[-1], why=why)

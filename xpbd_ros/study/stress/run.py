@@ -1,4 +1,4 @@
-"""Run the hard cases, and draw what came of them."""
+"""Run the hard cases, and draw and tabulate their results."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -14,14 +14,14 @@ from xpbd_ros.study.stress.refusals import Refusal
 from xpbd_ros.study.stress.trial import Trial
 
 NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
-              'H23': 'what is no number, while it runs'}
-"""those that need a node: ``xpbd_ros.node_stress``"""
+              'H23': 'non-finite inputs at run time'}
+"""titles of the cases that need a node (``xpbd_ros.node_stress``), by id"""
 GOOD, BAD, REFUSED, NONE = '#3b8c5a', '#b5443c', '#7fb3d5', '#ededed'
 
 
 @dataclass(frozen=True)
 class Result:
-    """A case that was run."""
+    """A case and its outcomes."""
 
     id: str
     title: str
@@ -31,7 +31,7 @@ class Result:
 
 
 def known_ids() -> list[str]:
-    """Return the ids of all cases that need no node."""
+    """Return the ids of all cases that do not need a node."""
     return [one.id for one in all_hard()]
 
 
@@ -39,13 +39,13 @@ def stress(chosen: str | None = None, *, quick: bool = False,
            progress: Callable[[Iterable, str], Iterable] = lambda items, _: items
            ) -> list[Result]:
     """
-    Run all cases, or those of one id.
+    Run all cases that do not need a node, or one of them.
 
     Parameters
     ----------
-    chosen : an id, such as H13
-    quick : only refusals, and runs at the default setting of scenes that share their machine code
-    progress : passes cases on, and shows how far it is
+    chosen : id of a case, such as H13; None for all
+    quick : run only the attempts of ``is_quick``
+    progress : wraps the list of cases to show progress
 
     """
     cases = [one for one in all_hard() if chosen in (None, one.id)]
@@ -63,7 +63,7 @@ def stress(chosen: str | None = None, *, quick: bool = False,
 
 
 def is_quick(case, attempt) -> bool:
-    """Tell whether an attempt takes little: no scene of its own, one setting, a few seconds."""
+    """Return whether an attempt is a refusal, or a run of at most 5 s with the default setting."""
     if isinstance(attempt, Refusal):
         return True
     return (isinstance(attempt, Trial) and attempt.setting == Setting() and not case.slow
@@ -71,7 +71,7 @@ def is_quick(case, attempt) -> bool:
 
 
 def columns(results: list[Result]) -> list[str]:
-    """Return the settings, without what else tells attempts apart, in the order they come in."""
+    """Return the settings of all attempts without their labels, in order; 'door' for refusals."""
     found = dict.fromkeys(_setting(each) for result in results for each in result.outcomes)
     return [name for name in found if name != 'door'] + ['door'] * ('door' in found)
 
@@ -81,7 +81,7 @@ def _setting(outcome: Outcome) -> str:
 
 
 def _words(text: str) -> int:
-    """Return how many words of a row's name are its setting."""
+    """Return the number of words of an attempt's name that are its setting."""
     words = text.split()
     if len(words) < 3 or 'x' not in words[2]:
         return 0
@@ -89,7 +89,7 @@ def _words(text: str) -> int:
 
 
 def draw(results: list[Result], file: Path) -> Path:
-    """Draw a map of case by setting: passed, refused with its reason, failed; textbook beside."""
+    """Draw a map of cases and settings: passed, refused, failed; with the textbook solver."""
     names = columns(results)
     shown = [name for name in names if sum(_setting(each) == name for result in results
                                            for each in result.outcomes) > 2]
@@ -128,7 +128,7 @@ def draw(results: list[Result], file: Path) -> Path:
 
 
 def table(results: list[Result]) -> str:
-    """Return a Markdown table: how many attempts of a case passed, and what it needs for that."""
+    """Return a Markdown table: by case, the passed attempts and the guards that it needs."""
     rows = ['| Case | | Passed | Textbook | Fails without |', '|---|---|---|---|---|']
     for result in results:
         tried = [each for each in result.outcomes if not each.skipped]
@@ -146,6 +146,6 @@ def _cell(x: int, y: int, colour: str):
 
 
 def skipped(id_: str, title: str, why: str) -> Result:
-    """Return a case that cannot be run here."""
+    """Return the result of a case that cannot be run here, with the reason."""
     return Result(id_, title, 'node', (replace(Outcome('node', False), why=why, skipped=True),),
                   0.0)

@@ -1,11 +1,10 @@
 """
-A textbook solver: XPBD as a paper prints it, one constraint after another, on one thread.
+A textbook XPBD solver, as published, for comparison; one thread, one constraint after another.
 
 Macklin et al. 2016, algorithm 1: explicit forces, prediction, Gauss-Seidel over edges, hinges
-(Müller et al. 2006, appendix: by arccos), tetrahedra and contacts, velocities from positions, and
-friction that shortens velocities. Pins and colliders are where they are told to be, at once; what
-is shorter than EPSILON is skipped. It shares nothing with the simulation: it is what that is
-compared with.
+(Müller et al. 2006, appendix, with arccos), tetrahedra and contacts, velocities from positions,
+and friction that scales velocities. Pins and colliders jump to their targets; lengths below
+EPSILON are skipped. It shares no code with the simulation.
 """
 
 from typing import NamedTuple
@@ -14,12 +13,12 @@ from numba import njit
 import numpy as np
 
 EPSILON = 1e-6
-"""an absolute guard, as is usual"""
+"""lengths below this are skipped [m]"""
 PLANE, SPHERE, BOX, CAPSULE = range(4)
 
 
 class Model(NamedTuple):
-    """What does not change in a run; indices are of particles."""
+    """The constant data of a run; indices are those of particles."""
 
     mass: np.ndarray
     """[kg], shape (particles,)"""
@@ -40,22 +39,38 @@ class Model(NamedTuple):
     volume: np.ndarray
     """[m³], shape (tetrahedra,)"""
     triangles: np.ndarray
-    """that feel the air, shape (triangles, 3)"""
+    """triangles with drag, shape (triangles, 3)"""
     kind: np.ndarray
-    """of each collider"""
+    """PLANE, SPHERE, BOX or CAPSULE, shape (colliders,)"""
     size: np.ndarray
-    """normal; radius; half extents; radius and half length; shape (colliders, 3)"""
+    """normal; radius; half extents; or radius and half length [m], shape (colliders, 3)"""
     thickness: float
+    """contact distance [m]"""
     friction: float
+    """coefficient μ"""
     apart: float
-    """distance that cloth keeps from itself [m]; 0: none"""
+    """self-collision distance [m]; 0 for none"""
     gravity: np.ndarray
     """[m/s²], shape (3,)"""
 
 
 @njit(error_model='numpy')
 def advance(model, x, v, w, pinned, target, centre, air, dt, substeps, iterations):
-    """Advance by one frame, in place; ``air`` is its velocity and density, shape (4,)."""
+    """
+    Advance by one frame, in place.
+
+    Parameters
+    ----------
+    model : constant data
+    x, v : positions [m] and velocities [m/s], shape (particles, 3)
+    w : inverse masses [1/kg], 0 while pinned, shape (particles,)
+    pinned, target : indices of pinned particles and their positions [m]
+    centre : positions of the colliders [m], shape (colliders, 3)
+    air : velocity [m/s] and density [kg/m³] of the air, shape (4,)
+    dt : frame period [s]
+    substeps, iterations : numbers of them
+
+    """
     n = len(x)
     h = dt / substeps
     before = np.empty_like(x)

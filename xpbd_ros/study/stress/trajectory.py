@@ -1,55 +1,57 @@
-"""What a run did: places, velocities, strain and energy after each frame."""
+"""The trajectory of a run: positions, velocities, strain and energy after each frame."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-STILL = 0.25
-"""what counts as the end of a run [s]"""
+END = 0.25
+"""length of the end of a run that ``at_end`` covers [s]"""
 
 
 @dataclass
-class Track:
-    """One run, frame by frame; the first is the start."""
+class Trajectory:
+    """One run, frame by frame; the first frame is the start."""
 
     dt: float
-    """[s]"""
+    """frame period [s]"""
     edges: np.ndarray
-    """natural numbers, shape (edges, 2)"""
+    """indices of particles, shape (edges, 2)"""
     rest: np.ndarray
-    """[m], shape (edges,)"""
+    """rest lengths [m], shape (edges,)"""
     free: np.ndarray
     """whether a particle is free at the end, shape (particles,)"""
     triangles: np.ndarray
-    """shape (triangles, 3)"""
+    """indices of particles, shape (triangles, 3)"""
     tetrahedra: tuple[np.ndarray, np.ndarray]
-    """shape (tetrahedra, 4), and their volume at rest [m³]"""
+    """indices of particles, shape (tetrahedra, 4), and rest volumes [m³]"""
     x: list[np.ndarray] = field(default_factory=list)
+    """positions by frame [m], each of shape (particles, 3)"""
     v: list[np.ndarray] = field(default_factory=list)
+    """velocities by frame [m/s], each of shape (particles, 3)"""
     energy: list[float] = field(default_factory=list)
-    """of motion and height [J]"""
-    stored: float = 0.0
-    """in the constraints at the start [J]"""
-    span: float = 1.0
-    """what the energy is compared with [J]"""
+    """kinetic and gravitational energy by frame [J]"""
+    elastic_energy: float = 0.0
+    """elastic energy at the start [J]"""
+    energy_scale: float = 1.0
+    """energy that a rise is relative to [J]"""
     stats: dict[str, float] = field(default_factory=dict)
-    """the largest of each that the simulation counts"""
-    said: list[str] = field(default_factory=list)
-    """what it told the user"""
+    """largest value of each counter of the simulation"""
+    messages: list[str] = field(default_factory=list)
+    """messages to the user"""
     force: dict[str, np.ndarray] = field(default_factory=dict)
-    """on each pin, at the end [N]"""
+    """force on each pin at the end [N]"""
     hash: int = 0
-    """of the state at the end"""
+    """hash of the state at the end; 0 for the textbook solver"""
 
     @property
     def finite(self) -> bool:
-        """Whether all that came out is."""
+        """Whether all positions and the last velocities are finite."""
         return bool(np.isfinite(self.x[-1]).all() and np.isfinite(self.v[-1]).all()
                     and all(np.isfinite(x).all() for x in self.x))
 
     @property
     def strain(self) -> np.ndarray:
-        """Largest |l - L| / L over the edges, by frame."""
+        """Largest |l - L| / L over the edges, shape (frames,)."""
         if not len(self.edges):
             return np.zeros(len(self.x))
         i, j = self.edges.T
@@ -60,26 +62,31 @@ class Track:
         return found
 
     @property
-    def worst(self) -> float:
-        """Largest strain there was after the start."""
+    def max_strain(self) -> float:
+        """Largest strain after the start."""
         return float(self.strain[1:].max(initial=0.0))
 
     @property
     def speed(self) -> np.ndarray:
-        """Largest speed, by frame [m/s]."""
+        """Largest speed of a particle [m/s], shape (frames,)."""
         return np.array([np.sqrt((v**2).sum(1).max(initial=0.0)) for v in self.v])
 
     @property
-    def rise(self) -> float:
-        """How far the energy of motion and height rose above all that there was, by ``span``."""
-        return float((max(self.energy) - self.energy[0] - self.stored) / self.span)
+    def energy_rise(self) -> float:
+        """Largest rise of ``energy`` above all energy at the start, over ``energy_scale``."""
+        return float((max(self.energy) - self.energy[0] - self.elastic_energy)
+                     / self.energy_scale)
 
-    def late(self, values: np.ndarray) -> float:
-        """Return the largest of some values by frame at the end of the run."""
-        return float(values[-max(2, round(STILL / self.dt)):].max())
+    def at_end(self, values: np.ndarray) -> float:
+        """Return the largest of values, shape (frames,), within END of the end of the run."""
+        return float(values[-max(2, round(END / self.dt)):].max())
 
-    def back_after(self, since: float, level: float, within: float = 2.0) -> float | None:
-        """Return when the strain came under a level to stay, after ``since`` [s]; or None."""
+    def recovery_time(self, since: float, level: float, within: float = 2.0) -> float | None:
+        """
+        Return the time from ``since`` until the strain stays below ``level`` [s].
+
+        None if that takes longer than ``within`` [s].
+        """
         first, last = (round(t / self.dt) for t in (since, since + within))
         above = np.flatnonzero(~(self.strain[first:] <= level))
         count = 0 if not len(above) else int(above[-1]) + 1

@@ -1,9 +1,9 @@
 """
-One run of a hard case, by the simulation and by the textbook solver, judged alike.
+One run of a hard case, by the simulation and by the textbook solver, with the same criteria.
 
-What must hold is named in the case: finite always; largest strain, speed, stillness at the end and
-rise of energy where they are given; recovery to the strain of the same scene without the cause,
-within two seconds after it ended; and what the user must have been told.
+All numbers must stay finite. A case may limit the strain, the speed, the speed at the end and the
+rise of energy. It may ask for recovery, that is a return to the strain of the same scene without
+the cause within two seconds after the cause, and for messages to the user.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,129 +26,137 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.particles.state import forget
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.textbook import advance, BOX, CAPSULE, Model, PLANE, SPHERE
-from xpbd_ros.study.stress.trajectory import Track
+from xpbd_ros.study.stress.trajectory import Trajectory
 
 Paths = Callable[[float], dict]
-"""of time [s]: for each name how far it is from its start [m], or None where it lets go"""
+"""time [s] -> {name: displacement from the start [m], or None for a released pin}"""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One run at one setting, and what must hold."""
+    """One run with one setting, and its criteria."""
 
     setting: Setting
     scene: dict
-    """a scene without ``solver``"""
+    """mapping of a scene without ``solver``"""
     seconds: float = 3.0
-    place: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
-    """from the places at the start to places and velocities, shapes (particles, 3)"""
+    """simulated time [s]"""
+    start: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]] | None = None
+    """initial positions of the scene -> initial positions [m] and velocities [m/s] of the run"""
     masses: Callable[[np.ndarray], np.ndarray] | None = None
-    """from masses to masses [kg]; out of reach of a scene"""
-    spoil: Callable[[Simulation], None] | None = None
-    """an unsafe setting, out of reach of a scene"""
+    """masses of the scene -> masses of the run [kg], shape (particles,)"""
+    make_unsafe: Callable[[Simulation], None] | None = None
+    """makes a setting unsafe, in a way that no scene can"""
     pins: Paths | None = None
+    """motion of the pins"""
     colliders: Paths | None = None
+    """motion of the colliders"""
     commands: Callable[[int], Sequence[Command]] | None = None
-    """by frame, for what the textbook has nothing of"""
+    """frame -> further commands, which the textbook solver does not get"""
     air: Callable[[float], tuple[float, float, float]] | None = None
-    """the textbook's wind [m/s], of time"""
+    """time [s] -> wind of the textbook solver [m/s]"""
     drag: float = 0.0
-    """density of the textbook's air [kg/m³]"""
-    apart: float = 0.0
-    """distance that the textbook's cloth keeps from itself [m]"""
-    ended: float = 0.0
-    """when the cause has ended [s]"""
+    """density of the air of the textbook solver [kg/m³]"""
+    cloth_distance: float = 0.0
+    """self-collision distance of the textbook solver [m]"""
+    cause_end: float = 0.0
+    """end of the cause, from which recovery counts [s]"""
     strain: float | None = None
+    """largest strain allowed"""
     speed: float | None = None
-    """[m/s]"""
-    still: float | None = None
-    """[m/s] at the end"""
+    """largest speed allowed [m/s]"""
+    end_speed: float | None = None
+    """largest speed allowed at the end [m/s]"""
     energy: float | None = None
-    """largest rise, of what it can have"""
-    recovers: float | None = None
-    """strain above that of the same scene without the cause, or part of what the cause made"""
-    also: Callable[[Track], str] | None = None
-    """says what is wrong besides, or nothing"""
-    tells: tuple[str, ...] = ()
-    """counts that must not be 0, or texts that must be said"""
+    """largest rise of energy allowed, over the energy scale"""
+    recovery_strain: float | None = None
+    """tolerance of the recovered strain, absolute or relative to the largest strain"""
+    check: Callable[[Trajectory], str] | None = None
+    """further criterion; returns a fault, empty if there is none"""
+    reports: tuple[str, ...] = ()
+    """counters that must not be 0, or texts that must be in messages"""
     note: str = ''
-    """what is told elsewhere"""
+    """where else the user is informed"""
     textbook: bool = True
-    """whether the textbook solver has all that the case is of"""
+    """whether the textbook solver can run the case"""
     label: str = ''
-    """beside the setting"""
+    """part of the name that tells attempts with the same setting apart"""
 
     @property
     def name(self) -> str:
-        """Return the setting, and what else tells it from others."""
+        """Setting and label."""
         return f'{self.setting} {self.label}'.strip()
 
     def outcome(self) -> Outcome:
-        """Run it by both and judge."""
+        """Run the case with both solvers, and return the result."""
         try:
             with np.errstate(all='ignore'):
                 ours = self.simulate()
         except InputError as error:
             text = str(error).split(': ', 1)[-1]
-            at_door = text.startswith('solver.')    # the setting, and not the scene
-            return Outcome(self.name, at_door, reported=text, why='' if at_door else 'was refused')
-        why, recovery = self.judge(ours, self.calm('simulate'))
-        told = [text for text in self.tells if ours.stats.get(text) or any(
-            text in said for said in ours.said)]
-        if len(told) < len(self.tells):
-            why.append(f'not told: {", ".join(set(self.tells) - set(told))}')
-        taken_back = ours.stats.get('frames_taken_back', 0)
-        if taken_back and 'frames_taken_back' not in self.tells:
-            why.append(f'{taken_back} frames taken back')
+            refused_setting = text.startswith('solver.')
+            return Outcome(self.name, refused_setting, reported=text,
+                           why='' if refused_setting else 'was refused')
+        why, recovery = self.judge(ours, self.baseline_strain('simulate'))
+        told = [text for text in self.reports if ours.stats.get(text) or any(
+            text in message for message in ours.messages)]
+        if len(told) < len(self.reports):
+            why.append(f'not reported: {", ".join(set(self.reports) - set(told))}')
+        rolled_back = ours.stats.get('frames_taken_back', 0)
+        if rolled_back and 'frames_taken_back' not in self.reports:
+            why.append(f'{rolled_back} frames rolled back')
         book, book_why = None, ''
         if self.textbook:
             with np.errstate(all='ignore'):
-                faults, _ = self.judge(self.by_the_book(), self.calm('by_the_book'))
+                faults, _ = self.judge(self.run_textbook(), self.baseline_strain('run_textbook'))
             book, book_why = not faults, '; '.join(faults)
         finite = ours.finite
+        reported = [f'{text} {ours.stats[text]:g}' if text in ours.stats else
+                    next(message for message in ours.messages if text in message)
+                    for text in told]
         return Outcome(
-            self.name, not why, finite, ours.worst if finite else None,
-            ours.rise if finite else None, None if self.recovers is None else recovery is not None,
-            recovery, '; '.join([*(f'{text} {ours.stats[text]:g}' if text in ours.stats else
-                                   next(said for said in ours.said if text in said)
-                                   for text in told), *[self.note] * bool(self.note)]),
-            '; '.join(why), book, book_why)
+            self.name, not why, finite, ours.max_strain if finite else None,
+            ours.energy_rise if finite else None,
+            None if self.recovery_strain is None else recovery is not None, recovery,
+            '; '.join([*reported, *[self.note] * bool(self.note)]), '; '.join(why), book,
+            book_why)
 
-    def calm(self, solver: str) -> float:
-        """Return the strain at the end of the same scene without the cause."""
-        if self.recovers is None:
+    def baseline_strain(self, solver: str) -> float:
+        """Return the largest strain in the second half of the same scene without the cause."""
+        if self.recovery_strain is None:
             return 0.0
         plain = Trial(self.setting, self.scene, self.seconds, masses=self.masses, drag=self.drag,
-                      apart=self.apart)
+                      cloth_distance=self.cloth_distance)
         key = (solver, str(self.setting), json.dumps(self.scene, default=str), self.seconds,
                self.masses)
-        if key not in _CALM:
+        if key not in _BASELINES:
             with np.errstate(all='ignore'):
                 track = getattr(plain, solver)()
-            _CALM[key] = track.strain[len(track.x) // 2:].max()
-        return _CALM[key]
+            _BASELINES[key] = track.strain[len(track.x) // 2:].max()
+        return _BASELINES[key]
 
-    def judge(self, track: Track, calm: float) -> tuple[list[str], float | None]:
-        """Return what is wrong with a run, and when it recovered."""
+    def judge(self, track: Trajectory, baseline: float) -> tuple[list[str], float | None]:
+        """Return the criteria that a run misses, and its recovery time [s] (None: none)."""
         if not track.finite:
             return ['not finite'], None
         why, recovery = [], None
         for name, most, got, unit in (
-                ('strain', self.strain, track.worst, ''),
+                ('strain', self.strain, track.max_strain, ''),
                 ('speed', self.speed, track.speed.max(), ' m/s'),
-                ('speed at the end', self.still, track.late(track.speed), ' m/s'),
-                ('energy', self.energy, track.rise, ' of what it can have')):
+                ('speed at the end', self.end_speed, track.at_end(track.speed), ' m/s'),
+                ('energy rise', self.energy, track.energy_rise, ' of the energy scale')):
             if most is not None and not got <= most:
                 why.append(f'{name} {got:.3g}{unit} (at most {most:g})')
-        if self.recovers is not None:
-            recovery = track.back_after(self.ended, calm + max(
-                self.recovers, self.recovers * (track.strain.max() - calm)))
+        if self.recovery_strain is not None:
+            recovery = track.recovery_time(self.cause_end, baseline + max(
+                self.recovery_strain, self.recovery_strain * (track.strain.max() - baseline)))
             if recovery is None:
-                why.append(f'strain {track.late(track.strain):.3g} at the end '
-                           f'(without the cause {calm:.3g})')
-        if self.also is not None and (fault := self.also(track)):
+                why.append(f'strain {track.at_end(track.strain):.3g} at the end '
+                           f'(without the cause {baseline:.3g})')
+        if self.check is not None and (fault := self.check(track)):
             why.append(fault)
         return why, recovery
 
@@ -161,17 +169,17 @@ class Trial:
             state.mass[slot] = self.masses(state.mass[slot].astype(float))
             held = state.inv_mass[slot] == 0.0
             state.inv_mass[slot] = np.where(held, 0.0, 1.0 / state.mass[slot])
-        if self.place is not None:
-            x, v = self.place(simulation.natural(state.x))
+        if self.start is not None:
+            x, v = self.start(simulation.natural(state.x))
             state.x[:, slot] = state.x_prev[:, slot] = x.T
             state.v[:, slot] = np.where(state.inv_mass[slot] > 0.0, v.T, 0.0)
             forget(state)
-        if self.spoil is not None:
-            self.spoil(simulation)
+        if self.make_unsafe is not None:
+            self.make_unsafe(simulation)
         return simulation
 
-    def simulate(self) -> Track:
-        """Run it by the simulation."""
+    def simulate(self) -> Trajectory:
+        """Run the case with the simulation."""
         simulation = self.build()
         start = frame = simulation.frame()
         track = _track(simulation, start.x)
@@ -188,8 +196,8 @@ class Trial:
                                 + measure.potential_energy(simulation.state))
 
         keep(start)
-        track.stored = measure.elastic_energy(simulation)
-        track.span = _span(simulation, track.stored)
+        track.elastic_energy = measure.elastic_energy(simulation)
+        track.energy_scale = _energy_scale(simulation, track.elastic_energy)
         for k in range(round(self.seconds / track.dt)):
             t = (k + 1) * track.dt
             commands = list(self.commands(k)) if self.commands else []
@@ -211,16 +219,16 @@ class Trial:
             keep(frame)
             for name, value in simulation.stats().items():
                 track.stats[name] = max(track.stats.get(name, 0), value)
-            track.said += [reason for _, reason in frame.refused]
+            track.messages += [reason for _, reason in frame.refused]
         track.free = frame.inv_mass > 0.0
-        track.said += simulation.notes
+        track.messages += simulation.notes
         track.force = {name: pin.force for name, pin in frame.pins.items()}
         track.hash = simulation.hash()
         return track
 
-    def by_the_book(self) -> Track:
-        """Run it by the textbook solver."""
-        simulation = replace(self, spoil=None).build()
+    def run_textbook(self) -> Trajectory:
+        """Run the case with the textbook solver."""
+        simulation = replace(self, make_unsafe=None).build()
         model = _model(self, simulation)
         frame = simulation.frame()
         x, v, w = frame.x.copy(), frame.v.copy(), frame.inv_mass.copy()
@@ -238,8 +246,8 @@ class Trial:
                                                      - x @ model.gravity)).sum()))
 
         keep()
-        track.stored = measure.elastic_energy(simulation)
-        track.span = _span(simulation, track.stored)
+        track.elastic_energy = measure.elastic_energy(simulation)
+        track.energy_scale = _energy_scale(simulation, track.elastic_energy)
         for k in range(round(self.seconds / track.dt)):
             t = (k + 1) * track.dt
             wanted = self.pins(t) if self.pins else {}
@@ -266,25 +274,18 @@ class Trial:
         return track
 
 
-_CALM: dict = {}
-
-
-def _numbers(simulation) -> np.ndarray:
-    """Return the number of the particle in each slot, in natural order; -1 where there is none."""
-    found = np.full(len(simulation.state.mass), -1)
-    found[simulation.slot] = np.arange(len(simulation.slot))
-    return found
+_BASELINES: dict = {}
 
 
 def _particles(simulation, name: str) -> np.ndarray:
-    """Return the numbers of what a pin of the scene holds at the start."""
+    """Return the natural indices of the particles that a pin of the scene holds at the start."""
     entry = simulation.effects['pin'].entries[name]
     cloth = simulation.effects['pin'].cloths[entry.cloth]
-    return _numbers(simulation)[cloth.at(entry.at, name)]
+    return natural_indices(simulation)[cloth.at(entry.at, name)]
 
 
-def _track(simulation, x) -> Track:
-    """Return an empty track of a simulation; its edges are those of the rest shape."""
+def _track(simulation, x) -> Trajectory:
+    """Return an empty trajectory of a simulation, with the edges of the meshes."""
     edges = [np.zeros((0, 2), np.int64)]
     rest = [np.zeros(0)]
     for cloth in simulation.cloths:
@@ -297,32 +298,32 @@ def _track(simulation, x) -> Track:
         edges.append(found + cloth.first)
         d = mesh.positions[found[:, 0]] - mesh.positions[found[:, 1]]
         rest.append(np.sqrt((d**2).sum(1)))
-    return Track(simulation.frame_dt, np.concatenate(edges), np.concatenate(rest),
-                 np.ones(len(x), bool),
-                 np.concatenate([c.mesh.triangles + c.first for c in simulation.cloths]),
-                 _tetrahedra(simulation))
+    return Trajectory(simulation.frame_dt, np.concatenate(edges), np.concatenate(rest),
+                      np.ones(len(x), bool),
+                      np.concatenate([c.mesh.triangles + c.first for c in simulation.cloths]),
+                      _tetrahedra(simulation))
 
 
 def _tetrahedra(simulation) -> tuple[np.ndarray, np.ndarray]:
-    """Return the tetrahedra of all bodies, and their volumes at rest [m³]."""
+    """Return the tetrahedra of all bodies and their rest volumes [m³]."""
     found = np.concatenate([c.mesh.tetrahedra + c.first for c in simulation.cloths])
     p = np.concatenate([cloth.mesh.positions for cloth in simulation.cloths])
     a, b, c, d = (p[found[:, k]] for k in range(4))
     return found, ((b - a) * np.cross(c - a, d - a)).sum(1) / 6.0
 
 
-def _span(simulation, stored: float) -> float:
-    """Return m g times the size of the cloths, and what there is at the start [J]."""
+def _energy_scale(simulation, elastic: float) -> float:
+    """Return m g times the size of the cloths plus the energy at the start [J]."""
     state = simulation.state
     size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0)))
                for cloth in simulation.cloths)
     fall = float(state.mass.sum() * np.linalg.norm(state.gravity)) * size
-    return fall + stored + measure.kinetic_energy(state) or 1.0
+    return fall + elastic + measure.kinetic_energy(state) or 1.0
 
 
 def _model(trial: Trial, simulation) -> Model:
-    """Return what the textbook solver is given: the same particles, edges, hinges, tetrahedra."""
-    number = _numbers(simulation)
+    """Return the particles, constraints and colliders of a case for the textbook solver."""
+    number = natural_indices(simulation)
     edges, rest, alpha = [], [], []
     hinges, angle, hinge_alpha = [np.zeros((0, 4), np.int64)], [np.zeros(0)], [np.zeros(0)]
     for name in ('stretch', 'shear'):
@@ -331,7 +332,7 @@ def _model(trial: Trial, simulation) -> Model:
                 edges.append(number[these.particles])
                 rest.append(these.rest_length)
                 alpha.append(these.compliance)
-            else:    # the textbook has both diagonals of a cell, each twice as stiff
+            else:    # the textbook solver gets both diagonals of a cell, each twice as stiff
                 ends = number[these.particles].reshape(-1, 2)
                 places = np.concatenate([cloth.mesh.positions for cloth in simulation.cloths])
                 edges.append(ends)
@@ -342,7 +343,7 @@ def _model(trial: Trial, simulation) -> Model:
         hinges.append(number[these.particles])
         angle.append(these.rest_angle)
         hinge_alpha.append(these.compliance)
-    if not edges:    # a finite-element sheet or body: its edges, as stiff as its modulus
+    if not edges:    # finite elements: the edges of the mesh, with a comparable stiffness
         track = _track(simulation, simulation.frame().x)
         stiff = [1.0 / trial.scene['cloths'][cloth.name]['effects'].get(
             'membrane', {}).get('young', 1e3) for cloth in simulation.cloths]
@@ -359,7 +360,7 @@ def _model(trial: Trial, simulation) -> Model:
         np.array([_kind(entry) for entry in colliders], np.int64),
         np.array([_size(entry) for entry in colliders]).reshape(-1, 3),
         simulation.effects['contact'].thickness if colliders else 0.0,
-        simulation.cloths[0].friction, trial.apart,
+        simulation.cloths[0].friction, trial.cloth_distance,
         simulation.state.gravity.astype(float))
 
 

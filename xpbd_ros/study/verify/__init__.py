@@ -1,8 +1,9 @@
 """
-Cases with known answers: what is expected, what we get, and at which order it converges.
+Cases with known solutions: expected and computed values, and orders of convergence.
 
-A family is a file of this package; a case is a function in it, marked with ``@case(id, title)``,
-that yields rows. It is listed, tested, tabulated and drawn because it is there.
+A family is a module of this package. A case is a function in it, registered with
+``@case(id, title)``, that yields rows. All registered cases are listed, tested, tabulated and
+drawn.
 """
 
 import importlib
@@ -13,7 +14,7 @@ FAMILIES = ('motion', 'elastic', 'bending', 'friction', 'waves', 'bodies', 'ener
 
 
 def all_cases() -> dict[str, list[Case]]:
-    """Import every family and return its cases."""
+    """Import all families and return their cases, by family."""
     for family in FAMILIES:
         importlib.import_module(f'xpbd_ros.study.verify.{family}')
     return {family: [one for one in CASES if one.family == family] for family in FAMILIES}

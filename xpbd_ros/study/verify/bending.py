@@ -1,4 +1,4 @@
-"""Bending: patches, strips that droop, a strip that swings."""
+"""Bending: curved patches, cantilevers, and the first mode of a strip."""
 
 from functools import cache
 from tempfile import NamedTemporaryFile
@@ -9,6 +9,7 @@ from scipy.integrate import solve_bvp, trapezoid
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
 
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.verify.build import build, crossing, G, hold, place, run
 from xpbd_ros.study.verify.case import case, order, value
 
@@ -17,15 +18,13 @@ DENSITY = 0.2
 
 @case('V12', 'bending patch')
 def patch():
-    """Rolled onto a cylinder about any axis, a sheet stores B κ² / 2 per area."""
+    """A sheet bent onto a cylinder about any axis has an energy of B κ² / 2 per area."""
     B, curvature, h = 2e-3, 0.2, 0.05
     simulation = build((12, 12), (11 * h, 11 * h), {'bend': {'stiffness': B}}, method='auto')
     x, bends = simulation.frame().x, simulation.effects['bend'].constraints
-    number = np.full(simulation.state.x.shape[1], -1)
-    number[simulation.slot] = np.arange(len(x))
-    there = x[number[bends.particles], :2]
-    inside = ((there > 0.5 * h) & (there < 10.5 * h)).all((1, 2))    # not half as wide
-    curved = bends.weight[:, 0] == 0.0    # three particles
+    there = x[natural_indices(simulation)[bends.particles], :2]
+    inside = ((there > 0.5 * h) & (there < 10.5 * h)).all((1, 2))    # full width
+    curved = bends.weight[:, 0] == 0.0    # constraints of three particles
     for degrees in (0.0, 22.5, 45.0, 90.0, 135.0):
         a = np.radians(degrees)
         along = x[:, 0] * np.cos(a) + x[:, 1] * np.sin(a)
@@ -40,7 +39,12 @@ def patch():
 
 
 def irregular(n: int, h: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices, shaken from a lattice of triangles and turned, and their triangulation."""
+    """
+    Return an irregular triangulation: vertices [m] and triangles.
+
+    The n × n vertices are those of a triangular lattice of edge h [m], displaced at random by up
+    to h / 4 and rotated by an angle [degrees].
+    """
     row, column = (k.ravel() for k in np.mgrid[:n, :n])
     points = h * np.stack([column + 0.5 * (row % 2), row * 0.75**0.5], 1)
     inner = (np.minimum(row, column) > 0) & (np.maximum(row, column) < n - 1)
@@ -57,9 +61,9 @@ def irregular(n: int, h: float, degrees: float) -> tuple[np.ndarray, np.ndarray]
 @case('V12', 'bending patch')
 def patch_of_a_mesh():
     """
-    Rolled likewise a mesh settles within; per area it stores (√B1 c² + √B2 s²)² κ² / 2.
+    A mesh bent onto a cylinder has an energy of (√B1 c² + √B2 s²)² κ² / 2 per area.
 
-    Held are the particles at the rim and beside it.
+    Particles at the border and next to it are held on the cylinder; the others are in equilibrium.
     """
     h, n = 0.05, 13
     for degrees, (warp, weft) in ((0.0, (2e-3, 2e-3)), (25.0, (2e-3, 2e-3)),
@@ -72,9 +76,7 @@ def patch_of_a_mesh():
             simulation = build(mesh=file.name, effects={'bend': {'warp': warp, 'weft': weft}},
                                method='auto')
         bends, x = simulation.effects['bend'].constraints, simulation.frame().x
-        number = np.full(simulation.state.x.shape[1], -1)
-        number[simulation.slot] = np.arange(len(x))
-        particles = number[bends.particles]
+        particles = natural_indices(simulation)[bends.particles]
         fold = sparse.csr_matrix((bends.weight.ravel(), (
             np.repeat(np.arange(len(particles)), 4), particles.ravel())))
         stiffness = (fold.T @ sparse.diags(1.0 / bends.compliance) @ fold).tocsc()
@@ -115,10 +117,10 @@ def droop(gamma: float) -> tuple[float, float]:
 
 def clamped(n: int, length: float, B: float, **options):
     """
-    Return a strip of n free edges whose root is clamped in the middle of an edge.
+    Return a strip of n free edges that is clamped in the middle of an edge, and its edge [m].
 
-    Between two pinned particles; so the first hinge stands for a whole edge like all others, and
-    the length counts from there.
+    The clamp is between two pinned particles, so the first hinge stands for a whole edge as all
+    others do. The length counts from there.
     """
     h = length / (n + 0.5)
     return build((n + 2, 2), ((n + 1) * h, h), {
@@ -128,7 +130,7 @@ def clamped(n: int, length: float, B: float, **options):
 
 def hangs(n: int, gamma: float, length: float = 0.3) -> np.ndarray:
     """Return x / L and drop / L of the tip at rest."""
-    # bending is swept, not solved by lines: it takes more the finer the strip
+    # bending converges by sweeps, not by line solves: finer strips need more iterations
     strip, h = clamped(n, length, DENSITY * G * length**3 / gamma, substeps=160,
                        iterations=n // 2,
                        effects_={'damping': {'rate': 15.0}})
@@ -136,7 +138,7 @@ def hangs(n: int, gamma: float, length: float = 0.3) -> np.ndarray:
 
 
 def settled(strip, n: int, h: float, length: float) -> np.ndarray:
-    """Return x / L and drop / L of a strip's tip when nothing moves any more."""
+    """Return x / L and drop / L of the tip of a strip at rest."""
     for _ in range(40):
         frame = run(strip, 15)
         if np.abs(frame.v).max() < 1e-9:
@@ -147,7 +149,7 @@ def settled(strip, n: int, h: float, length: float) -> np.ndarray:
 
 @case('V9', 'cantilever under its own weight', slow=True)
 def cantilever():
-    """Γ = q L³ / B; the answer is a boundary value problem of the elastica, solved apart."""
+    """The tip is that of the elastica with Γ = q L³ / B, a boundary value problem."""
     for gamma in (1.0, 5.0, 20.0):
         across, down = droop(gamma)
         sizes = (12, 24, 48)
@@ -172,13 +174,13 @@ def bowed(gamma: float) -> tuple[float, float]:
 
 @case('V10', 'elastica with a load at its tip', slow=True)
 def tip_load():
-    """Γ = P L² / B, without weight; the answer is again a boundary value problem."""
+    """The tip is that of the weightless elastica with Γ = P L² / B, a boundary value problem."""
     B, length = 0.005, 0.3
     for gamma in (1.0, 5.0):
         across, down = bowed(gamma)
         sizes, got = (8, 16, 32), []
         for n in sizes:
-            load = gamma * B / (length * (n + 0.5))    # of a strip as wide as an edge
+            load = gamma * B / (length * (n + 0.5))    # for a width of one edge
             strip, h = clamped(n, length, B, gravity=(0, 0, 0), substeps=160, iterations=n // 2,
                                effects_={'damping': {'rate': 15.0}, 'force': {
                                    'cloth': 'c', 'at': [n + 1, 2 * n + 3],
@@ -192,7 +194,7 @@ def tip_load():
 
 @case('V11', 'textile cantilever (ASTM D1388, Peirce)')
 def textile():
-    """At a chord of 41.5° the bending length (B / q)^⅓ is half of what overhangs."""
+    """At a chord of 41.5° the bending length (B / q)^⅓ is half of the overhang."""
     low, high = 2.0, 20.0
     for _ in range(50):
         middle = 0.5 * (low + high)
@@ -206,7 +208,7 @@ def textile():
 
 @case('V22', 'first mode of a cantilever strip')
 def mode():
-    """ω = 3.516 √(B / ρ L⁴), without gravity: a quarter period of the strip's share in it."""
+    """Without gravity ω = 3.516 √(B / ρ L⁴), from a quarter period of the projection on it."""
     B, length, rate = 1e-3, 0.3, 120.0
     k = 1.875104068711961
     expected = k * k * np.sqrt(B / DENSITY) / length**2
@@ -220,7 +222,7 @@ def mode():
         shape[x[:, 0] < 1.5 * h] = 0.0    # the clamp
         place(strip, x + np.outer(shape, [0, 0, 1e-4]))
         share = [1.0]
-        while share[-3:][0] > 0.0:    # until two frames after it is crossed
+        while share[-3:][0] > 0.0:    # until two frames after the crossing
             share.append(run(strip, 1).x[:, 2] @ shape / (shape @ shape * 1e-4))
         return 0.5 * np.pi / crossing(np.arange(len(share)) / rate, share)
 

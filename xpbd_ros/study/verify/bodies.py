@@ -1,4 +1,4 @@
-"""Air and bodies: a sheet that falls through air, a balloon, a ball full of water."""
+"""Air and bodies: a sheet that falls in air, a balloon, a ball filled with water."""
 
 from functools import cache
 from pathlib import Path
@@ -16,7 +16,7 @@ RADIUS, YOUNG, POISSON = 0.1, 200.0, 0.3
 
 @case('V17', 'terminal speed in air')
 def falling():
-    """A flat sheet across its fall: v = v_t tanh(g t / v_t), v_t = sqrt(2 ρ g / (ρ_air C))."""
+    """A level sheet falls at v = v_t tanh(g t / v_t), with v_t = sqrt(2 ρ g / (ρ_air C))."""
     density, air, grip = 0.1, 1.2, 1.2
     terminal = np.sqrt(2.0 * density * G / (air * grip))
 
@@ -34,7 +34,7 @@ def falling():
 
 @cache
 def sphere(splits: int) -> tuple[Path, np.ndarray]:
-    """Return an OBJ file of an icosahedron whose edges are halved, and its triangles."""
+    """Return OBJ file and triangles of a sphere, an icosahedron refined ``splits`` times."""
     golden = 0.5 * (1.0 + 5.0**0.5)
     x = np.array([np.roll([0.0, a, b * golden], k) for k in range(3) for a in (-1, 1)
                   for b in (-1, 1)]) / np.hypot(1.0, golden)
@@ -59,13 +59,13 @@ def sphere(splits: int) -> tuple[Path, np.ndarray]:
 
 
 def volume_of(x: np.ndarray, triangles: np.ndarray) -> float:
-    """Return what a closed surface encloses [m³]."""
+    """Return the volume inside a closed surface [m³]."""
     a, b, c = (x[triangles[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum() / 6.0)
 
 
 def ball(splits, skin, **options):
-    """Return a weightless ball of that skin, its triangles, and what it encloses [m³]."""
+    """Return a ball with the effects ``skin`` and no gravity, its triangles, its volume [m³]."""
     file, triangles = sphere(splits)
     simulation = build(mesh=file, effects=skin, density=0.2, gravity=(0, 0, 0),
                        effects_={'damping': {'rate': 20.0}}, **options)
@@ -75,9 +75,9 @@ def ball(splits, skin, **options):
 @case('V18', 'balloon', slow=True)
 def balloon():
     """
-    The overpressure of a skin of tension T is 2 T / R, with T = Y / (1 - ν) (R / R0 - 1).
+    The overpressure of a membrane of tension T is 2 T / R, with T = Y / (1 - ν) (R / R0 - 1).
 
-    R follows from the gas, so that p is known beforehand.
+    The radius R, and with it the pressure, follows from the amount of gas.
     """
     outside, amount, splits = 1e4, 1.002, (1, 2, 3)
 
@@ -100,7 +100,7 @@ def balloon():
 
 @case('V19', 'closed volume under a squash')
 def squash():
-    """A ball of water between two pins that come together keeps its volume."""
+    """A ball of water that two pins compress keeps its volume."""
     height = np.loadtxt(sphere(2)[0], usecols=3, max_rows=162)
     tip, foot = int(np.argmax(height)), int(np.argmin(height))
     for part in (0.1, 0.3):

@@ -1,4 +1,4 @@
-"""Scenes of the cases: one cloth, ``c``, flat in x and y unless posed."""
+"""Scenes of the cases: one cloth ``c``, level unless it has a pose."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from xpbd_ros.sim.simulation import Frame, Simulation
 
 G = 9.80665
 DOWN = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
-"""turns a cloth so that its warp points down"""
+"""quaternion of a cloth whose warp points down"""
 BE, BDF2, NDF2 = 'backward_euler', 'bdf2', 'ndf2'
 
 
@@ -18,10 +18,18 @@ def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0
     """
     Return the simulation of one cloth.
 
-    ``effects`` are the cloth's and ``effects_`` the scene's; ``rate`` is in frames per second;
-    ``mesh``, a file, takes the place of the grid.
-    What is None of the solver's keys is left to ``auto``.
-    There may always be pins, so that cases with the same effects share their machine code.
+    The scene always has the effect ``pin``, so that cases with the same effects share kernels.
+
+    Parameters
+    ----------
+    grid, size : resolution, and extent [m]
+    effects, effects_ : effects of the cloth, and of the scene
+    density, gravity, pose, friction : keys of the scene
+    rate : frame rate [Hz]
+    substeps, iterations, method, integrator : solver; None leaves a key to ``auto``
+    mesh : file, instead of the grid
+    sections : further sections of the scene, such as ``pins``
+
     """
     scene = {'gravity': list(gravity), 'frame_rate': rate,
              'solver': {key: value for key, value in (
@@ -36,13 +44,13 @@ def build(grid=(2, 1), size=(1.0, 1.0), effects=None, *, density=1.0, gravity=(0
 
 
 def hold(**pins) -> dict:
-    """Return pins by name; each is a place, particle indices, or a whole entry."""
+    """Return a ``pins`` section; each pin is a value of ``at``, or a whole entry."""
     return {name: {'cloth': 'c', **(pin if isinstance(pin, dict) else {'at': pin})}
             for name, pin in pins.items()}
 
 
 def place(simulation: Simulation, x, v=None) -> None:
-    """Put all particles somewhere, in natural order [m, m/s]; shapes (particles, 3)."""
+    """Set positions [m] and velocities [m/s] in natural order, shapes (particles, 3)."""
     simulation.state.x[:, simulation.slot] = np.asarray(x, float).T
     simulation.state.x_prev[:] = simulation.state.x
     if v is not None:
@@ -50,14 +58,14 @@ def place(simulation: Simulation, x, v=None) -> None:
 
 
 def run(simulation: Simulation, frames: int) -> Frame:
-    """Advance and return the last frame."""
+    """Advance by some frames, and return the last one."""
     for _ in range(frames):
         frame = simulation.step()
     return frame
 
 
 def crossing(times, values, level: float = 0.0) -> float:
-    """Return the first time at which values pass a level, by the cubic through four of them."""
+    """Return the first time at which values cross a level, by cubic interpolation."""
     y = np.asarray(values, float) - level
     k = int(np.flatnonzero(np.sign(y[:-1]) * np.sign(y[1:]) <= 0.0)[0])
     a = min(max(k - 1, 0), len(y) - 4)

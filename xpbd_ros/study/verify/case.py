@@ -1,4 +1,4 @@
-"""What a case is, and a row of its answer."""
+"""Cases with known solutions, and the rows of their results."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -6,32 +6,33 @@ from dataclasses import dataclass
 import numpy as np
 
 ORDER_WITHIN = 0.15
-"""how far a measured order of convergence may be from the expected one"""
+"""largest deviation of a measured order of convergence from the expected one"""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One number that is known, and ours."""
+    """One expected value, the computed one, and its error."""
 
     name: str
     expected: float
     got: float
     unit: str
     tolerance: float
-    """largest error"""
+    """largest error that passes"""
     error: float
     norm: str = 'relative'
-    """what the error is"""
+    """norm of the error"""
     order_expected: float | None = None
     order: float | None = None
+    """measured order of convergence"""
     ladder: tuple[tuple[float, float], ...] = ()
-    """steps and errors that the order is from, coarse to fine"""
+    """(step, error) from which the order is measured, coarse to fine"""
     step: str = ''
-    """what the ladder's steps are, with their unit"""
+    """name and unit of the steps"""
 
     @property
     def good(self) -> bool:
-        """Whether the error is small enough, and the order as expected."""
+        """Whether error and order are within their tolerances."""
         right = self.error <= self.tolerance
         if self.order_expected is not None:
             right = right and abs(self.order - self.order_expected) <= ORDER_WITHIN
@@ -40,7 +41,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """One case: ``rows()`` computes."""
+    """One case; ``rows()`` computes its rows."""
 
     id: str
     title: str
@@ -53,7 +54,7 @@ CASES: list[Case] = []
 
 
 def case(id_: str, title: str, *, slow: bool = False):
-    """Register a function that yields rows."""
+    """Return a decorator that registers a function, which yields rows, as a case."""
     def register(rows):
         CASES.append(Case(id_, title, rows.__module__.rpartition('.')[2], rows, slow))
         return rows
@@ -62,7 +63,7 @@ def case(id_: str, title: str, *, slow: bool = False):
 
 def value(name: str, expected: float, got: float, unit: str, tolerance: float, *,
           absolute: bool = False, scale: float | None = None) -> Row:
-    """Return a row whose error is relative: to what is expected, or to ``scale``; or absolute."""
+    """Return a row with an absolute error, or one relative to ``expected`` or ``scale``."""
     error = abs(got - expected)
     if not absolute:
         error /= abs(expected) if scale is None else scale
@@ -73,9 +74,9 @@ def value(name: str, expected: float, got: float, unit: str, tolerance: float, *
 def order(name: str, expected: float, steps: Sequence[float], got: Sequence[float], unit: str,
           order_expected: float, tolerance: float, *, step: str) -> Row:
     """
-    Return a row for values that converge with a step; the last is ours.
+    Return a row for values that converge with a step; the last value counts.
 
-    The order is the slope of a straight line through log(error) over log(step).
+    The order is the slope of the regression line of log(error) over log(step).
     """
     errors = np.abs(np.asarray(got, float) - expected)
     slope = float(np.polyfit(np.log(steps), np.log(errors), 1)[0])

@@ -1,4 +1,4 @@
-"""Controls: cases solved by schemes known to be wrong; each must fail the case that names it."""
+"""Negative controls: cases solved by schemes that are known to be wrong, and must fail them."""
 
 from dataclasses import dataclass
 
@@ -10,18 +10,18 @@ from xpbd_ros.study.verify.negative_controls import chain, DECAYED, DROPPED, PBD
 
 @dataclass(frozen=True)
 class Control:
-    """A wrong scheme on one case."""
+    """The error of a wrong scheme in one case."""
 
     id: str
     scheme: str
     error: float
-    """in the norm of the case"""
+    """error in the norm of the case"""
     tolerance: float
-    """of the case"""
+    """tolerance of the case"""
 
     @property
     def fails(self) -> bool:
-        """Whether the case finds the scheme out."""
+        """Whether the scheme fails the case, as it must."""
         return bool(self.error > self.tolerance)
 
 
@@ -31,8 +31,8 @@ def relative(got: float, expected: float) -> float:
 
 
 def controls() -> list[Control]:
-    """Run the wrong schemes."""
-    sag = G / 1000.0    # of 1 kg on one edge of 1 kN/m; half of the chain's mass hangs there
+    """Run the wrong schemes, and return their errors."""
+    sag = G / 1000.0    # of 1 kg on one edge of 1 kN/m; half of the chain's mass hangs on it
     found = [Control('V6', DECAYED, relative(chain(1, DECAYED)[-1] - 1.0, 0.5 * sag), 1e-9)]
     for scheme in (DROPPED, PBD):
         got = [chain(4, scheme, iterations=k, steps=400)[-1] - 1.0 for k in (20, 80)]
@@ -40,10 +40,10 @@ def controls() -> list[Control]:
         one = chain(1, scheme, iterations=10)[-1] - 1.0
         found.append(Control('V6', scheme, relative(one, 0.5 * sag), 1e-9))
     slope = np.radians(15.0)    # tan is 0.27 and μ 0.4: it must stick
-    found.append(Control('V14', 'friction that shortens velocities',
+    found.append(Control('V14', 'friction that scales velocities',
                          slide(0.4, (G * float(np.sin(slope)), -G * float(np.cos(slope)))),
                          1e-9))
     expected = 2.0**2 / (2.0 * 0.4 * G)
-    found.append(Control('V15', 'friction that shortens velocities',
+    found.append(Control('V15', 'friction that scales velocities',
                          relative(slide(0.4, (0.0, -G), speed=2.0), expected), 0.05))
     return found

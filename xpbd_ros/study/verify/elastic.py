@@ -1,10 +1,11 @@
-"""Stretch and shear at rest: strips, chains, patches."""
+"""Stretch and shear at rest: hanging strips, chains, patches."""
 
 from functools import cache
 
 import numpy as np
 from scipy.optimize import brentq
 
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.verify.build import build, DOWN, G, hold, place, run
 from xpbd_ros.study.verify.case import case, order, value
 
@@ -16,8 +17,8 @@ def hanging(n, modulus, **options):
                  effects_={'damping': {'rate': 10.0}}, **options)
 
 
-def still(simulation, speed=1e-13, frames=4000):
-    """Advance until nothing moves faster than this [m/s]."""
+def run_to_rest(simulation, speed=1e-13, frames=4000):
+    """Advance until no particle is faster than ``speed`` [m/s]; return the last frame."""
     for _ in range(frames):
         frame = simulation.step()
         if np.abs(frame.v).max() < speed:
@@ -27,11 +28,11 @@ def still(simulation, speed=1e-13, frames=4000):
 
 @case('V6', 'strip that hangs by its own weight')
 def strip():
-    """It gets longer by ρ g L² / 2 E, on any number of edges, since its end has half a mass."""
+    """The elongation is ρ g L² / 2 E with any number of edges, as the last mass is half."""
     for n in (5, 40):
         modulus = 100.0
         simulation = hanging(n, modulus, method='line', integrator='bdf2', substeps=32)
-        frame = still(simulation)
+        frame = run_to_rest(simulation)
         yield value(f'elongation, {n} edges', 0.2 * G / (2.0 * modulus), -frame.x[-1, 2] - 1.0,
                     'm', 1e-9)
         yield value(f'force on the pin, {n} edges', -0.2 * G, frame.pins['top'].force[2], 'N',
@@ -40,16 +41,15 @@ def strip():
 
 @case('V7', 'artificial compliance of unconverged Gauss-Seidel')
 def artificial_compliance():
-    """C_j = α_j T_j - h² Σ A_jk T_k over the edges k swept after j; per edge."""
+    """The residual of edge j is C_j = α_j T_j - h² Σ A_jk T_k, over edges k swept after j."""
     n, modulus = 16, 1000.0
 
     def gives(substeps, iterations=1):
         simulation = hanging(n, modulus, substeps=substeps, iterations=iterations)
-        still(simulation, 1e-12)
+        run_to_rest(simulation, 1e-12)
         edges = simulation.effects['stretch'].constraints
-        number = np.full(simulation.state.x.shape[1], -1)
-        number[simulation.slot] = np.arange(n + 1)
-        return edges.residual(simulation.state.x), number[edges.particles]
+        return (edges.residual(simulation.state.x),
+                natural_indices(simulation)[edges.particles])
 
     mass = 0.2 / n * np.array([1.0] * n + [0.5])
     h2 = {k: (1 / 60 / k)**2 / (1.0 + 10.0 / 60 / k) for k in (4, 8, 16, 32)}
@@ -61,7 +61,7 @@ def artificial_compliance():
         for j, pair in enumerate(ends):
             for k in range(j + 1, len(ends)):
                 for shared in set(pair) & set(ends[k]):
-                    if shared:    # the first one is pinned
+                    if shared:    # particle 0 is pinned
                         law[j] += square / mass[shared] * tension[k]
         artefact.append((got - tension / (modulus * n)).sum() / square * h2[4])
         if substeps in (4, 32):
@@ -84,14 +84,14 @@ def artificial_compliance():
 
 @cache
 def catenary(ratio: float) -> tuple[float, float, float]:
-    """Return sag / D, H / (q D) and end tension / (q S) of an inextensible rope of S = ratio D."""
+    """Return sag / D, H / (q D) and end tension / (q S) of an inextensible rope, S = ratio D."""
     u = brentq(lambda u: np.sinh(u) / u - ratio, 1e-6, 20.0)    # u = D / 2 a
     return (np.cosh(u) - 1.0) / (2.0 * u), 1.0 / (2.0 * u), np.cosh(u) / (2.0 * u * ratio)
 
 
 @case('V8', 'catenary')
 def rope():
-    """A rigid chain, half as long again as its span."""
+    """A rigid chain of 1.5 times its span takes the shape and the forces of a catenary."""
     def hung(n):
         simulation = build((n + 1, 1), (1.5, 1.0), {'stretch': {'compliance': 0.0}},
                            density=1.0 / 1.0, substeps=32, method='line', integrator='bdf2',
@@ -99,7 +99,7 @@ def rope():
                                a='corner_00', b={'at': 'corner_01', 'target': [1.0, 0, 0]}))
         frame = run(simulation, 420)
         force = frame.pins['b'].force
-        # the pinned particle's own half edge of rope hangs on the pin, not on the rope
+        # the weight of the pinned particle, half an edge, acts on the pin and not on the rope
         return -frame.x[n // 2, 2], -force[0] / G, np.hypot(force[0], force[2]) / (1.5 * G)
 
     sizes = (8, 16, 32)
@@ -113,10 +113,10 @@ def rope():
 @case('V13', 'moduli of lattice and membrane')
 def patch():
     """
-    C11 = warp + shear, C22 = weft + shear, C12 = C66 = shear, on square cells.
+    With square cells C11 = warp + shear, C22 = weft + shear and C12 = C66 = shear.
 
-    On oblong ones C11 = warp, C22 = weft, C12 = 0 and C66 = shear. And of a membrane in any affine
-    field Eᵀ S E / 2, with S of plane stress (Jones 1975).
+    With oblong cells C11 = warp, C22 = weft, C12 = 0 and C66 = shear. A membrane has the energy
+    density Eᵀ S E / 2 under any affine deformation, with S of plane stress (Jones 1975).
     """
     warp, weft, shear, e = 70.0, 40.0, 15.0, 1e-5
     for cells, size, added in (('1:1', (0.5, 0.4), shear), ('3:1', (1.5, 0.4), 0.0),

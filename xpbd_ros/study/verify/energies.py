@@ -1,4 +1,4 @@
-"""Every effect that has an energy, in motion, against the independent solver."""
+"""Every effect with an energy, in motion and at rest, against the reference solver."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -11,7 +11,7 @@ from xpbd_ros.study.reference import equilibrium, limit, problem_of, rms
 from xpbd_ros.study.verify.bodies import sphere
 from xpbd_ros.study.verify.build import BDF2, G, run
 from xpbd_ros.study.verify.case import case, order, value
-from xpbd_ros.study.verify.elastic import still
+from xpbd_ros.study.verify.elastic import run_to_rest
 
 _FOLDER = tempfile.TemporaryDirectory(prefix='xpbd_ros_')
 FRAMES = 6
@@ -19,7 +19,7 @@ SOFT = {'stretch': {'warp': 30.0, 'weft': 20.0}}
 
 
 def block() -> Path:
-    """Return a VTK file of two cubes of 0.1 m, six tetrahedra each."""
+    """Write a VTK file of two cubes of 0.1 m, six tetrahedra each, and return its path."""
     corners = [(i, j, k) for i in range(3) for j in range(2) for k in range(2)]
     tetrahedra = [[4 * i + sum((4, 2, 1)[a] for a in way[:n]) for n in range(4)] for i in (0, 1)
                   for way in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (0, 2, 1), (2, 1, 0))]
@@ -36,7 +36,16 @@ def block() -> Path:
 
 def scene(substeps: int, names: tuple[str, ...] | None = None, *, damping: float = 0.5
           ) -> Simulation:
-    """Return one cloth per effect, each held somewhere and let fall."""
+    """
+    Return a scene with one pinned cloth per effect, which falls from rest.
+
+    Parameters
+    ----------
+    substeps : of the solver
+    names : cloths to keep; None for all
+    damping : rate [1/s]
+
+    """
     grid = {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 1.0}
     cloths = {
         'membrane': {**grid, 'effects': {'membrane': {'warp': 40.0, 'weft': 25.0, 'shear': 10.0,
@@ -71,7 +80,7 @@ def scene(substeps: int, names: tuple[str, ...] | None = None, *, damping: float
 
 @case('V29', 'every effect with an energy, in motion', slow=True)
 def energies():
-    """Falling from where they are held; RMS over the particles after 0.1 s."""
+    """RMS error of the positions after 0.1 s of falling is of second order."""
     first = scene(64)
     found = limit(problem_of(first), FRAMES * first.frame_dt, 1e-9)
     counts, errors = (32, 64, 128, 256), {}
@@ -88,9 +97,9 @@ def energies():
 
 @case('V30', 'every effect with an energy, at rest', slow=True)
 def rest():
-    """Hanging still; RMS over the particles against where all forces vanish."""
+    """RMS error of the positions at rest, against the equilibrium of forces."""
     simulation = scene(64, damping=20.0)
-    x = still(simulation, 1e-11, 1500).x
+    x = run_to_rest(simulation, 1e-11, 1500).x
     exact = equilibrium(problem_of(simulation))
     for cloth in simulation.cloths:
         yield value(cloth.name, 0.0, rms(x[cloth.particles] - exact[cloth.particles]), 'm', 1e-5,

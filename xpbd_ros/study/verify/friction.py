@@ -9,13 +9,13 @@ from xpbd_ros.study.verify.case import case, order, value
 MU = 0.4
 GAP = 0.001
 DRAWN, TURNED = 0.3, 0.45
-"""μ of a strip that is drawn over a cylinder, and of one that it turns under"""
+"""μ of a strip that is drawn over a cylinder, and of one over a turning cylinder"""
 ALONG_Y = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
-"""turns a cylinder so that its axis points along -y"""
+"""quaternion of a cylinder whose axis points along -y"""
 
 
 def on_plane(degrees: float, *, speed: float = 0.0, **options):
-    """Return a particle on a plane that falls towards +x at some angle; gravity is what turns."""
+    """Return a particle on an inclined plane; gravity is tilted by the angle, not the plane."""
     a = np.radians(degrees)
     simulation = build((1, 1), gravity=(G * np.sin(a), 0.0, -G * np.cos(a)), friction=MU,
                        pose={'position': [0.0, 0.0, GAP]},
@@ -27,10 +27,11 @@ def on_plane(degrees: float, *, speed: float = 0.0, **options):
 
 @case('V14', 'incline')
 def incline():
-    """It sticks where tan θ ≤ μ, else slides with a = g (sin θ - μ cos θ), exactly per step."""
+    """It sticks if tan θ ≤ μ, else its acceleration is g (sin θ - μ cos θ) in each step."""
     for degrees in (10.0, 21.7):
         frame = run(on_plane(degrees, substeps=4), 60)
-        yield value(f'way in 1 s at {degrees:g}°', 0.0, frame.x[0, 0], 'm', 1e-9, absolute=True)
+        yield value(f'distance in 1 s at {degrees:g}°', 0.0, frame.x[0, 0], 'm', 1e-9,
+                    absolute=True)
     for degrees in (21.9, 30.0, 60.0):
         a = np.radians(degrees)
         frame = run(on_plane(degrees, substeps=4), 60)
@@ -40,18 +41,18 @@ def incline():
 
 @case('V15', 'sliding to a stop')
 def stop():
-    """The way v² / (2 μ g), less v h / 2."""
+    """The distance is v² / (2 μ g), less v h / 2 by the time step."""
     expected = 2.0**2 / (2.0 * MU * G)
     counts = (2, 4, 8, 16)
     got = [run(on_plane(0.0, speed=2.0, substeps=k), 60).x[0, 0] for k in counts]
     h = 1 / 60 / counts[-1]
-    yield value('what the step takes of it', -0.5 * 2.0 * h, got[-1] - expected, 'm', 0.02)
-    yield order('way', expected, [1 / 60 / k for k in counts], got, 'm', 1.0, 5e-3,
+    yield value('error by the time step', -0.5 * 2.0 * h, got[-1] - expected, 'm', 0.02)
+    yield order('distance', expected, [1 / 60 / k for k in counts], got, 'm', 1.0, 5e-3,
                 step='substep [s]')
 
 
 def round_a_drum(n: int, mu: float, radius: float = 0.1):
-    """Return a strip laid over half a cylinder, stretched by 2 %, at ``auto``, and its places."""
+    """Return a strip over half a cylinder, stretched by 2 % and pinned, and its ends [m]."""
     arc, straight = np.pi * radius, 0.15
     total = arc + 2.0 * straight
     strip = build((n + 1, 1), (total / 1.02, 1.0), {'stretch': {'warp': 200.0, 'weft': 200.0}},
@@ -72,7 +73,7 @@ def round_a_drum(n: int, mu: float, radius: float = 0.1):
 
 
 def drawn(n: int) -> float:
-    """Return the ratio of pull to hold of a strip that two pins draw slowly over a cylinder."""
+    """Return the ratio of the end forces of a strip that two pins draw over a cylinder."""
     strip, ends = round_a_drum(n, DRAWN)
     ratios, speed = [], 0.05
     for k in range(1, 91):
@@ -84,7 +85,7 @@ def drawn(n: int) -> float:
 
 
 def turned(n: int) -> float:
-    """Return the ratio of the pulls at the ends of a strip that a cylinder turns under."""
+    """Return the ratio of the end forces of a strip over a turning cylinder."""
     strip, _ = round_a_drum(n, TURNED)
     ratios = []
     for k in range(1, 121):
@@ -99,7 +100,7 @@ def turned(n: int) -> float:
 
 @case('V16', 'capstan')
 def capstan():
-    """A strip that slides over a cylinder pulls with e^(μ φ) times the force that holds it."""
+    """The end forces of a strip that slides over a cylinder have the ratio e^(μ φ)."""
     for n in (20, 100):
         yield value(f'pull over hold, drawn, {n} edges', np.exp(DRAWN * np.pi), drawn(n), '', 0.01)
     for n in (20, 140, 200):

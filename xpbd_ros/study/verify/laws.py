@@ -1,4 +1,4 @@
-"""Laws that hold whatever the numbers: momentum, invariance, symmetry, energy, repeatability."""
+"""Laws for any parameters: momentum, invariance, symmetry, stiffness, repeatability."""
 
 import numpy as np
 
@@ -9,9 +9,9 @@ from xpbd_ros.study.verify.case import case, order, value
 @case('V20', 'momentum of a free body')
 def momentum():
     """
-    Every projection keeps Σ m v: what changes it is rounding, whatever the sweep.
+    Projections conserve Σ m v up to rounding.
 
-    Σ m x × v is kept in the limit of short steps, with the order of the integrator.
+    Σ m x × v is conserved in the limit of short steps, with the order of the integrator.
     """
     for method in ('gauss_seidel', 'line'):
         simulation = build((9, 8), (0.8, 0.7), {
@@ -36,7 +36,7 @@ def momentum():
 
 
 def spun(substeps: int, **solver) -> float:
-    """Return the angular momentum that a free sheet keeps while it spins, of that at the start."""
+    """Return the angular momentum of a free spinning sheet after 0.5 s, over that at the start."""
     simulation = build((9, 8), (0.8, 0.7), {
         'stretch': {'warp': 50.0, 'weft': 30.0}, 'shear': {'stiffness': 5.0},
         'bend': {'stiffness': 1e-3}}, gravity=(0, 0, 0), substeps=substeps, density=0.2, **solver)
@@ -51,13 +51,15 @@ def spun(substeps: int, **solver) -> float:
 
 def sheet(*, turn=0.0, shift=(0.0, 0.0, 0.0), units=(1.0, 1.0), frames=30, **solver):
     """
-    Let a pinned sheet with all elastic effects swing; return its positions.
+    Return the positions of a pinned sheet that swings, with all elastic effects of a grid.
 
     Parameters
     ----------
-    turn : about the z axis [rad]; pins and all
-    shift : of everything [m]
-    units : what a metre and a kilogram are called
+    turn : rotation of the scene about the z axis [rad]
+    shift : displacement of the scene [m]
+    units : numbers that stand for one metre and one kilogram
+    frames : number of frames
+    solver : keys of the solver
 
     """
     metre, kilogram = units
@@ -77,7 +79,7 @@ METHODS = ({'method': 'gauss_seidel'}, {'method': 'line', 'integrator': 'bdf2'})
 
 @case('V24', 'invariance')
 def invariance():
-    """Turned, moved, in other units: the same but for rounding."""
+    """Rotated, displaced and in other units the result is the same up to rounding."""
     for solver in METHODS:
         method, x = solver['method'], sheet(**solver)
         a = 0.7
@@ -91,9 +93,9 @@ def invariance():
 @case('V25', 'symmetry')
 def symmetry():
     """
-    A symmetric scene stays so in the limit of short steps, whatever the order of its sweeps.
+    A symmetric scene stays symmetric in the limit of short steps, with any order of sweeps.
 
-    What is left falls with the square of the substep, also where errors fall more slowly.
+    The asymmetry falls with the square of the substep, also for integrators of first order.
     """
     for solver in (*METHODS, {'method': 'line', 'integrator': 'ndf2'}):
         ladder, found = [16, 32, 64], []
@@ -110,7 +112,7 @@ def symmetry():
 
 
 def sag(n: int, iterations: int, frames: int) -> float:
-    """Return how far the lowest particle of a cloth hung by its edge is down [m]."""
+    """Return the depth of the lowest particle of a cloth that hangs by an edge [m]."""
     simulation = build((n, n), (1.0, 1.0), {'stretch': {'warp': 5.0, 'weft': 5.0},
                                             'shear': {'stiffness': 1.0}}, density=0.1,
                        iterations=iterations, pose={'orientation': [0, 0.5**0.5, 0, 0.5**0.5]},
@@ -120,7 +122,7 @@ def sag(n: int, iterations: int, frames: int) -> float:
 
 @case('V26', 'stiffness does not depend on iterations')
 def iterations():
-    """Macklin et al. 2016, figure 6: the sag for more and more iterations."""
+    """The sag does not depend on the number of iterations (Macklin et al. 2016, figure 6)."""
     found = {k: sag(12, k, 180) for k in (20, 40, 80, 160)}
     for k in (20, 40, 80):
         yield value(f'sag, {k} iterations against 160', found[160], found[k], 'm', 0.01)
@@ -128,7 +130,7 @@ def iterations():
 
 @case('V28', 'repeatability')
 def repeatable():
-    """A second run has the same bits."""
+    """A second run is bit-identical."""
     for solver in METHODS:
         name = solver['method']
         runs = []

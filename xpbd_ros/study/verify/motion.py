@@ -1,4 +1,4 @@
-"""How particles move: the integrators against closed forms."""
+"""Motion of particles: the integrators against closed forms."""
 
 import numpy as np
 from scipy.special import ellipk
@@ -38,7 +38,7 @@ def free_fall():
 
 
 def oscillator(**options):
-    """Macklin et al. 2016, 6.1: 1 kg on an edge of 1e-3 m/N, drawn from 1 m to 1.5 m."""
+    """Return 1 kg on an edge of 1e-3 m/N, stretched by 0.5 m (Macklin et al. 2016, 6.1)."""
     simulation = build((2, 1), (1.0, 1.0), {'stretch': {'compliance': 1e-3}}, density=2.0,
                        gravity=(0, 0, 0), pins=hold(a='corner_00'), **options)
     place(simulation, [[0, 0, 0], [1.5, 0, 0]])
@@ -47,7 +47,7 @@ def oscillator(**options):
 
 @case('V2', 'oscillator of Macklin et al. 2016')
 def one_oscillator():
-    """Per step the amplitude falls by 1 / √(1 + s²) and the phase turns by atan s, s = ω h."""
+    """A step scales the amplitude by 1 / √(1 + s²) and adds atan s to the phase, s = ω h."""
     for rate in (60, 240):
         simulation = oscillator(rate=rate)
         u = [0.5] + [run(simulation, 1).x[1, 0] - 1.0 for _ in range(6)]
@@ -66,11 +66,11 @@ def one_oscillator():
 
 @case('V3', 'Kelvin-Voigt oscillator')
 def damped_oscillator():
-    """Per step ‖z‖² falls by 1 / (1 + c h / m + ω² h²); with h → 0 the decay is the exact one."""
+    """A step scales ‖z‖² by 1 / (1 + c h / m + ω² h²); the decay is exact for h → 0."""
     k, time = 30.0, 0.02
 
     def pair(**options):
-        """Two free particles of 0.5 kg, 0.2 m too far apart; and their reduced mass."""
+        """Return two free particles of 0.5 kg, stretched by 0.2 m, and their reduced mass."""
         simulation = build((2, 1), (1.0, 1.0), {'stretch': {'compliance': 1.0 / k},
                                                 'rayleigh': {'time': time}}, density=1.0,
                            gravity=(0, 0, 0), **options)
@@ -97,7 +97,7 @@ def damped_oscillator():
 
 @case('V4', 'spinning pair')
 def spinning_pair():
-    """Angular momentum after one turn: what the integrator took of it."""
+    """The loss of angular momentum after one turn falls with the order of the integrator."""
     def momentum(substeps, integrator):
         pair = build((2, 1), (1.0, 1.0), {'stretch': {'compliance': 0.0}}, gravity=(0, 0, 0),
                      substeps=substeps, integrator=integrator)
@@ -132,7 +132,7 @@ def quarter_period(angle: float, rate: float, integrator: str) -> float:
 
 @case('V5', 'pendulum with a rigid link')
 def pendulum():
-    """The period at any amplitude: T / T0 = (2 / π) K(sin² θ0 / 2)."""
+    """The period at amplitude θ0 is T / T0 = (2 / π) K(sin² θ0 / 2)."""
     quarter = 0.5 * np.pi / np.sqrt(G)
     for degrees in (10, 45, 90, 120):
         k = np.sin(np.radians(degrees) / 2)**2

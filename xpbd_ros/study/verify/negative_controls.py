@@ -1,8 +1,8 @@
 """
-Schemes known to be wrong, in NumPy, for controls: what a case must not let pass.
+Schemes that are known to be wrong, in NumPy, for negative controls.
 
-A chain of distance constraints by Gauss-Seidel, as in XPBD but for one thing, and a particle on a
-plane whose friction shortens velocities (doc/numerics.md 4.4).
+They are a chain of distance constraints with Gauss-Seidel, as XPBD but for one mistake, and a
+particle on a plane with friction that scales velocities (doc/numerics.md 4.4).
 """
 
 import numpy as np
@@ -16,9 +16,9 @@ PBD = 'stiffness by share, as in PBD'
 def chain(n: int, scheme: str, *, length=1.0, mass=1.0, stiffness=1000.0, gravity=9.80665,
           dt=1.0 / 60.0, iterations=1, steps=1500, kept=0.95, drag=10.0) -> np.ndarray:
     """
-    Return how far each of n + 1 particles of a hanging chain is down once it is still [m].
+    Return the depth of the n + 1 particles of a hanging chain at rest, in one dimension [m].
 
-    One dimension is enough. ``kept`` is the part of the multiplier that DECAYED keeps.
+    ``kept`` is the part of the last multipliers that DECAYED starts with.
     """
     rest, alpha = length / n, 1.0 / stiffness / (dt * dt)
     w = np.full(n + 1, n / mass)
@@ -50,9 +50,9 @@ def chain(n: int, scheme: str, *, length=1.0, mass=1.0, stiffness=1000.0, gravit
 def slide(friction: float, gravity: tuple[float, float], *, speed=0.0, dt=1.0 / 240.0,
           steps=240) -> float:
     """
-    Return how far a particle slides on a plane [m] where friction takes a share of its velocity.
+    Return the distance that a particle slides on a plane with friction that scales velocities [m].
 
-    ``gravity`` is along and into the plane [m/s²].
+    ``gravity`` has the components along and into the plane [m/s²].
     """
     x, v = 0.0, speed
     for _ in range(steps):

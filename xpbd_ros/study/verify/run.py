@@ -1,4 +1,4 @@
-"""Run the cases with known answers, and the schemes known to be wrong."""
+"""Run the cases with known solutions, and draw their errors."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from xpbd_ros.study.verify import all_cases, Row
 
 @dataclass(frozen=True)
 class Answer:
-    """A case that was run."""
+    """A case and its rows."""
 
     id: str
     title: str
@@ -29,9 +29,9 @@ def verify(chosen: str | None = None, *, slow: bool = True,
 
     Parameters
     ----------
-    chosen : an id, such as V6
-    slow : whether those that take minutes are run too
-    progress : passes cases on, and shows how far it is
+    chosen : id of a case, such as V6; None for all
+    slow : whether to run the cases that take minutes
+    progress : wraps the list of cases to show progress
 
     """
     cases = [one for family in all_cases().values() for one in family
@@ -48,12 +48,12 @@ def verify(chosen: str | None = None, *, slow: bool = True,
 
 
 def number(id_: str) -> int:
-    """Return the number of an id, to sort by."""
+    """Return the number in an id."""
     return int(''.join(c for c in id_ if c.isdigit()) or 0)
 
 
 def draw(answers: list[Answer], folder: Path) -> list[Path]:
-    """Draw, for each family, errors over steps and beside their tolerances; return the files."""
+    """Draw errors over tolerances and over steps, a file per family; return the paths."""
     written = []
     for family in dict.fromkeys(answer.family for answer in answers):
         rows = [(answer.id, row) for answer in answers if answer.family == family
@@ -70,7 +70,7 @@ def draw(answers: list[Answer], folder: Path) -> list[Path]:
 
 
 def _bars(axis, rows, family: str) -> None:
-    """Draw how much of its tolerance each error takes."""
+    """Draw each error over its tolerance."""
     part = [max(row.error / row.tolerance, 1e-9) if row.tolerance else float(row.error > 0.0)
             for _, row in rows][::-1]
     axis.barh(range(len(rows)), part, color=[COLOURS[0] if row.good else COLOURS[3]
@@ -80,11 +80,11 @@ def _bars(axis, rows, family: str) -> None:
     axis.set_xscale('log')
     axis.axvline(1.0, color=INK, linewidth=1.0)
     axis.set_xlabel('error over tolerance', fontsize=8)
-    axis.set_title(f'{family}: errors against known answers', fontsize=10, loc='left')
+    axis.set_title(f'{family}: errors against known solutions', fontsize=10, loc='left')
 
 
 def _ladders(axis, rows) -> None:
-    """Draw errors over their steps."""
+    """Draw errors over steps."""
     for k, (id_, row) in enumerate(rows):
         # relative to the coarsest step, so that steps of all kinds share an axis
         steps = [step / row.ladder[0][0] for step, _ in row.ladder]

@@ -1,4 +1,4 @@
-"""Waves and vibrations of stretch: chains that swing, strips that carry a pulse, energy."""
+"""Waves and vibrations of stretch: a swinging chain, a pulse in a strip, energy."""
 
 import numpy as np
 from scipy.special import j0
@@ -23,7 +23,7 @@ J0_ZERO = 2.404825557695773
 
 @case('V21', 'small swings of a hanging chain')
 def chain():
-    """ω = (j01 / 2) √(g / L) = 1.2024 √(g / L), started in the shape J0(j01 √(1 - s / L))."""
+    """The first mode has ω = (j01 / 2) √(g / L) and the shape J0(j01 √(1 - s / L))."""
     def frequency(n):
         rope = build((n + 1, 1), (1.0, 1.0), {'stretch': {'compliance': 0.0}},
                      pose={'orientation': DOWN}, pins=hold(top='corner_00'), rate=120.0,
@@ -48,7 +48,7 @@ def chain():
 
 @case('V23', 'a stretch wave arrives')
 def arrival():
-    """A strip whose end is moved at a steady speed: the far end starts at t = L / c."""
+    """If one end of a strip starts to move at a constant speed, the other starts at t = L / c."""
     n, modulus, density, speed = 80, 100.0, 0.25, 0.01
     c = np.sqrt(modulus / density)
     rate = 3000.0    # h < edge / 4 c
@@ -65,7 +65,7 @@ def arrival():
 
 
 def swing(n, method, integrator, substeps, modulus=200.0):
-    """Return a sheet that is let go from the horizontal, held at two corners."""
+    """Return a level sheet that is held by two corners and falls."""
     return build((n, n), (1.0, 1.0), {'stretch': {'warp': modulus, 'weft': modulus},
                                       'shear': {'stiffness': 5.0}}, density=0.2, method=method,
                  integrator=integrator, substeps=substeps,
@@ -73,7 +73,7 @@ def swing(n, method, integrator, substeps, modulus=200.0):
 
 
 def energies(simulation, frames: int) -> tuple[np.ndarray, float]:
-    """Return the energy after each frame from the start on, and the largest kinetic one [J]."""
+    """Return the total energy of each frame, start included, and the largest kinetic one [J]."""
     def total():
         return (measure.kinetic_energy(simulation.state) + measure.elastic_energy(simulation)
                 + measure.potential_energy(simulation.state))
@@ -90,18 +90,19 @@ EVERY = [(method, integrator) for method in ('gauss_seidel', 'gauss_seidel_symme
 
 
 def energy_rows(settings, n, substeps, seconds, modulus):
+    """Yield a row for the rise of energy in a swing, for each (method, integrator)."""
     for method, integrator in settings:
-        count = substeps * (1 if method == 'line' else 4)    # its edges need them to be stiff
+        count = substeps * (1 if method == 'line' else 4)    # Gauss-Seidel is soft with fewer
         found, kinetic = energies(swing(n, method, integrator, count, modulus),
                                   round(60 * seconds))
         above = max(0.0, float((found - found[0]).max()) / kinetic)
         yield Row(f'{method}, {integrator}, {count} substeps', 0.0, above, '', 1e-3, above,
-                  'most above the start, of the largest kinetic energy')
+                  'largest rise over the largest kinetic energy')
 
 
 @case('V27', 'energy of a swing of 2 s')
 def energy():
-    """It never rises above that of the start, where the setting resolves the wave."""
+    """It does not rise above that at the start with settings that resolve the waves."""
     usual = [('gauss_seidel', BE), ('gauss_seidel_symmetric', BDF2), ('line', BDF2),
              ('line', NDF2)]
     yield from energy_rows(usual, 9, 12, 2.0, 200.0)
@@ -109,5 +110,5 @@ def energy():
 
 @case('V27', 'energy of a swing of 10 s, 21 x 21', slow=True)
 def energy_for_long():
-    """Likewise for 10 s and 5 kN/m, by every method with every integrator."""
+    """It does not rise in 10 s either, at 5 kN/m, with every method and integrator."""
     yield from energy_rows(EVERY, 21, 64, 10.0, 5000.0)

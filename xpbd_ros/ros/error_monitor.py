@@ -1,10 +1,11 @@
 """
-Watch how wrong a running simulation is, and give it the substeps that hold an error.
+Estimate the error of a running simulation, and adapt the substeps to hold a target.
 
-Now and then a frame is computed again with more substeps (``sim/doubling``), by a thread of its
-own while the simulation goes on. How often follows from what it takes, so that it stays under
-SHARE of the work. A result counts exactly LATER frames after its frame, not when it happens to be
-there: what the watch asks for depends on the scene and its inputs alone.
+From time to time a frame is computed again with more substeps (``sim/stepping/error_estimate``),
+in a thread of its own while the simulation goes on. The interval between estimates follows from
+their work, which stays below SHARE of that of the frames. A result is used exactly LATER frames
+after its frame, not when it happens to be ready, so that the substeps depend on the scene and its
+inputs alone.
 """
 
 from collections.abc import Sequence
@@ -18,55 +19,55 @@ from xpbd_ros.sim.simulation import Simulation, Solver
 from xpbd_ros.sim.stepping.error_estimate import Estimate, estimate
 
 FIRST = 10
-"""the first frame that is looked at"""
+"""first frame whose error is estimated"""
 LATER = 30
-"""frames until a result counts"""
+"""delay until a result is used [frames]"""
 SHARE = 0.02
-"""of the work of all frames"""
+"""work of the estimates over that of all frames, at most"""
 MARGIN = 0.8
-"""of the target is what new substeps aim at"""
+"""error that new substeps aim at, over the target"""
 SLACK = 0.25
-"""of the target: what is still not worth fewer substeps"""
+"""error over the target below which substeps are reduced"""
 RECENT = 3
-"""estimates that must agree on fewer substeps"""
+"""latest estimates of which the largest error decides"""
 MOST_CHANGE = 2.0
-"""by how much substeps change at a time"""
+"""largest factor by which substeps change at a time"""
 
 
 class ErrorMonitor:
     """
-    The estimates of one run.
+    Error estimates of one run.
 
     Parameters
     ----------
-    simulation : what is stepped
-    target : error of a frame to hold, RMS [m]; None: only look
-    most : substeps to do it with
+    simulation : the running simulation
+    target : error of a frame to hold, RMS over the particles [m]; None to estimate only
+    most : largest number of substeps
 
     """
 
     def __init__(self, simulation: Simulation, *, target: float | None, most: int):
         self.latest: Estimate | None = None
-        """the last that counts"""
+        """latest estimate in use"""
         self.all: list[Estimate] = []
-        """all that count"""
+        """all estimates so far, the latest last"""
         self.seconds = 0.0
-        """of processor time that the estimates took"""
+        """processor time of the estimates [s]"""
         self._simulation = simulation
         self._target, self._most = target, most
         self._least = simulation.solver.substeps if simulation.solver.method == 'explicit' else 1
         self._next = simulation.index + FIRST
-        self._work = 0.0    # time that all frames took [s]
+        self._work = 0.0    # time of all frames [s]
         self._pending: Future | None = None
-        self._asked = 0    # frame of the pending one
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix='watch')
+        self._asked = 0    # frame of the pending estimate
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='error_estimate')
 
     def due(self) -> bool:
-        """Tell whether the frame that comes next is to be looked at: to be kept while stepping."""
+        """Return whether the next frame's error is due: then its start is kept while stepping."""
         return self._pending is None and self._simulation.index + 1 >= self._next
 
     def commands(self) -> list[SetKey]:
-        """Return what the estimates say should change before the next frame."""
+        """Return the change of substeps before the next frame; empty for none."""
         if self._pending is None or self._simulation.index < self._asked + LATER:
             return []
         found, seconds = self._pending.result()
@@ -82,7 +83,7 @@ class ErrorMonitor:
         return [] if wanted == solver.substeps else [SetKey('solver.substeps', wanted)]
 
     def look(self, seconds: float) -> None:
-        """Take the frame just computed, which took so long, if it was kept."""
+        """Estimate the error of the frame just computed in ``seconds``, if it was kept."""
         simulation = self._simulation
         self._work += seconds
         if simulation.start is None:
@@ -93,21 +94,21 @@ class ErrorMonitor:
             simulation.slot, largest_strain(simulation))
 
     @property
-    def trouble(self) -> str:
-        """What a user must know of the last estimate; nothing where all is well."""
+    def warning(self) -> str:
+        """Warning about the latest estimate; empty if there is none."""
         latest, substeps = self.latest, self._simulation.solver.substeps
         if latest is None:
             return ''
         if not latest.resolved:
             return (f'under-resolved: with {substeps} substeps the cloth is softer than asked; '
-                    'give it more, or see xpbd_ros check')
+                    'increase them, or see xpbd_ros check')
         if self._target is not None and latest.rms > self._target and substeps >= self._most:
-            return (f'error_target {self._target:g} m is not held: a frame is wrong by '
+            return (f'error_target {self._target:g} m is not held: the error of a frame is '
                     f'{latest.rms:.2g} m with max_substeps {self._most}')
         return ''
 
-    def found(self) -> dict[str, float | int | str]:
-        """Return what is known, for people."""
+    def diagnostics(self) -> dict[str, float | int | str]:
+        """Return the values for ``/diagnostics``."""
         stiffness, latest = stiffness_given(self._simulation), self.latest
         return {
             **({} if stiffness is None else {'effective_stiffness_share': stiffness[0],
@@ -120,7 +121,7 @@ class ErrorMonitor:
             'estimates_share': self.seconds / self._work if self._work else 0.0}
 
     def summary(self) -> dict[str, float | int | None]:
-        """Return what all estimates of a run say; None where none holds."""
+        """Return a summary of all estimates of a run; the error is None if none is resolved."""
         errors = [found.rms for found in self.all if found.resolved]
         return {'estimates': len(self.all),
                 'under_resolved': sum(not found.resolved for found in self.all),
@@ -128,18 +129,18 @@ class ErrorMonitor:
                 'share': self.seconds / self._work if self._work else 0.0}
 
     def __str__(self) -> str:
-        """Return the same in words."""
+        """Return the summary as text."""
         told = self.summary()
         if not told['estimates']:
             return 'not estimated: too few frames'
         if told['under_resolved']:
             return (f"under-resolved in {told['under_resolved']} of {told['estimates']} frames "
-                    'looked at; see xpbd_ros check')
-        return (f"{told['frame_rms_m']:.2g} m in a frame at most, of {told['estimates']} looked "
-                'at (RMS, estimated)')
+                    'estimated; see xpbd_ros check')
+        return (f"{told['frame_rms_m']:.2g} m in a frame at most (RMS), of {told['estimates']} "
+                'estimated')
 
     def close(self) -> None:
-        """End the thread."""
+        """Stop the thread."""
         self._thread.shutdown()
 
 
@@ -153,8 +154,16 @@ def substeps_for(found: Sequence[Estimate], solver: Solver, target: float, *, le
     """
     Return the substeps with which the error of a frame meets a target.
 
-    The error falls with the order of the integrator. The worst of the last estimates counts, and
-    fewer substeps wait until there are RECENT. What is not resolved gets twice as many.
+    The error falls with the order of the integrator. The largest of the latest RECENT estimates
+    decides, and substeps fall only once there are so many. They double while the latest estimate
+    is not resolved.
+
+    Parameters
+    ----------
+    found : all estimates so far
+    solver : present substeps and integrator
+    target : error of a frame, RMS [m]
+    least, most : bounds of the substeps
     """
     now = solver.substeps
     order = 1 if solver.integrator == 'backward_euler' else 2

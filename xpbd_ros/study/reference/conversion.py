@@ -1,8 +1,8 @@
 """
-What a compiled simulation should compute, as plain arrays.
+Convert a compiled simulation to a problem of the reference solver.
 
-The only place that knows how the simulation stores its particles and constraints; numbers are read
-from it, and no code of it is called but for the ways that pins take.
+Only this module depends on how the simulation stores particles and constraints. It reads numbers,
+and calls no code of the simulation except the motion of pins.
 """
 
 import copy
@@ -13,15 +13,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.reference.elements import (
     Areas,
     Edges,
     Elements,
     Gas,
     Hinges,
+    LinearSums,
     Membranes,
     Slants,
-    Sums,
     Tetrahedra,
 )
 from xpbd_ros.study.reference.problem import Array, Problem
@@ -30,27 +31,25 @@ NO_ENERGY = {
     'contact': 'an inequality', 'self_collision': 'an inequality', 'friction': 'dissipation',
     'tether': 'an inequality', 'strain_limit': 'an inequality', 'drag': 'dissipation',
     'wind': 'dissipation', 'rayleigh': 'dissipation'}
-"""effects, and what they are instead"""
+"""effects without an energy, with the reason"""
 
 
 def problem_of(simulation: Any) -> Problem:
     """
-    Return what a compiled simulation should compute from here on.
+    Return the problem that a compiled simulation solves from its present state on.
 
-    The masses, constraints and pins are those of the simulation, numbers only. Pins go on as they
-    would without further commands: straight from frame to frame. Where a pin with a compliance
-    wants each of its particles is a pinned particle more, after those of the simulation.
+    Pins move as without further commands, linearly within each frame. For a pin with compliance,
+    the target of each of its particles is a further pinned particle, behind all others.
 
     Raises
     ------
-    InputError : naming an effect that the reference does not know
+    InputError : for an effect or a pin that the reference solver cannot handle
 
     """
     for name in simulation.effects:
         if name in NO_ENERGY:
-            raise InputError(f'effects.{name}: has no energy to compare with, being '
-                             f'{NO_ENERGY[name]}')
-    numbers = _numbers(simulation)
+            raise InputError(f'effects.{name}: has no energy, being {NO_ENERGY[name]}')
+    numbers = natural_indices(simulation)
     elements = []
     for name, built in simulation.effects.items():
         elements += _elements(name, built, numbers)
@@ -61,7 +60,7 @@ def problem_of(simulation: Any) -> Problem:
     rows, moving = np.cumsum(pinned) - 1, []
     for name, held in (pin.held if pin else {}).items():
         if held.slip is not None:
-            raise InputError(f'pins.{name}: the reference solver does not let go; leave out slip')
+            raise InputError(f'pins.{name}: the reference solver has no slip; leave it out')
         if held.motion.target.orientation != held.motion.pose.orientation:
             raise InputError(f'pins.{name}: the reference solver cannot turn a pin')
         mine = numbers[held.particles]
@@ -91,7 +90,7 @@ def problem_of(simulation: Any) -> Problem:
 
 
 def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
-    """Return what an effect stores energy in, if it does."""
+    """Return the elastic elements of an effect; empty for pins, damping and forces."""
     if name == 'seam':
         return [_springs(numbers[data.first], numbers[data.second], data.compliance)
                 for data in built.parts]
@@ -113,8 +112,8 @@ def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
         return [Edges(particles=particles, rest_length=found.rest_length,
                       stiffness=_inverse(name, found.compliance))]
     if name == 'bend':
-        return [Sums(particles=particles, weight=found.weight,
-                     stiffness=1.0 / found.compliance)]
+        return [LinearSums(particles=particles, weight=found.weight,
+                           stiffness=1.0 / found.compliance)]
     if name == 'membrane':
         return [Membranes(particles=particles, inverse=found.inverse.reshape(-1, 2, 2),
                           moduli=np.linalg.inv(found.block))]
@@ -127,31 +126,25 @@ def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
     if name == 'volume':
         shear, bulk = (1.0 / found.compliance).T
         return [Tetrahedra(particles=particles, inverse=found.inverse, shear=shear, bulk=bulk)]
-    raise InputError(f'effects.{name}: the reference solver does not know it')
+    raise InputError(f'effects.{name}: the reference solver does not have it')
 
 
-def _springs(one: Array, other: Array, compliance: Array) -> Sums:
-    """Return springs that are nothing long between pairs."""
-    return Sums(particles=np.stack([one, other], 1), weight=np.tile([1.0, -1.0], (len(one), 1)),
-                stiffness=_inverse('seam', compliance))
+def _springs(one: Array, other: Array, compliance: Array) -> LinearSums:
+    """Return springs of zero length between pairs of particles."""
+    return LinearSums(particles=np.stack([one, other], 1),
+                      weight=np.tile([1.0, -1.0], (len(one), 1)),
+                      stiffness=_inverse('seam', compliance))
 
 
 def _inverse(name: str, compliance: Array) -> Array:
     if (compliance == 0.0).any():
-        raise InputError(f'effects.{name}: the reference solver cannot take what is rigid; its '
+        raise InputError(f'effects.{name}: the reference solver has no rigid constraints; '
                          'compliance must be > 0 m/N (got 0)')
     return 1.0 / compliance
 
 
-def _numbers(simulation: Any) -> Array:
-    """Return the natural number of the particle in each slot, -1 in the padding."""
-    numbers = np.full(len(simulation.state.mass), -1)
-    numbers[simulation.slot] = np.arange(len(simulation.slot))
-    return numbers
-
-
 class _Path:
-    """Pinned particles that move with their pins, straight from frame to frame."""
+    """The positions of pinned particles over time, linear within each frame."""
 
     def __init__(self, simulation: Any, x: Array, moving: list):
         self._knots = [x]
@@ -161,7 +154,7 @@ class _Path:
         self._time_ns = simulation.time_ns
 
     def __call__(self, t: float) -> Array:
-        """Return positions [m], shape (p, 3), at a time since the start [s]."""
+        """Return the positions at a time since the start [s], shape (p, 3) [m]."""
         frame = max(0, math.ceil(t / self._dt - 1e-9) - 1)
         while len(self._knots) < frame + 2:
             self._advance()
