@@ -1,5 +1,6 @@
 """``compile``: kernels ahead of time, where the environment says."""
 
+import json
 import os
 import subprocess
 import sys
@@ -26,7 +27,12 @@ def test_another_process_compiles_nothing_more(tmp_path):
     def python(*arguments):
         return subprocess.run([sys.executable, *arguments], env=environment, text=True,
                               capture_output=True, check=True).stdout
-    said = python('-m', 'xpbd_ros', 'compile', str(file)).splitlines()
+    report = tmp_path / 'report.json'
+    said = python('-m', 'xpbd_ros', 'compile', str(file), '--json', str(report)).splitlines()
+    numbers = json.loads(report.read_text())
+    assert numbers['cache'].startswith(f'{tmp_path}/kernels/xpbd_ros/')
+    assert list(numbers['scenes']) == [str(file)]
+    assert numbers['scenes'][str(file)] > 0.0
     assert said[0].startswith(f'{file}: ')
     assert said[-1].startswith(f'kernels are in {tmp_path / "kernels" / "xpbd_ros"}')
     kept = set((tmp_path / 'kernels').rglob('*.nbc'))

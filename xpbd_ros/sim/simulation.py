@@ -1,6 +1,7 @@
 """A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
 
 from collections.abc import Callable, Mapping, Sequence
+import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 import hashlib
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.effect import Built, Clock, Cloth
@@ -248,6 +250,40 @@ class Simulation:
         if self._retune is not None and changes:
             self._retune.check(changes)
 
+    def __deepcopy__(self, memo: dict) -> 'Simulation':
+        """Return a simulation of its own that continues from here; only meshes are shared."""
+        other = memo[id(self)] = object.__new__(type(self))
+        other._continue_from(self, memo)
+        return other
+
+    def _continue_from(self, other: 'Simulation', memo: dict) -> None:
+        memo.update({id(each): each for each in (*other.cloths, other._step)})
+        self.__dict__.update({name: copy.deepcopy(value, memo)
+                              for name, value in other.__dict__.items()})
+
+    def save(self) -> 'SavedState':
+        """Return all that the next frames depend on."""
+        return SavedState(copy.deepcopy(self))
+
+    def restore(self, saved: 'SavedState') -> None:
+        """
+        Continue from a saved state of this simulation, or of another one of the same scene.
+
+        Raises
+        ------
+        InputError : the state is that of a scene with other cloths or effects
+
+        """
+        other = saved._simulation
+        if [cloth.mesh.positions.shape for cloth in self.cloths] != [
+                cloth.mesh.positions.shape for cloth in other.cloths] or (
+                    self._step is not other._step):
+            raise InputError('the state is that of another scene: it has '
+                             f'{len(other.slot)} particles and the effects '
+                             f'{", ".join(other.effects)}; this one has {len(self.slot)} and '
+                             f'{", ".join(self.effects)}')
+        self._continue_from(other, {id(other): self})
+
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
         digest = hashlib.blake2b(digest_size=8)
@@ -265,6 +301,22 @@ class Simulation:
         if self._guard is not None:
             found['explicit_redone'] = self._guard.redone
         return found
+
+
+class SavedState:
+    """A state of a simulation, which stays as it was saved."""
+
+    def __init__(self, simulation: Simulation):
+        self._simulation = simulation
+
+    @property
+    def index(self) -> int:
+        """Frame of the state; 0 is the start."""
+        return self._simulation.index
+
+    def simulation(self) -> Simulation:
+        """Return a new simulation that continues from here."""
+        return copy.deepcopy(self._simulation)
 
 
 @dataclass(frozen=True)

@@ -140,6 +140,10 @@ class ThreadPool:
         self._pool = ThreadPoolExecutor(workers - 1, 'xpbd_ros') if workers > 1 else None
         self._others: list[Future] = []
 
+    def __deepcopy__(self, memo: dict) -> 'ThreadPool':
+        """Return a pool of as many threads of its own."""
+        return ThreadPool(self.workers)
+
     def run(self, step, effects, state, *arguments) -> None:
         """Call a step on all threads, this one among them."""
         if self._pool is None:

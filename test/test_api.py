@@ -1,0 +1,108 @@
+"""The Python API: saved states, rollouts, and what is public."""
+
+import inspect
+from pathlib import Path
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from sim.small import run, with_effects
+
+import xpbd_ros
+from xpbd_ros import Grasp, InputError, MoveCollider, MovePin, Pose, Release, SetKey
+
+PAGE = (Path(__file__).parents[1] / 'doc/python.md').read_text()
+STRIP = {'cloths': {'c': {'grid': {'size': [0.2, 0.2], 'resolution': [4, 4]}, 'density': 0.2,
+                          'effects': {'stretch': {'warp': 100.0, 'weft': 100.0}}}},
+         'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}},
+         'solver': {'method': 'gauss_seidel', 'integrator': 'bdf2', 'substeps': 4}}
+COMMANDS = [Grasp('b', Pose((1.0, 0.0, 0.0)), 0.1), MovePin('a', Pose((0.0, 0.0, 0.2))),
+            MoveCollider('table', Pose((0.0, 0.0, 0.05))), SetKey('gravity', [0.0, 1.0, -9.0])]
+
+
+def test_a_restored_state_continues_to_the_same_bits():
+    """With all effects of a sheet, in the midst of motion; commands act on all that is saved."""
+    simulation = with_effects()
+    run(simulation, 3, COMMANDS)
+    saved = simulation.save()
+    assert saved.index == simulation.index == 3
+    first = [(simulation.step([Release('b')]).x.tobytes(), simulation.hash()) for _ in range(5)]
+    for other in (simulation, saved.simulation(), saved.simulation()):
+        other.restore(saved)
+        assert other.index == 3
+        assert set(other.frame().pins) == {'a', 'b'}
+        again = [(other.step([Release('b')]).x.tobytes(), other.hash()) for _ in range(5)]
+        assert again == first
+    assert saved.index == 3
+
+
+def test_a_state_of_another_scene_is_refused():
+    simulation = xpbd_ros.load(STRIP)
+    before = simulation.hash()
+    other = xpbd_ros.load(STRIP, **{'cloths.c.grid.resolution': [4, 5]})
+    with pytest.raises(InputError, match='another scene: it has 20 particles and the effects'):
+        simulation.restore(other.save())
+    other = xpbd_ros.load(STRIP, **{'effects': {'damping': {'rate': 1.0}}})
+    with pytest.raises(InputError, match='pin, damping, stretch; this one has 16 and pin, str'):
+        simulation.restore(other.save())
+    assert simulation.hash() == before
+
+
+def test_rollouts_are_in_order_and_leave_their_start_alone():
+    simulation = xpbd_ros.load(STRIP)
+    simulation.step()
+    before = simulation.hash()
+    sequences = [[[MovePin('a', Pose((0.0, 0.0, 0.01 * k)))]] + 5 * [[]] for k in range(6)]
+
+    def last(frames):
+        return list(frames)[-1].x
+
+    expected = []
+    for sequence in sequences:
+        alone = simulation.save().simulation()
+        expected.append([alone.step(commands) for commands in sequence][-1].x)
+    for workers in (1, 3, None):
+        found = xpbd_ros.rollouts(simulation, sequences, last, workers=workers)
+        assert (np.array(found) == expected).all()
+    assert len({x.tobytes() for x in found}) == 6
+    assert simulation.hash() == before
+    assert xpbd_ros.rollouts(simulation.save(), sequences[:1], lambda frames: next(frames).index,
+                             ) == [2]
+
+
+def test_bad_input_is_refused_with_the_way_out():
+    with pytest.raises(InputError, match="did you mean 'towel'"):
+        xpbd_ros.load('towl')
+    with pytest.raises(InputError, match='solver.substeps: must be'):
+        xpbd_ros.load(STRIP, **{'solver.substeps': -1})
+    with pytest.raises(AttributeError, match="no attribute 'lod'"):
+        _ = xpbd_ros.lod
+
+
+def test_the_page_names_all_that_is_public_and_its_example_runs():
+    for name in xpbd_ros.__all__:
+        public = getattr(xpbd_ros, name)
+        assert public.__doc__, name
+        assert re.search(rf'`(simulation\.)?{name}\b', PAGE), name
+    for method in ('step', 'frame', 'save', 'restore', 'hash', 'check', 'compile'):
+        assert inspect.getdoc(getattr(xpbd_ros.Simulation, method))
+        assert f'`simulation.{method}(' in PAGE or f'`.{method}(' in PAGE
+    assert set(dir(xpbd_ros)) == {*xpbd_ros.__all__, '__version__'}
+    example = re.search(r'```python\n(.*?)```', PAGE, re.S)[1]
+    assert len(example.splitlines()) <= 15
+    values = {}
+    exec(example.replace('print(', 'found = ('), values)
+    slow, fast = values['found']
+    assert 0.0 < slow < fast
+
+
+def test_without_a_simulation_nothing_is_compiled_or_imported():
+    code = 'import sys, xpbd_ros; xpbd_ros.__version__; print("numba" in sys.modules)'
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout == 'False\n'
+    code = ('import sys, xpbd_ros; xpbd_ros.load; '
+            'print(sorted(name for name in sys.modules if "rclpy" in name))')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
+    assert done.stdout == '[]\n'

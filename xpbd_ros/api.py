@@ -1,0 +1,88 @@
+"""
+The Python API: what ``import xpbd_ros`` offers. No ROS is needed.
+
+Everything else in the package may change without notice.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+import os
+from pathlib import Path
+from typing import Any, TypeVar
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.commands import (
+    Command,
+    Grasp,
+    MoveCollider,
+    MovePin,
+    PlaceCollider,
+    Pose,
+    Release,
+    ReleaseAll,
+    RemoveAllColliders,
+    RemoveCollider,
+    Reset,
+    SetKey,
+    SetWind,
+    Twist,
+)
+from xpbd_ros.sim.simulation import Frame, SavedState as State, Simulation
+
+__all__ = [
+    'Frame', 'Grasp', 'InputError', 'MoveCollider', 'MovePin', 'PlaceCollider', 'Pose', 'Release',
+    'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider', 'Reset', 'SetKey', 'SetWind',
+    'Simulation', 'State', 'Twist', 'load', 'rollouts']
+
+Result = TypeVar('Result')
+
+
+def load(scene: str | Path | dict, **overrides: Any) -> Simulation:
+    """
+    Return the simulation of a scene, at its start.
+
+    Parameters
+    ----------
+    scene : path of a scene file, name of a shipped scene, or the scene as a mapping
+    overrides : values of single keys, as in ``load('towel', **{'solver.substeps': 32})``
+
+    Raises
+    ------
+    InputError : the scene is not valid; the message names file, key, value, unit and remedy
+
+    """
+    if isinstance(scene, dict):
+        return compile_scene(scene_from_mapping(scene, where='scene', name='scene',
+                                                overrides=overrides))
+    return compile_scene(load_scene(str(scene), overrides))
+
+
+def rollouts(start: Simulation | State, sequences: Iterable[Sequence[Sequence[Command]]],
+             measure: Callable[[Iterator[Frame]], Result], *,
+             workers: int | None = None) -> list[Result]:
+    """
+    Simulate several sequences of commands from the same state, in parallel threads.
+
+    Parameters
+    ----------
+    start : where all of them begin; stays as it is
+    sequences : of each rollout, the commands by frame; its length is the number of frames
+    measure : is given the frames of one rollout, each computed when the iterator is advanced, and
+        returns the result. It may stop early
+    workers : number of threads; None: one per CPU
+
+    Returns
+    -------
+    results in the order of the sequences, the same whatever the number of workers
+
+    """
+    state = start.save() if isinstance(start, Simulation) else start
+
+    def roll_out(sequence: Sequence[Sequence[Command]]) -> Result:
+        simulation = state.simulation()
+        return measure(simulation.step(commands) for commands in sequence)
+
+    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+        return list(pool.map(roll_out, sequences))
