@@ -36,6 +36,10 @@ class Writer:
         """Return a number."""
         return types.float64, self.context.get_constant(types.float64, value)
 
+    def integer(self, value: int):
+        """Return a whole number."""
+        return types.intp, self.context.get_constant(types.intp, value)
+
     def only_if(self, value):
         """Return a context for calls that depend on a value."""
         return self.builder.if_then(value[1])

@@ -42,7 +42,7 @@ def turned(state):
     """
     x, x_prev, v, history = rotate_history(state.history, state.x, state.x_prev, state.v)
     return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
-                 state.reaction, history, state.apart, state.team, state.gap)
+                 state.reaction, history, state.apart, state.team, state.gap, state.clock)
 
 
 @jit

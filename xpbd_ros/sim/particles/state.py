@@ -1,6 +1,6 @@
 """Particle state: arrays of all particles by slot, and the storage of integrator and solver."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,8 @@ class State(NamedTuple):
     """None with one thread"""
     gap: np.ndarray | None = None
     """distance of neighbours [m], shape (slots,); None unless the integrator is NDF2"""
+    clock: Any = None
+    """a measurement's, read after each part of a step (``stages.lap``); usually None"""
 
 
 class Substep(NamedTuple):

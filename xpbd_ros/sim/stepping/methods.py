@@ -28,10 +28,12 @@ from xpbd_ros.sim.particles.integration import set_mobility
 from xpbd_ros.sim.stepping.stages import (
     add_explicit_forces,
     kernel_of,
+    lap_integration,
     project,
     project_back,
     solve_lines,
     walk,
+    write_lap,
 )
 
 
@@ -110,6 +112,7 @@ def _sweep(writer, method, *values):
             writer.call(add_moves, state)
         else:
             writer.call(apply_leapfrog_kick, state, substep)
+        write_lap(writer, state, len(effects[0]))
         return
     for walk_ in WALKS[kind]:
         writer.call(walk_, *values)
@@ -141,3 +144,4 @@ def _kick(effects, state, substep, share):
     project(effects, state, substep)
     add_explicit_forces(effects, state, substep)
     half_kick(state, substep.h, share)
+    lap_integration(effects, state)

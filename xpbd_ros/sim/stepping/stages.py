@@ -83,6 +83,14 @@ def accumulate_reactions(effects, state, substep):
     """
 
 
+def lap(clock, row):
+    """Add the time since the last call to a row, by a kernel for the type of ``state.clock``."""
+
+
+def lap_integration(effects, state):
+    """Do so for the row after those of the effects; nothing where there is no clock."""
+
+
 _KERNELS: dict[tuple[Callable, type], Callable] = {}
 _SHARED: set[Callable] = set()
 
@@ -124,8 +132,22 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
             with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
                 for k, kernel in group:
                     writer.call(kernel, writer.item(effects, k), state, substep)
+                    write_lap(writer, state, k)
             if apart:
                 writer.call(wait, team)
+
+
+def write_lap(writer: Writer, state, row: int) -> None:
+    """Write a reading of the clock where the state has one."""
+    clock = writer.item(state, 'clock')
+    kernel = kernel_of(lap, clock[0])
+    if kernel is not None:
+        writer.call(kernel, clock, writer.integer(row))
+
+
+@written_out(lap_integration)
+def _lap_integration(writer, effects, state):
+    write_lap(writer, state, len(effects[0]))
 
 
 def _is_none(state, name: str) -> bool:

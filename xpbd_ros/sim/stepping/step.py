@@ -25,6 +25,7 @@ from xpbd_ros.sim.stepping.stages import (
     force,
     has_finish,
     has_force,
+    lap_integration,
     limit_motion,
     may_repeat_inequalities,
     prepare,
@@ -50,9 +51,11 @@ def advance(effects, state, method, frame_dt, substeps):
         if not begun:
             now = turned(now)
             begin(now, substep)
+            lap_integration(effects, now)
         force(effects, now, substep)
         if has_force(effects):
             predict(now, substep)
+            lap_integration(effects, now)
         prepare(effects, now, substep)
         for _ in range(method.iterations):
             sweep(method, effects, now, substep)
@@ -70,10 +73,13 @@ def advance(effects, state, method, frame_dt, substeps):
         if begun:
             update_velocity_and_begin(now, substep)
             now = turned(now)
+            lap_integration(effects, now)
         else:
             update_velocity(now, substep)
+            lap_integration(effects, now)
             finish(effects, now, substep)
     restore_buffers(state, now)
+    lap_integration(effects, state)
     leave(method, effects, state, Substep(h, 1.0, 1.0))
     restore_mode(mode)
 

@@ -17,10 +17,11 @@ import numpy as np
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping import stages
-from xpbd_ros.study.cost.clock import lap_ns
-from xpbd_ros.study.cost.timed_step import timed_step
+from xpbd_ros.sim.stepping.step import advance
+from xpbd_ros.study.cost.clock import lap_ns, new_clock, start
 
 ROUNDS = 5
 
@@ -92,35 +93,32 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
     scene = replace(scene, top=replace(scene.top, solver=replace(scene.top.solver, threads=1)))
     plain, timed = compile_scene(scene), compile_scene(scene)
     count = len(timed._tuple)
-    book = np.zeros((count + 2, 2), np.int64)
-    kernels = {}
+    clock = new_clock(count + 1)
+    kernel = jit(advance, cache_name=None)    # of its own: a cache would name the clock's type
 
-    def clocked(effects, state, method, *arguments):
-        kind = type(method)
-        if kind not in kernels:
-            kernels[kind] = timed_step(effects, kind)
-        kernels[kind](effects, state, method, *arguments, book)
+    def clocked(effects, state, *arguments):
+        start(clock)
+        kernel(effects, state._replace(clock=clock), *arguments)
 
     _watch(plain, plain._step)
     _watch(timed, clocked)
     plain.compile()
     timed.compile()
-    text = ''.join(text for kernel in kernels.values() for text in kernel.inspect_asm().values())
-    clock = lap_ns()
+    text = ''.join(kernel.inspect_asm().values())
+    reading = lap_ns()
     whole, native = np.zeros((2, rounds, frames, 1))
     parts = np.zeros((rounds, frames, count + 1))
     for step in progress(range(rounds * frames), 'frames'):
         r, f = divmod(step, frames)
         if f == 0:
             plain, timed = (_fresh(scene, simulation) for simulation in (plain, timed))
-        start = perf_counter_ns()
+        before = perf_counter_ns()
         plain.step(commands.get(f + 1, ()))
         substeps = plain.solver.substeps
-        whole[r, f] = (perf_counter_ns() - start) / substeps
+        whole[r, f] = (perf_counter_ns() - before) / substeps
         native[r, f] = plain.taken / substeps
-        book[:] = 0
         timed.step(commands.get(f + 1, ()))
-        parts[r, f] = (book[:-1, 0] - clock * book[:-1, 1]) / substeps
+        parts[r, f] = (clock.book[:, 0] - reading * clock.book[:, 1]) / substeps
     assert plain.hash() == timed.hash(), 'the step with a clock in it computes something else'
     return _tabulate(plain, text, whole, native, parts)
 
