@@ -58,6 +58,12 @@ def meshio():
 
 
 @pytest.fixture
+def pyvista():
+    """Return the library that draws pictures of runs; ``[view]`` brings it."""
+    return pytest.importorskip('pyvista', reason="pyvista is missing: pip install '.[view]'")
+
+
+@pytest.fixture
 def write_log(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes a log of some frames and returns its folder."""
     return lambda name='run', **options: sample_log(tmp_path / name, **options)

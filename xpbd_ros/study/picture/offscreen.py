@@ -1,0 +1,36 @@
+"""For all that draws: say in one line that PyVista, or a way to render off screen, is missing."""
+
+from importlib.util import find_spec
+import os
+
+from xpbd_ros.errors import InputError
+
+
+def need_view(what: str = 'the picture') -> None:
+    """
+    Raise InputError with the way out if VTK cannot render off screen here.
+
+    VTK takes EGL, then OSMesa, and where it has neither it returns a window that crashes when it
+    draws. X is not tried unless the environment asks for it: on a machine without a display VTK
+    would warn on stderr. VTK's own warnings are held back, since the error says it all.
+    """
+    if find_spec('pyvista') is None:
+        raise InputError(f"{what} needs PyVista: pip install 'xpbd_ros[view]'")
+    os.environ.setdefault('VTK_DEFAULT_OPENGL_WINDOW', 'vtkEGLRenderWindow')
+    from vtkmodules.vtkCommonCore import vtkLogger
+    from vtkmodules.vtkRenderingCore import vtkRenderWindow
+    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401 registers the windows
+    level = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        window = vtkRenderWindow()
+        window.SetOffScreenRendering(True)
+        window.Initialize()
+        window.MakeCurrent()
+        able = window.IsCurrent()
+        window.Finalize()
+    finally:
+        vtkLogger.SetStderrVerbosity(level)
+    if not able:
+        raise InputError(f'{what} needs OpenGL off screen, and VTK finds neither EGL nor OSMesa; '
+                         'install one, such as: apt install libegl1 libegl-mesa0')
