@@ -62,11 +62,12 @@ def test_grid_lines_are_a_round_distance_apart_and_lie_on_the_plane():
     turn = (np.sin(0.2), 0.0, 0.0, np.cos(0.2))    # 0.4 rad about x
     normal = np.array([0.0, -np.sin(0.4), np.cos(0.4)])
     one = Body('plane', (), (0.03, 0.0, 0.1), turn)
-    ground, lines = plane(one, np.array([0.5, 0.2, 0.3]), 1.0, np.array([0, -3.0, 1.0]))
-    for mesh in (ground, lines):
+    parts = plane(one, np.array([0.5, 0.2, 0.3]), 1.0, np.array([0, -3.0, 1.0]))
+    for mesh in (part.mesh for part in parts):
         np.testing.assert_allclose((mesh.points - [0.03, 0, 0.1]) @ normal, 0, atol=1e-6)
         np.testing.assert_allclose(mesh['Normals'] @ normal, 1, atol=1e-6)
     axes = np.array([[1, 0, 0], [0, np.cos(0.4), np.sin(0.4)]])
+    lines = parts[1].mesh
     local = (lines.points - [0.03, 0, 0.1]) @ axes.T
     off = np.abs(local / 0.1 - np.round(local / 0.1))
     assert (off.min(axis=1) < 1e-4).all()

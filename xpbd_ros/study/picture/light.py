@@ -8,14 +8,8 @@ import pyvista
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkFloatArray
 
-SUN = 0.72 * np.array([1.02, 1.0, 0.96])
-"""light of the sun on a surface that faces it, (3,)"""
-SKY = 0.45 * np.array([0.97, 1.0, 1.05])
-"""light of the whole sky on a level surface, (3,)"""
 GROUND = 0.5
 """light that comes from below, as a share of the sky's"""
-EVERYWHERE = 0.1
-"""share of the sky's light that reaches every place"""
 SUN_RADIUS = np.tan(np.radians(2.2))
 """wider than the real sun's 0.27 deg: a studio lamp, so that penumbrae show"""
 
@@ -24,12 +18,6 @@ def unit(vectors: ArrayLike) -> NDArray:
     """Return vectors (..., 3) of length 1; zeros stay."""
     vectors = np.asarray(vectors, dtype=float)
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
-
-
-def axes_of(towards: NDArray) -> NDArray:
-    """Return right, up and towards (3, 3) for a camera that looks along -towards."""
-    right = unit(np.cross([0.0, 0.0, 1.0] if abs(towards[2]) < 0.9 else [0.0, 1.0, 0.0], towards))
-    return np.stack([right, np.cross(towards, right), towards])
 
 
 def sphere(count: int) -> NDArray:
@@ -59,7 +47,8 @@ class Lamps:
         camera.parallel_scale = 1.01 * radius
         plotter.show(auto_close=False)
         for towards, strength in zip(directions, np.broadcast_to(strengths, len(directions))):
-            axes, values = axes_of(towards), vtkFloatArray()
+            right = unit(np.cross([0, 0, 1] if abs(towards[2]) < 0.9 else [0, 1, 0], towards))
+            axes, values = np.stack([right, np.cross(towards, right), towards]), vtkFloatArray()
             camera.position, camera.up = self._centre + 2 * radius * towards, axes[1]
             camera.clipping_range = near, far = 0.99 * radius, 3.01 * radius
             plotter.render_window.Render()
@@ -86,18 +75,12 @@ class Lamps:
         return light
 
 
-def sunlight(casters: Sequence[pyvista.PolyData], towards: NDArray) -> Lamps:
+def sunlight(casters: Sequence[pyvista.PolyData], towards: NDArray, count: int = 20) -> Lamps:
     """Return a disc that gives light 1 to a surface that faces it."""
-    return Lamps(casters, unit(towards + SUN_RADIUS * sphere(20)), 1 / 20, 640)
+    return Lamps(casters, unit(towards + SUN_RADIUS * sphere(count)), 1 / count, 640)
 
 
-def skylight(casters: Sequence[pyvista.PolyData]) -> Lamps:
+def skylight(casters: Sequence[pyvista.PolyData], count: int = 80) -> Lamps:
     """Return lights all around that give light 1 to a level surface, and less from below."""
-    around = sphere(48)
-    return Lamps(casters, around, 4 / 48 * np.where(around[:, 2] > 0, 1.0, GROUND), 192)
-
-
-def shade(colour: NDArray, sky: NDArray, sun: NDArray) -> NDArray:
-    """Return the colours (n, 3), sRGB in [0, 1], of a surface in this light; gamma is 2.2."""
-    light = np.outer(EVERYWHERE + (1 - EVERYWHERE) * sky, SKY) + np.outer(sun, SUN)
-    return np.minimum(colour * light ** (1 / 2.2), 1.0)
+    around = sphere(count)
+    return Lamps(casters, around, 4 / count * np.where(around[:, 2] > 0, 1.0, GROUND), 192)

@@ -9,39 +9,36 @@ import pyvista
 from scipy.spatial.transform import Rotation
 
 from xpbd_ros.study.picture.content import Arrow, Body, Instant, Path, Surface
-from xpbd_ros.study.picture.light import axes_of, unit
 
 GRIPPER = 0.11
 """its length as a share of what is shown"""
 REACH = 1.6
 """how far planes are drawn from the middle, in diagonals of what is shown"""
-CELLS = 80
-"""along the side of a plane"""
+NEARER = 0.004
+"""how much nearer to the eye all but bodies is drawn than it is, as a share of the distance"""
 UP = (0, 0, 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A mesh of one colour a side."""
+    """Triangles or lines of one colour."""
 
     mesh: pyvista.PolyData
-    front: NDArray
-    """(3,), sRGB"""
-    back: NDArray | None = None
-    """None: a solid, of which the inside is never seen"""
+    colour: str | tuple[float, float, float]
+    hidden: str | None = 'back'
+    """side that is not drawn; a cloth is two parts"""
     gloss: float = 0.15
-    yields: bool = False
-    """cloth that has sunk a little into it is still drawn over it"""
+    nearer: float = NEARER
 
 
-def solid(mesh: pyvista.PolyData, colour: str, position: ArrayLike,
-          turn: Rotation | None = None, **rest) -> Part:
+def solid(mesh: pyvista.PolyData, colour: str, position: ArrayLike, turn: Rotation | None = None,
+          **rest) -> Part:
     """Return a solid that is given about its own origin."""
     points = mesh.points.astype(float)
     mesh.points = (turn.apply(points) if turn else points) + position
-    mesh = mesh.triangulate().compute_normals(cell_normals=False, split_vertices=True,
-                                              feature_angle=40, consistent_normals=False)
-    return Part(mesh, np.array(to_rgb(colour)), **rest)
+    return Part(mesh.triangulate().compute_normals(cell_normals=False, split_vertices=True,
+                                                   feature_angle=40, consistent_normals=False),
+                colour, **rest)
 
 
 def body(one: Body) -> Part:
@@ -56,14 +53,18 @@ def body(one: Body) -> Part:
         'box': lambda: pyvista.Box((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2,
                                     -size[2] / 2, size[2] / 2), level=8),
     }[one.shape]()
-    return solid(mesh, '#9aa3ad', one.position, Rotation.from_quat(one.orientation), yields=True)
+    return solid(mesh, '#9aa3ad', one.position, Rotation.from_quat(one.orientation), nearer=0.0)
 
 
-def cloth(surface: Surface) -> Part:
-    mesh = pyvista.PolyData.from_regular_faces(np.array(surface.points, float), surface.triangles)
-    mesh = mesh.compute_normals(cell_normals=False, split_vertices=False, consistent_normals=False)
-    front = np.array(to_rgb(surface.colour))
-    return Part(mesh, front, 0.35 * front + 0.55, gloss=0.05)
+def cloth(one: Surface) -> list[Part]:
+    """Return the front and the paler back."""
+    mesh = pyvista.PolyData.from_regular_faces(np.array(one.points, float), one.triangles)
+    front = mesh.compute_normals(cell_normals=False, split_vertices=False,
+                                 consistent_normals=False)
+    back = front.copy()
+    back['Normals'] *= -1
+    paler = tuple(0.35 * value + 0.55 for value in to_rgb(one.colour))
+    return [Part(front, one.colour, gloss=0.05), Part(back, paler, 'front', gloss=0.05)]
 
 
 def gripper(path: Path, size: float) -> list[Part]:
@@ -81,14 +82,13 @@ def arrow(one: Arrow, size: float) -> Part:
     head = min(0.4, 0.32 * size / length)
     mesh = pyvista.Arrow(direction=UP, scale=length, tip_length=head, tip_radius=0.39 * head,
                          shaft_radius=0.17 * head, tip_resolution=32, shaft_resolution=24)
-    turn = Rotation.from_matrix(axes_of(unit(one.vector)).T)
-    return solid(mesh, one.colour, one.origin, turn)
+    return solid(mesh, one.colour, one.origin, Rotation.align_vectors([one.vector], [UP])[0])
 
 
 def parts_of(instant: Instant, size: float) -> list[Part]:
     """Return all but planes and paths; grippers and arrows suit a scene of this size [m]."""
     return [*(body(one) for one in instant.bodies if one.shape != 'plane'),
-            *(cloth(one) for one in instant.surfaces if len(one.triangles)),
+            *(part for one in instant.surfaces if len(one.triangles) for part in cloth(one)),
             *(part for path in instant.paths if len(path.points)
               for part in gripper(path, GRIPPER * size)),
             *(arrow(one, GRIPPER * size) for one in instant.arrows if np.any(one.vector))]
@@ -101,31 +101,25 @@ def grid_spacing(size: float) -> float:
     return float(decade * max(step for step in (1, 2, 5) if step * decade <= wish * (1 + 1e-9)))
 
 
-def plane(one: Body, centre: NDArray, size: float,
-          eye: NDArray) -> tuple[pyvista.PolyData, pyvista.PolyData]:
+def plane(one: Body, centre: NDArray, size: float, eye: NDArray) -> list[Part]:
     """
     Return a plane around the middle of a scene, facing the eye, and its grid lines.
 
-    Its points are dense in the middle. 'fade' is how much of it is seen: far away it passes into
-    the white of the page.
+    'fade' is how much of it is seen: far away it passes into the white of the page.
     """
     turn = Rotation.from_quat(one.orientation).as_matrix()
     middle = (centre - one.position) @ turn * [1, 1, 0]
-    reach, spacing = REACH * size, grid_spacing(size)
-    ground = pyvista.Plane(i_size=2, j_size=2, i_resolution=CELLS,
-                           j_resolution=CELLS).triangulate()
-    ground.points = reach * (0.35 * ground.points + 0.65 * ground.points ** 3)
-    far = np.clip(2 * REACH - 2 * np.linalg.norm(ground.points, axis=1) / size, 0, 2) / 2
-    ground['fade'] = far * far * (3 - 2 * far)
-    ground.points += middle
-    levels = np.arange(-reach // spacing, reach // spacing + 1) * spacing
-    lines = []
-    for axis in (0, 1):
-        ground['along'] = ground.points[:, axis]
-        lines.append(ground.contour(levels + middle[axis] // spacing * spacing, 'along'))
-    lines = lines[0].append_polydata(lines[1])
+    ground = pyvista.Plane(center=middle, i_size=2 * REACH * size, j_size=2 * REACH * size,
+                           i_resolution=96, j_resolution=96).triangulate()
+    share = 1 - np.linalg.norm(ground.points - middle, axis=1).clip(0, REACH * size) / REACH / size
+    ground['fade'] = (1.6 * share).clip(0, 1)
+    ground['Normals'] = np.tile(turn[:, 2] * np.sign((eye - one.position) @ turn[:, 2]),
+                                (ground.n_points, 1))
+    spacing = grid_spacing(size)
+    lines = pyvista.PolyData()
+    for along, first in zip(ground.points.T[:2], middle - REACH * size):
+        levels = spacing * np.arange(first // spacing, (first + 2 * REACH * size) / spacing)
+        lines = lines.append_polydata(ground.contour(levels, along))
     for mesh in (ground, lines):
         mesh.points = mesh.points @ turn.T + one.position
-        mesh['Normals'] = np.tile(turn[:, 2] * np.copysign(1.0, (eye - one.position) @ turn[:, 2]),
-                                  (mesh.n_points, 1))
-    return ground, lines
+    return [Part(ground, '#edf0f2', None, 0.0, 0.0), Part(lines, '#dadddf', None, 0.0, 0.001)]

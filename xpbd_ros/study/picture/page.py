@@ -4,24 +4,21 @@ from collections.abc import Sequence
 import io
 from pathlib import Path as FilePath
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
+from matplotlib.font_manager import findfont, FontProperties
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
 from xpbd_ros.study.chart import INK, MUTED
-from xpbd_ros.study.picture.camera import Camera, fit
+from xpbd_ros.study.picture.camera import fit
 from xpbd_ros.study.picture.content import Instant
 from xpbd_ros.study.picture.offscreen import need_view
 
 FILE_LIMIT = 700 * 1024
 """a picture is smaller than this, whatever it shows [bytes]"""
-CAMERA = Camera()
 
 
 def draw(instants: Sequence[Instant], file: FilePath | str, *, title: str = '', columns: int = 3,
-         camera: Camera = CAMERA, width_px: int = 1600, limit: int = FILE_LIMIT) -> None:
+         width_px: int = 1600, limit: int = FILE_LIMIT) -> None:
     """
     Write a PNG with one panel per instant.
 
@@ -43,40 +40,38 @@ def draw(instants: Sequence[Instant], file: FilePath | str, *, title: str = '', 
     columns = min(columns, len(instants))
     rows = -(-len(instants) // columns)
     px = width_px / 1600
-    edge, gap, above = (round(px * length) for length in (16, 16, 40))
-    panel = (width_px - 2 * edge - gap * (columns - 1)) // columns
-    eye, aspect = fit(points(size), camera, {1: 1.5, 2: 1.3}.get(columns, 1.1), 2.0)
-    tall = round(panel / aspect)
+    edge, above = round(16 * px), round(40 * px)
+    wide = (width_px - edge * (columns + 1)) // columns
+    eye, aspect = fit(points(size), {1: 1.5, 2: 1.3}.get(columns, 1.1), 2.0)
+    tall = round(wide / aspect)
     labels = {path.label: path for one in instants for path in one.paths if path.label}
     planes = any(body.shape == 'plane' for one in instants for body in one.bodies)
     top = edge + round(52 * px) * bool(title)
-    foot = edge + round(36 * px) * bool(labels or planes)
-    height_px = top + rows * (tall + above) + (rows - 1) * gap + foot
-    figure = Figure(figsize=(width_px / 200 / px, height_px / 200 / px), dpi=200 * px)
-    canvas = FigureCanvasAgg(figure)
+    foot = top + rows * (tall + above + edge)
+    page = Image.new('RGB', (width_px, foot + round(36 * px) * bool(labels or planes)), 'white')
+    pen = ImageDraw.Draw(page)
 
-    def write(right: float, down: float, text: str, **options) -> None:
-        figure.text(right / width_px, 1 - down / height_px, text, va='center',
-                    **{'color': INK, **options})
+    def write(right: float, middle: float, text: str, points: float = 8.5, colour: str = INK,
+              anchor: str = 'lm', weight: str = 'normal') -> float:
+        font = ImageFont.truetype(findfont(FontProperties(weight=weight)), points * px * 200 / 72)
+        pen.text((right, middle), text, colour, font, anchor)
+        return right + pen.textlength(text, font)
 
-    write(edge, edge + 18 * px, title, fontsize=11, fontweight='bold')
+    write(edge, edge + 18 * px, title, 11, weight='bold')
     for index, one in enumerate(instants):
-        left = edge + index % columns * (panel + gap)
-        down = top + above + index // columns * (tall + above + gap)
-        axes = figure.add_axes((left / width_px, 1 - (down + tall) / height_px,
-                                panel / width_px, tall / height_px), xticks=(), yticks=())
-        axes.imshow(render(one, camera, eye, panel, tall, (low + high) / 2, size), aspect='auto')
-        axes.spines[:].set(color='#d5dade', linewidth=0.6)
-        write(left, down - 16 * px, one.title, fontsize=8.5)
+        left = edge + index % columns * (wide + edge)
+        down = top + above + index // columns * (tall + above + edge)
+        page.paste(Image.fromarray(render(one, eye, wide, tall, (low + high) / 2, size)),
+                   (left, down))
+        pen.rectangle((left, down, left + wide, down + tall), outline='#d5dade')
+        write(left, down - 16 * px, one.title)
+    at = edge
+    for label, path in labels.items():
+        pen.line((at, foot + 10 * px, at + 36 * px, foot + 10 * px), path.colour, round(4.5 * px))
+        at = write(at + 54 * px, foot + 10 * px, label, 8) + 36 * px
     if planes:
-        write(width_px - edge, height_px - foot + 26 * px, f'grid {grid_spacing(size):g} m',
-              fontsize=7.5, color=MUTED, ha='right')
-    if labels:
-        figure.legend([Line2D([], [], color=path.colour) for path in labels.values()], labels,
-                      loc='lower left', ncol=len(labels), frameon=False, fontsize=8,
-                      bbox_to_anchor=(edge / width_px, 0), borderaxespad=0.3, borderpad=0.3)
-    canvas.draw()
-    save(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()), FilePath(file), limit)
+        write(width_px - edge, foot + 10 * px, f'grid {grid_spacing(size):g} m', 7.5, MUTED, 'rm')
+    save(page, FilePath(file), limit)
 
 
 def save(picture: Image.Image, file: FilePath, limit: int) -> None:
