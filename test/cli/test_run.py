@@ -483,7 +483,7 @@ def test_a_picture_without_pyvista_is_refused_before_the_run(scene, tmp_path, ca
     assert main(['run', str(scene), '--picture', str(tmp_path / 'run.png'), '-o',
                  str(tmp_path / 'out')]) == 2
     assert capsys.readouterr() == (
-        '', "xpbd_ros run: run --picture needs PyVista: pip install 'xpbd_ros[view]'\n")
+        '', "xpbd_ros run: --picture needs PyVista: pip install 'xpbd_ros[view]'\n")
     assert not (tmp_path / 'out').exists()
 
 

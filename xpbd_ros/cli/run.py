@@ -68,7 +68,7 @@ def run(arguments) -> int:
         check_output(output)
     if arguments.picture:
         from xpbd_ros.study.picture import need_view
-        need_view('run --picture')
+        need_view('--picture')
     scene = load_scene(arguments.scene, overrides)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
     if recording is not None:

@@ -26,10 +26,7 @@ class Body:
     shape: str
     """one of SHAPES"""
     size: Sequence[float] = ()
-    """
-    sphere: radius; capsule: radius, length between centres; cylinder: radius, length; box: its
-    three sides; plane: nothing, it has no end [m]
-    """
+    """radius; radius and length (capsule: between centres); a box's sides; none of a plane [m]"""
     position: ArrayLike = (0.0, 0.0, 0.0)
     """centre; a point of the plane [m]"""
     orientation: ArrayLike = (0.0, 0.0, 0.0, 1.0)

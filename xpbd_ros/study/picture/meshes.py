@@ -15,7 +15,7 @@ GRIPPER = 0.11
 REACH = 1.6
 """how far planes are drawn from the middle, in diagonals of what is shown"""
 NEARER = 0.004
-"""how much nearer to the eye all but bodies is drawn than it is, as a share of the distance"""
+"""how much nearer to the eye all but bodies and planes is drawn, as a share of the distance"""
 UP = (0, 0, 1)
 
 
@@ -36,9 +36,10 @@ def solid(mesh: pyvista.PolyData, colour: str, position: ArrayLike, turn: Rotati
     """Return a solid that is given about its own origin."""
     points = mesh.points.astype(float)
     mesh.points = (turn.apply(points) if turn else points) + position
-    return Part(mesh.triangulate().compute_normals(cell_normals=False, split_vertices=True,
-                                                   feature_angle=40, consistent_normals=False),
-                colour, **rest)
+    mesh = mesh.triangulate().compute_normals(cell_normals=False, split_vertices=True,
+                                              feature_angle=40, consistent_normals=False)
+    mesh.points += 1e-5 * mesh.length * mesh['Normals']    # or refining joins the sides of edges
+    return Part(mesh, colour, **rest)
 
 
 def body(one: Body) -> Part:
@@ -50,8 +51,7 @@ def body(one: Body) -> Part:
                                            resolution=48),
         'cylinder': lambda: pyvista.Cylinder(radius=size[0], height=size[1], direction=UP,
                                              resolution=64),
-        'box': lambda: pyvista.Box((-size[0] / 2, size[0] / 2, -size[1] / 2, size[1] / 2,
-                                    -size[2] / 2, size[2] / 2), level=8),
+        'box': lambda: pyvista.Box(np.outer(size, [-0.5, 0.5]).ravel(), level=8),
     }[one.shape]()
     return solid(mesh, '#9aa3ad', one.position, Rotation.from_quat(one.orientation), nearer=0.0)
 
@@ -105,14 +105,15 @@ def plane(one: Body, centre: NDArray, size: float, eye: NDArray) -> list[Part]:
     """
     Return a plane around the middle of a scene, facing the eye, and its grid lines.
 
-    'fade' is how much of it is seen: far away it passes into the white of the page.
+    Its points are denser in the middle. 'fade' is how much of it is seen: far away it passes into
+    the white of the page.
     """
     turn = Rotation.from_quat(one.orientation).as_matrix()
     middle = (centre - one.position) @ turn * [1, 1, 0]
-    ground = pyvista.Plane(center=middle, i_size=2 * REACH * size, j_size=2 * REACH * size,
-                           i_resolution=96, j_resolution=96).triangulate()
-    share = 1 - np.linalg.norm(ground.points - middle, axis=1).clip(0, REACH * size) / REACH / size
-    ground['fade'] = (1.6 * share).clip(0, 1)
+    ground = pyvista.Plane(i_size=2, j_size=2, i_resolution=96, j_resolution=96).triangulate()
+    ground.points = 0.5 * ground.points + 0.5 * ground.points ** 5
+    ground['fade'] = (1.6 - 1.6 * np.linalg.norm(ground.points, axis=1)).clip(0, 1)
+    ground.points = middle + REACH * size * ground.points
     ground['Normals'] = np.tile(turn[:, 2] * np.sign((eye - one.position) @ turn[:, 2]),
                                 (ground.n_points, 1))
     spacing = grid_spacing(size)

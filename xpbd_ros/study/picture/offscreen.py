@@ -10,9 +10,8 @@ def need_view(what: str = 'the picture') -> None:
     """
     Raise InputError with the way out if VTK cannot render off screen here.
 
-    VTK takes EGL, then OSMesa, and where it has neither it returns a window that crashes when it
-    draws. X is not tried unless the environment asks for it: on a machine without a display VTK
-    would warn on stderr. VTK's own warnings are held back, since the error says it all.
+    VTK takes EGL, then OSMesa; where it has neither, its window crashes when it draws. X is tried
+    first unless the variable names another, and VTK warns on stderr where there is no display.
     """
     if find_spec('pyvista') is None:
         raise InputError(f"{what} needs PyVista: pip install 'xpbd_ros[view]'")

@@ -14,16 +14,8 @@ OVER = 3
 """OVER x OVER samples make a pixel"""
 SUNSHINE, SKY = 0.72 * np.array([1.02, 1.0, 0.96]), 0.45 * np.array([0.97, 1.0, 1.05])
 """light (3,) of the sun on a surface that faces it, and of the whole sky on a level one"""
-EVERYWHERE = 0.1
-"""share of the sky's light that reaches every place"""
-GAMMA = 2.2
-
-
-def sunken(mesh: pyvista.PolyData, depth: float) -> pyvista.PolyData:
-    """Return a body that casts no shadow on cloth which is a little inside it."""
-    mesh = mesh.copy()
-    mesh.points -= depth * mesh['Normals']
-    return mesh
+EVERYWHERE, GAMMA = 0.1, 2.2
+"""share of the sky's light that reaches every place; of the screen"""
 
 
 def render(instant: Instant, eye: NDArray, width: int, height: int, centre: NDArray,
@@ -35,8 +27,8 @@ def render(instant: Instant, eye: NDArray, width: int, height: int, centre: NDAr
     grippers, arrow heads and the squares of the grid are [m].
     """
     parts = parts_of(instant, size)
-    casters = [part.mesh.copy() if part.nearer else sunken(part.mesh, NEARER * size)
-               for part in parts if part.hidden == 'back']
+    casters = [part.mesh.warp_by_vector('Normals', factor=0 if part.nearer else -NEARER * size)
+               for part in parts if part.hidden == 'back']    # cloth may be a little inside bodies
     sky, sun = skylight(casters), sunlight(casters, SUN)
     plotter = pyvista.Plotter(off_screen=True, lighting=None,
                               window_size=(OVER * width, OVER * height))
@@ -46,8 +38,10 @@ def render(instant: Instant, eye: NDArray, width: int, height: int, centre: NDAr
     for part in parts:
         mesh = part.mesh
         mesh['sky'] = sky.light(mesh.points, mesh['Normals'])
-        if not mesh.n_lines:
-            mesh = mesh.subdivide_adaptive(max_edge_len=size / (120 if part.hidden else 80))
+        if part.hidden:
+            mesh = mesh.subdivide_adaptive(max_edge_len=size / 120)
+        elif not mesh.n_lines:    # a plane, which keeps its finer middle
+            mesh = mesh.subdivide(2, 'linear')
         points, normals = np.asarray(mesh.points, float), unit(mesh['Normals'])
         sunny = sun.light(points, normals)
         halfway = unit(SUN + unit(eye - points))
@@ -66,11 +60,11 @@ def render(instant: Instant, eye: NDArray, width: int, height: int, centre: NDAr
                              line_width=0.0055 * OVER * width, lighting=False, reset_camera=False)
     for arrow in instant.arrows:
         if arrow.label:
+            beyond = np.add(arrow.origin, arrow.vector) + 0.03 * size * unit(arrow.vector)
             plotter.add_point_labels(
-                [np.add(arrow.origin, arrow.vector)], [arrow.label], text_color=arrow.colour,
+                [beyond], [arrow.label], text_color=arrow.colour, shape=None, show_points=False,
                 font_size=round(0.026 * OVER * width), justification_horizontal='center',
-                justification_vertical='top', shape=None, show_points=False, always_visible=True,
-                reset_camera=False)
+                justification_vertical='center', always_visible=True, reset_camera=False)
     camera = plotter.camera
     camera.position, camera.focal_point, camera.up = eye, eye - AXES[0], AXES[2]
     camera.view_angle = VIEW_ANGLE
