@@ -60,7 +60,14 @@ def meshio():
 @pytest.fixture
 def pyvista():
     """Return the library that draws pictures of runs; ``[view]`` brings it."""
-    return pytest.importorskip('pyvista', reason="pyvista is missing: pip install '.[view]'")
+    library = pytest.importorskip('pyvista', reason="pyvista is missing: pip install '.[view]'")
+    from xpbd_ros.errors import InputError
+    from xpbd_ros.study.picture import need_view
+    try:
+        need_view()
+    except InputError as error:
+        pytest.skip(str(error))
+    return library
 
 
 @pytest.fixture

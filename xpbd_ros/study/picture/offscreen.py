@@ -16,9 +16,13 @@ def need_view(what: str = 'the picture') -> None:
     if find_spec('pyvista') is None:
         raise InputError(f"{what} needs PyVista: pip install 'xpbd_ros[view]'")
     os.environ.setdefault('VTK_DEFAULT_OPENGL_WINDOW', 'vtkEGLRenderWindow')
-    from vtkmodules.vtkCommonCore import vtkLogger
-    from vtkmodules.vtkRenderingCore import vtkRenderWindow
-    import vtkmodules.vtkRenderingOpenGL2  # noqa: F401 registers the windows
+    try:
+        from pyvista import Plotter  # noqa: F401 loads what rendering needs
+        from vtkmodules.vtkCommonCore import vtkLogger
+        from vtkmodules.vtkRenderingCore import vtkRenderWindow
+    except ImportError as error:    # of a library of X, which VTK links even for EGL
+        raise InputError(f'{what} needs VTK, which does not load: {error}; install what is '
+                         'missing, such as: apt install libx11-6 libxrender1') from error
     level = vtkLogger.GetCurrentVerbosityCutoff()
     vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
     try:
