@@ -78,8 +78,9 @@ def save(picture: Image.Image, file: FilePath, limit: int) -> None:
     """Write a PNG, with fewer colours or pixels if it would be too large."""
     for scale in (1.0, 0.8, 0.6, 0.4):
         small = picture.resize([round(scale * side) for side in picture.size], Image.LANCZOS)
-        for attempt in (small, small.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1)):
+        for colours in (None, 256, 192, 128):
             data = io.BytesIO()
+            attempt = small.quantize(colours, kmeans=1) if colours else small
             attempt.save(data, 'PNG', optimize=True)
             if data.tell() < limit:
                 file.write_bytes(data.getvalue())
