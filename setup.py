@@ -47,6 +47,8 @@ setup(
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
+        # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
+        'view': ['pyvista>=0.44', 'vtk>=9.4'],
         'test': ['hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest',
                  'pytest-xdist', 'rosbags', 'ruff'],
     },

@@ -58,6 +58,19 @@ def meshio():
 
 
 @pytest.fixture
+def pyvista():
+    """Return the library that draws pictures of runs; ``[view]`` brings it."""
+    library = pytest.importorskip('pyvista', reason="pyvista is missing: pip install '.[view]'")
+    from xpbd_ros.errors import InputError
+    from xpbd_ros.study.picture import need_view
+    try:
+        need_view()
+    except InputError as error:
+        pytest.skip(str(error))
+    return library
+
+
+@pytest.fixture
 def write_log(tmp_path: Path) -> Callable[..., Path]:
     """Return a function that writes a log of some frames and returns its folder."""
     return lambda name='run', **options: sample_log(tmp_path / name, **options)

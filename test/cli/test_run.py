@@ -477,7 +477,17 @@ def test_an_interrupt_leaves_a_log_that_is_whole(number, scene, tmp_path):
     assert reader.topics['/cloth/particles'].count > 100
 
 
-def test_a_picture_of_a_run_is_drawn_and_never_over_another(scene, tmp_path, capsys):
+def test_a_picture_without_pyvista_is_refused_before_the_run(scene, tmp_path, capsys,
+                                                              monkeypatch):
+    monkeypatch.setattr('xpbd_ros.study.picture.offscreen.find_spec', lambda name: None)
+    assert main(['run', str(scene), '--picture', str(tmp_path / 'run.png'), '-o',
+                 str(tmp_path / 'out')]) == 2
+    assert capsys.readouterr() == (
+        '', "xpbd_ros run: --picture needs PyVista: pip install 'xpbd_ros[view]'\n")
+    assert not (tmp_path / 'out').exists()
+
+
+def test_a_picture_of_a_run_is_drawn_and_never_over_another(scene, tmp_path, capsys, pyvista):
     picture = tmp_path / 'run.png'
     words = ['run', str(scene), '--picture', str(picture), '-o']
     assert main([*words, str(tmp_path / 'one')]) == 0

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from xpbd_ros.cli.main import main
+from xpbd_ros.demo import report
 from xpbd_ros.demo.domain import DOMAINS, free_domain, private_environment
 from xpbd_ros.demo.robot import PHASES, Robot, smooth
 from xpbd_ros.log.reader import LogReader
@@ -51,12 +52,26 @@ def test_it_says_what_it_promises_to(demo):
     assert f"log      {folder / 'run'}\n" in said
 
 
-def test_it_leaves_a_picture_and_a_log(demo):
+def test_it_leaves_a_picture(demo, pyvista):
     numbers, folder, _ = demo
     (picture,) = map(Path, numbers['pictures'])
     assert picture.parent == folder
     assert picture.read_bytes().startswith(b'\x89PNG')
     assert picture.stat().st_size > 50_000
+    assert numbers['notes'] == []
+
+
+def test_without_pyvista_it_checks_and_says_how_to_get_a_picture(demo, monkeypatch):
+    monkeypatch.setattr('xpbd_ros.study.picture.offscreen.find_spec', lambda name: None)
+    numbers = report.make(demo[1], 'demo')
+    assert all(check['pass'] for check in numbers['checks'])
+    assert numbers['pictures'] == []
+    assert report.table(numbers).splitlines()[-1] == (
+        "note     the picture needs PyVista: pip install 'xpbd_ros[view]'")
+
+
+def test_it_leaves_a_log(demo):
+    numbers, folder, _ = demo
     reader = LogReader(folder / 'run')
     assert reader.whole, reader.damage
     assert {'/cloth/pins', '/cloth/pin_targets', '/cloth/collider_states',

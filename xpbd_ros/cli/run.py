@@ -45,7 +45,8 @@ def add_arguments(parser):
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as solver.substeps=32')
     parser.add_argument('--picture', metavar='FILE',
-                        help='draw three instants of the run to this new PNG file')
+                        help='draw three instants of the run to this new PNG file; needs the '
+                             'extra view')
     add_json_argument(parser)
 
 
@@ -67,6 +68,9 @@ def run(arguments) -> int:
         overrides['duration'] = arguments.duration
     for output in (arguments.json, arguments.picture):
         check_output(output)
+    if arguments.picture:
+        from xpbd_ros.study.picture import need_view
+        need_view('--picture')
     scene = load_scene(arguments.scene, overrides)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
     if recording is not None:

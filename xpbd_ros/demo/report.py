@@ -6,11 +6,14 @@ import struct
 
 import numpy as np
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
 STANDARD_GRAVITY = 9.80665
+FORCE_SCALE = 0.6
+"""length of a drawn force [m/N]"""
 
 
 def make(folder: Path, scene_name: str) -> dict:
@@ -39,7 +42,12 @@ def make(folder: Path, scene_name: str) -> dict:
         'checks': checks(stamps, clouds, pins, begins, diary, hold, forces, load, said, sent),
         'run': (folder / 'run').absolute(),
     }
-    numbers['pictures'] = [draw(folder / 'demo.png', simulation, stamps, clouds, begins, diary)]
+    numbers['pictures'], numbers['notes'] = [], []
+    try:
+        numbers['pictures'].append(
+            draw(folder / 'demo.png', simulation, stamps, clouds, begins, diary, forces))
+    except InputError as error:    # there is no PyVista, or no OpenGL
+        numbers['notes'].append(str(error))
     return numbers
 
 
@@ -133,13 +141,21 @@ def table(numbers: dict) -> str:
     for name, pin in numbers['pins'].items():
         lines.append(f"  force on gripper {name:<6} {pin['force_n']:.4f} N, half the towel takes "
                      f"{pin['expected_n']:.4f} N")
-    lines += [f"log      {numbers['run']}", *(f'picture  {p}' for p in numbers['pictures'])]
+    lines += [f"log      {numbers['run']}", *(f'picture  {p}' for p in numbers['pictures']),
+              *(f'note     {text}' for text in numbers['notes'])]
     return '\n'.join(lines)
 
 
-def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
-    """Draw the towel, the colliders and the paths of the grippers at six instants."""
-    from xpbd_ros.study.picture import Body, draw as draw_picture, Instant, Path as Track, Surface
+def draw(file: Path, simulation, stamps, clouds, begins, diary, forces) -> Path:
+    """Draw the towel, the colliders, the grippers' paths and their load at six instants."""
+    from xpbd_ros.study.picture import (
+        Arrow,
+        Body,
+        draw as draw_picture,
+        Instant,
+        Path as Track,
+        Surface,
+    )
     from xpbd_ros.study.snapshots import size_of
     cloth = simulation.cloths[0]
     path_t = np.array([row[0] for row in diary['path']])
@@ -159,13 +175,16 @@ def draw(file: Path, simulation, stamps, clouds, begins, diary) -> Path:
         bodies = [Body(entry.shape, size_of(entry), where, entry.pose.orientation)
                   for entry, where in colliders_at(simulation, diary, begins, stamps[k])]
         so_far = path_t <= stamps[k]
-        paths = []
-        if so_far.any() and moment < begins['rest']:
-            paths = [Track(tracks[so_far, g], colour, label=f'gripper {name}')
-                     for g, (name, colour) in enumerate((('left', '#d1495b'),
-                                                         ('right', '#e0a030')))]
+        paths, arrows = [], []
+        for g, (name, colour) in enumerate((('left', '#d1495b'), ('right', '#e0a030'))):
+            if so_far.any() and moment < begins['rest']:
+                paths.append(Track(tracks[so_far, g], colour, f'gripper {name}'))
+            if title == 'held still' and name in forces:
+                beside = tracks[so_far, g][-1] + [0.12 * (2 * g - 1), 0, 0]
+                arrows.append(Arrow(beside, (0, 0, -FORCE_SCALE * forces[name]),
+                                    f'{forces[name]:.2f} N'))
         instants.append(Instant(f't = {stamps[k] - stamps[0]:.1f} s   {title}', [surface], bodies,
-                                paths))
+                                paths, arrows))
     draw_picture(instants, file, title='A towel on /cloth/particles, moved by a robot over DDS',
                  columns=3)
     return file.absolute()

@@ -1,30 +1,45 @@
-"""Small scenes, and what is seen of them."""
+"""Small scenes, given as the camera sees them: to the right, up and towards it."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from xpbd_ros.study.picture import Camera, fit, render, Surface
-from xpbd_ros.study.picture.bounds import shown_points
+from xpbd_ros.study.picture import Surface
+from xpbd_ros.study.picture.camera import AXES, fit, VIEW_ANGLE
 
-RED, BLUE, GREY = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8), (0.7, 0.7, 0.7)
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], dtype=float)
 TWO = np.array([[0, 1, 2], [0, 2, 3]])
-ABOVE = Camera(azimuth=-90, elevation=89.9)
+RED, BLUE = '#cc1a1a', '#1a1acc'
+FACING = tuple(Rotation.from_matrix(AXES[[1, 2, 0]].T).as_quat())
+"""turns z towards the camera"""
+PIXELS = 80
 
 
-def square(height, colour, *, scale=1.0, **colours):
-    return Surface(scale * SQUARE + [0, 0, height], TWO, colour, **colours)
+def world(local):
+    return np.asarray(local, float) @ AXES[[1, 2, 0]]
 
 
-def look(instant, camera=ABOVE, pixels=80, **options):
-    view = fit(shown_points(instant), camera, pixels, pixels)
-    return view, render(instant, view, over=2, **options)
+def square(near, colour='#b0b0b0', *, scale=1.0, triangles=TWO):
+    """Return a square that faces the camera."""
+    return Surface(world(scale * SQUARE + [0, 0, near]), triangles, colour)
 
 
-def colour_at(view, image, point):
-    """Return the mean colour of the few pixels around where a point is seen."""
-    column, row = view.project(point)[0][0].astype(int)
-    assert 1 <= row < view.height - 1 and 1 <= column < view.width - 1
-    return image[row - 1:row + 2, column - 1:column + 2].mean(axis=(0, 1))
+class Picture:
+    """An instant as the camera sees it that is fitted to some points."""
+
+    def __init__(self, instant, *, shown=SQUARE, pixels=PIXELS):
+        from xpbd_ros.study.picture.panel import render
+        self.pixels = pixels
+        self.eye, _ = fit(world(shown), 1.0, 1.0)
+        self.image = render(instant, self.eye, pixels, pixels, np.zeros(3), 2.0)
+
+    def at(self, point):
+        """Return the mean colour (3,) around where a pinhole camera sees a point of the world."""
+        back, right, up = AXES @ (np.asarray(point) - self.eye)
+        focal = self.pixels / 2 / np.tan(np.radians(VIEW_ANGLE) / 2)
+        column = int(self.pixels / 2 - focal * right / back)
+        row = int(self.pixels / 2 + focal * up / back)
+        assert 1 <= row < self.pixels - 1 and 1 <= column < self.pixels - 1
+        return self.image[row - 1:row + 2, column - 1:column + 2].mean(axis=(0, 1))
 
 
 def is_red(colour):

@@ -1,27 +1,33 @@
-"""Where the camera stands, and where points are seen."""
+"""Where the camera stands."""
 
 import numpy as np
 import pytest
 
-from xpbd_ros.study.picture import Camera, fit
+from xpbd_ros.study.picture.camera import AXES, AZIMUTH, ELEVATION, fit, MARGIN, SUN, VIEW_ANGLE
 
 
-@pytest.mark.parametrize('camera', [Camera(), Camera(30, 5, 60), Camera(200, -40, 10)])
-def test_the_camera_is_as_near_as_it_can_be_and_cuts_nothing(camera):
+@pytest.mark.parametrize(('low', 'high'), [(1.5, 1.5), (0.4, 0.4), (0.5, 6.0)])
+def test_the_camera_is_as_near_as_it_can_be_and_cuts_nothing(low, high):
     points = np.random.default_rng(1).normal(size=(300, 3)) * [3, 1, 0.5] + [5, 6, 7]
-    for width, height in ((300, 200), (150, 400)):
-        view = fit(points, camera, width, height, margin=0.1)
-        pixels, depth = view.project(points)
-        share = pixels / [width, height]
-        assert depth.min() > 0
-        assert share.min() > 0.1 - 1e-9 and share.max() < 0.9 + 1e-9
-        tight = np.isclose(share.min(axis=0), 0.1) & np.isclose(share.max(axis=0), 0.9)
-        assert tight.any()
+    eye, aspect = fit(points, low, high)
+    back, right, up = AXES @ (points - eye).T
+    assert back.max() < 0
+    share = np.stack([right / aspect, up]) / -back / np.tan(np.radians(VIEW_ANGLE) / 2)
+    inner = 1 - 2 * MARGIN    # of 1 at the edges of the picture
+    assert np.abs(share).max() < inner + 1e-9
+    filled = np.isclose(share.max(axis=1), inner) & np.isclose(share.min(axis=1), -inner)
+    assert filled.any()
+    assert low <= aspect <= high
+    if low < high:
+        np.testing.assert_allclose([share.max(axis=1), share.min(axis=1)],
+                                   [[inner] * 2, [-inner] * 2], atol=0.05)
 
 
-def test_rays_go_through_the_pixels_that_points_project_to():
-    points = np.random.default_rng(3).normal(size=(20, 3))
-    view = fit(points, Camera(), 320, 200)
-    pixels, depth = view.project(points)
-    np.testing.assert_allclose(view.eye + view.rays(*pixels.T) * depth[:, None], points,
-                               atol=1e-12)
+def test_the_camera_has_a_level_horizon_and_the_sun_behind_it():
+    np.testing.assert_allclose(AXES @ AXES.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(AXES) == pytest.approx(1)
+    back, right, up = AXES
+    assert right[2] == pytest.approx(0) and up[2] > 0
+    assert np.degrees(np.arctan2(back[1], back[0])) == pytest.approx(AZIMUTH)
+    assert np.degrees(np.arcsin(back[2])) == pytest.approx(ELEVATION)
+    assert SUN @ back > 0 > SUN @ right
