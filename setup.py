@@ -5,6 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = 'xpbd_ros'
+VIEW = ['pyvista>=0.44', 'vtk>=9.4']
 
 
 def shared(folder: str) -> list[tuple[str, list[str]]]:
@@ -48,8 +49,8 @@ setup(
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
         # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
-        'view': ['pyvista>=0.44', 'vtk>=9.4'],
-        'test': ['hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest',
+        'view': VIEW,
+        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest',
                  'pytest-xdist', 'rosbags', 'ruff'],
     },
     entry_points={
