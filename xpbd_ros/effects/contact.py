@@ -33,6 +33,7 @@ height field is that to the tangent plane right below.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -380,12 +381,11 @@ class BuiltContact(Built):
             self.colliders.goal[c] = (*pose.position, *pose.orientation)
             self.colliders.moving[c] = start != pose
 
-    def states(self, dt: float) -> dict[str, ColliderState]:
-        """Return the present states of the colliders."""
-        return {name: ColliderState(
+    def reported(self, frame_dt):
+        return {'colliders': MappingProxyType({name: ColliderState(
             placed.entry, placed.motion.pose,
-            np.subtract(placed.motion.pose.position, placed.motion.start.position) / dt)
-            for name, placed in self.placed.items()}
+            np.subtract(placed.motion.pose.position, placed.motion.start.position) / frame_dt)
+            for name, placed in self.placed.items()})}
 
     def stats(self):
         found = max(0, self.contacts.count[0])

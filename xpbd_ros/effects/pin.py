@@ -264,8 +264,7 @@ class BuiltPin(Built):
         self.held: dict[str, Held] = {}
         self._wrench = np.zeros((slots, 6))
         self.states = self._states(np.inf)
-        self.changed = True
-        """whether the set of pinned particles has changed since it was last read"""
+        self.pinned_changed = True
         self.slipped = 0
         """pins that have slipped since the start"""
         self._v_before = np.zeros((3, 0))
@@ -339,7 +338,7 @@ class BuiltPin(Built):
                 n = len(held.particles)
                 spring.compliance[k:k + n] = n * held.compliance * self.scale
                 k += n
-        self.changed = True
+        self.pinned_changed = True
 
     @property
     def _lists(self) -> list[Pin]:
@@ -478,6 +477,9 @@ class BuiltPin(Built):
         self.__dict__.update(old.__dict__)
         self.commands, self.scale = self._commands(), scale
         self._changed()
+
+    def reported(self, frame_dt):
+        return {'pins': self.states}
 
     def stats(self):
         motions = [held.motion for held in self.held.values()]

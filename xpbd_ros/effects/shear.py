@@ -162,6 +162,7 @@ class BuiltShear(Built):
         self.lists = [shear_cells.Slants.of(part) if isinstance(part, Slant)
                       else distance.Edges.of(part.edges) for part in parts]
         self.constraints = shear_cells.Slants.joined(self.lists)
+        self.cells = [these for these in self.lists if isinstance(these, shear_cells.Slants)]
 
     def hold(self, inv_mass):
         for part, these in zip(self.parts, self.lists):

@@ -216,6 +216,8 @@ class BuiltStretch(Built):
         self._blocks = [cloth.block for cloth in parameters if cloth.mesh.grid is not None]
         self.lists = [distance.Edges.of(part.edges) for part in parts]
         self.constraints = distance.Edges.joined(self.lists)
+        self.loaded_edges = [(part.edges.force, edges) for part, edges in zip(parts, self.lists)
+                             if part.edges.force is not None]
 
     def hold(self, inv_mass):
         for part, edges in zip(self.parts, self.lists):

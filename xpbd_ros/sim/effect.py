@@ -1,6 +1,6 @@
 """What an effect is: the value that its file registers, and what it becomes in a simulation."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -131,6 +131,12 @@ class Built:
 
     lists: Sequence[Any] = ()
     """the constraints of each of the parts, where there are several"""
+    cells: Sequence[Any] = ()
+    """constraints on both diagonals of grid cells, which ``explicit_guard`` watches"""
+    loaded_edges: Sequence[tuple[np.ndarray, Any]] = ()
+    """multipliers and ``distance.Edges`` of elastic edges, for ``measure.stiffness_given``"""
+    pinned_changed: bool = False
+    """whether this effect has changed the set of pinned particles since ``hold``"""
 
     def __init__(self):
         self.notes: list[str] = []
@@ -176,6 +182,10 @@ class Built:
 
     def hold(self, inv_mass: np.ndarray) -> None:
         """Learn which particles are pinned now."""
+
+    def reported(self, frame_dt: float) -> dict[str, Mapping[str, Any]]:
+        """Return what the effect reports in a ``Frame``, by field."""
+        return {}
 
     def stats(self) -> dict[str, float]:
         """Return what a user may want to know about the last frame."""

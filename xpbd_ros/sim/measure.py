@@ -61,7 +61,7 @@ def largest_strain(simulation) -> float:
 
 def stiffness_given(simulation) -> tuple[float, float] | None:
     """
-    Return the effective stiffness of ``stretch`` relative to the requested one, and the residual.
+    Return the effective stiffness of edges relative to the requested one, and the residual.
 
     The ratio is Σ α |f| / Σ -C sign f over the edges, with forces f: the elongations that the
     compliance asks for over those that the edges have. Unconverged sweeps leave |C| > α |f|
@@ -69,13 +69,11 @@ def stiffness_given(simulation) -> tuple[float, float] | None:
     lengths. The residual is the RMS of C + α f [m]. None if no multipliers are kept or no edge is
     compliant.
     """
-    built = simulation.effects.get('stretch')
     asked = given = squares = 0.0
     count = 0
-    for part, edges in zip(built.parts, built.by_part) if built is not None else ():
-        if part.edges.force is None:
-            continue
-        f, alpha = part.edges.force[edges.index].astype(float), edges.compliance
+    for force, edges in (pair for built in simulation.effects.values()
+                         for pair in built.loaded_edges):
+        f, alpha = force[edges.index].astype(float), edges.compliance
         residual = edges.residual(simulation.state.x)
         asked += (alpha * np.abs(f)).sum()
         given -= (residual * np.sign(f)).sum()

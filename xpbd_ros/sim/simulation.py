@@ -116,12 +116,11 @@ class Simulation:
 
     def _hold(self) -> None:
         """Tell every effect which particles are pinned."""
-        pin = self.effects.get('pin')
-        if pin is None:
+        if self.state.reaction is None:    # a scene without pins
             return
         for built in self.effects.values():
             built.hold(self.state.inv_mass)
-        pin.changed = False
+            built.pinned_changed = False
 
     def compile(self) -> None:
         """Compile all that a frame takes, or read it from the cache; nothing moves."""
@@ -155,8 +154,7 @@ class Simulation:
             clock = replace(clock, substeps=self.solver.substeps)
         for built in self.effects.values():
             built.begin(clock, self.state)
-        pin = self.effects.get('pin')
-        if pin is not None and pin.changed:
+        if any(built.pinned_changed for built in self.effects.values()):
             self._hold()
         self.start = self._kept() if keep else None
         self._last.keep()
@@ -184,14 +182,14 @@ class Simulation:
 
     def frame(self, applied=(), refused=(), news=()) -> Frame:
         """Return the present frame, with what led to it."""
-        pin, contact = self.effects.get('pin'), self.effects.get('contact')
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
-        return Frame(self.index, self.time_ns(self.index), x, v, inv_mass,
-                     pin.states if pin else MappingProxyType({}),
-                     MappingProxyType(contact.states(self.frame_dt) if contact else {}),
-                     applied, refused, news)
+        reported = {'pins': MappingProxyType({}), 'colliders': MappingProxyType({})}
+        for built in self.effects.values():
+            reported.update(built.reported(self.frame_dt))
+        return Frame(self.index, self.time_ns(self.index), x, v, inv_mass, **reported,
+                     applied=applied, refused=refused, news=news)
 
     def natural(self, array: np.ndarray) -> np.ndarray:
         """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""

@@ -132,8 +132,7 @@ class ExplicitGuard:
         self._edges = probed_edges(
             [these for built in effects.values() for these in built.by_part
              if these.particles.shape[1] == 2],
-            [these for name in ('shear',) if name in effects for these in effects[name].by_part
-             if these.particles.shape[1] == 4])
+            [these for built in effects.values() for these in built.cells])
 
     def advance(self) -> None:
         """Compute one frame."""
