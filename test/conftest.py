@@ -1,4 +1,4 @@
-"""What tests of every part need: a DDS domain of their own, and a small log."""
+"""Fixtures of all tests: a private DDS domain, meshio, a small log."""
 
 from collections.abc import Callable, Iterator
 import os
@@ -9,7 +9,7 @@ import socket
 import pytest
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
-from samples import sample_log
+from support.logs import sample_log
 
 
 @pytest.fixture(scope='session')

@@ -5,8 +5,10 @@ import importlib
 import importlib.util
 from pathlib import Path
 import runpy
+import shutil
 import subprocess
 import sys
+import tarfile
 import types
 from xml.etree import ElementTree
 
@@ -82,6 +84,23 @@ def test_ament_finds_the_package(setup_arguments):
     installed = [file for folder, names in setup_arguments['data_files'] for file in names
                  if folder == 'share/xpbd_ros']
     assert 'package.xml' in installed
+
+
+def test_a_source_archive_has_no_tests(tmp_path):
+    """setuptools would add test/test_*.py, without the modules that those import."""
+    pytest.importorskip('setuptools')
+    for name in ('setup.py', 'setup.cfg', 'pyproject.toml', 'MANIFEST.in', 'package.xml'):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ('xpbd_ros', 'config', 'resource', 'test', 'benchmark'):
+        shutil.copytree(ROOT / name, tmp_path / name,
+                        ignore=shutil.ignore_patterns('__pycache__'))
+    subprocess.run([sys.executable, 'setup.py', '-q', 'sdist'], cwd=tmp_path, check=True,
+                   capture_output=True)
+    (archive,) = (tmp_path / 'dist').iterdir()
+    with tarfile.open(archive) as files:
+        folders = {Path(name).parts[1] for name in files.getnames() if '/' in name}
+    assert {'xpbd_ros', 'config'} <= folders
+    assert not {'test', 'benchmark'} & folders
 
 
 @pytest.mark.parametrize(('package', 'share'), [
@@ -209,7 +228,7 @@ def test_style():
         pytest.skip('ruff is not installed')
     result = subprocess.run(
         [sys.executable, '-m', 'ruff', 'check', '--no-cache', 'setup.py', 'xpbd_ros', 'config',
-         'test'],
+         'test', 'benchmark'],
         cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
 

@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 import pytest
-from sim.shapes import disc, obj_text
 import yaml
 
+from support.meshes import disc, obj_text
 from xpbd_ros.demo.domain import private_environment
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.scene.compile import compile_scene

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
-from sim.shapes import disc, obj_text
-from strict import read_strictly
 import yaml
 
+from support.meshes import disc, obj_text
+from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError

@@ -8,8 +8,8 @@ import subprocess
 import sys
 
 import pytest
-from sim.small import EXAMPLES, run, SHAPES, simulate, with_effects
 
+from support.scenes import EXAMPLES, run, SHAPES, simulate, with_effects
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.stepping import stages
@@ -17,7 +17,7 @@ from xpbd_ros.sim.stepping import stages
 ROOT = Path(__file__).resolve().parents[2]
 CHILD = """
 import json, sys, warnings
-from sim.small import run, simulate
+from support.scenes import run, simulate
 scene, kernels = json.loads(sys.argv[1])
 simulation = simulate(**scene)
 simulation.compile()
@@ -137,7 +137,7 @@ def test_what_is_turned_off_makes_no_difference():
 WITHOUT = """
 import json, sys
 from pathlib import Path
-from sim.small import run, simulate
+from support.scenes import run, simulate
 scene, kernels, absent = json.loads(sys.argv[1])
 import xpbd_ros
 assert not (Path(xpbd_ros.__file__).parent / 'effects' / f'{absent}.py').exists()

@@ -5,8 +5,8 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 
 B = 3e-4

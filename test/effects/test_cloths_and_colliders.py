@@ -5,8 +5,8 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.crossings import crossings
 
+from support.crossings import crossings
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import MoveCollider, Pose

@@ -5,8 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from sim.shapes import file_of
-from sim.small import (
+
+from support.meshes import file_of
+from support.scenes import (
     EXAMPLES,
     run,
     run_stage,
@@ -16,7 +17,6 @@ from sim.small import (
     simulate,
     with_effects,
 )
-
 from xpbd_ros.effects import EFFECTS, load, SECTIONS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -185,7 +185,7 @@ def test_an_effect_says_what_it_is(name):
             'above'] is not None or metadata['minimum'] is not None, field.name
     assert set(effect.needs) <= set(EFFECTS)
     assert (effect.entry is not None) == (name in SECTIONS.values())
-    assert name in EXAMPLES, 'give sim/small.py an example of the new effect'
+    assert name in EXAMPLES, 'give test/support/scenes.py an example of the new effect'
 
 
 def test_each_effect_is_held_to_the_checks_or_it_is_said_why_not():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import simulate
+
+from support.scenes import simulate
 
 B = 3e-4
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, hang, run, run_until_still, simulate
+
+from support.scenes import GRAVITY, hang, run, run_until_still, simulate
 
 INTEGRATORS = pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
 

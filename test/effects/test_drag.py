@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, run_until_still, simulate
 
+from support.scenes import GRAVITY, run, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import SetKey
 

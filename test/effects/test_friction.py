@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, run_stage, simulate, with_effects
 
+from support.scenes import GRAVITY, run, run_stage, simulate, with_effects
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import MoveCollider, Pose, SetKey, Twist
 from xpbd_ros.sim.particles.state import Substep

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import disc, obj_text
-from sim.small import run, run_stage, simulate
 
+from support.meshes import disc, obj_text
+from support.scenes import run, run_stage, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
-from sim.shapes import disc, obj_text
-from sim.small import DOWN, GRAVITY, run, simulate
 
+from support.meshes import disc, obj_text
+from support.scenes import DOWN, GRAVITY, run, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation
-from sim.shapes import disc, obj_text
-from sim.small import EXAMPLES, run, simulate
 
+from support.meshes import disc, obj_text
+from support.scenes import EXAMPLES, run, simulate
 from xpbd_ros.effects.membrane import inverse_rest_edges, Parameters
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit

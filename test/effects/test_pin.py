@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
 
+from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Grasp,

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import ball, obj_text
-from sim.small import GRAVITY, simulate
 
+from support.meshes import ball, obj_text
+from support.scenes import GRAVITY, simulate
 from xpbd_ros.sim.commands import MovePin, Pose
 
 LATTICE = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'shear': {'stiffness': 10.0},

@@ -52,7 +52,7 @@ def test_a_law_fails_without_its_effect(name, tmp_path):
     """The test as it is, in a process where the effect's kernels are in no stage."""
     child = subprocess.run(
         [sys.executable, '-m', 'pytest', str(HERE / LAWS[name]), '-q', '-p', 'no:cacheprovider',
-         '-p', 'effects.off', '-m', 'slow or not slow'],
+         '-p', 'support.disable_effect', '-m', 'slow or not slow'],
         capture_output=True, text=True, check=False, timeout=300, cwd=HERE.parent,
         env={**os.environ, 'XPBD_ROS_OFF': name, 'NUMBA_CACHE_DIR': str(tmp_path),
              'PYTHONPATH': os.pathsep.join([str(HERE.parents[1]), str(HERE.parent)])})

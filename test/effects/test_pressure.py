@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import ball, box, disc, file_of
-from sim.small import run, simulate
 
+from support.meshes import ball, box, disc, file_of
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 

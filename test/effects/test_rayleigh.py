@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import disc, obj_text
-from sim.small import DOWN, GRAVITY, run, run_stage, run_until_still, simulate
 
+from support.meshes import disc, obj_text
+from support.scenes import DOWN, GRAVITY, run, run_stage, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

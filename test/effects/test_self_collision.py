@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.crossings import crossings, of_edges, to_triangle
-from sim.small import EXAMPLES, GRAVITY, run, simulate
 
+from support.crossings import crossings, of_edges, to_triangle
+from support.scenes import EXAMPLES, GRAVITY, run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -3,8 +3,8 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, hang, run, run_stage, run_until_still, simulate
 
+from support.scenes import GRAVITY, hang, run, run_stage, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from scene.shipped import WITH_MESHIO
 from scipy.optimize import minimize
-from sim.shapes import box, disc, file_of
-from sim.small import run, run_stage, simulate
 
+from support.meshes import box, disc, file_of
+from support.scenes import run, run_stage, simulate
+from support.shipped_scenes import WITH_MESHIO
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy

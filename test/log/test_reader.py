@@ -16,8 +16,8 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
 from rosbags.typesys import get_typestore, Stores
-from samples import cdr_string, cdr_uint64
 
+from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.errors import InputError
 from xpbd_ros.log import writer
 from xpbd_ros.log.qos import DEFAULT, Qos, recorded_qos

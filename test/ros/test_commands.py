@@ -5,8 +5,9 @@ from math import cos, pi, sin
 from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
-from ros.rig import collider, pin, pose_stamped, targets, transform, WEIGHT
 from visualization_msgs.msg import Marker, MarkerArray
+
+from support.node import collider, pin, pose_stamped, targets, transform, WEIGHT
 
 CORNER = (-0.2, -0.2, 0.004)
 """row 0, column 0 of the towel at the start [m]"""

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from ros.rig import Cloth, collider, pin, points, pose_stamped, stamp_ns, targets, TOWEL
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.node import Cloth, collider, pin, points, pose_stamped, stamp_ns, targets, TOWEL
 from xpbd_ros.log.reader import LogReader
 
 ROOMY = TOWEL.replace('max_pins: 4', 'max_pins: 128').replace(

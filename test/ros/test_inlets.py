@@ -10,8 +10,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros.rig import Cloth, pin, points, stamp_ns, targets
 from sensor_msgs.msg import MultiDOFJointState
+
+from support.node import Cloth, pin, points, stamp_ns, targets
 
 CORNERS = {'left': (-0.2, -0.2, 0.004), 'right': (-0.2, 0.2, 0.004)}
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)

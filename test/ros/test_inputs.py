@@ -7,11 +7,11 @@ import time
 from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3, Vector3Stamped
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import pin, pose_stamped, targets, transform
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.node import pin, pose_stamped, targets, transform
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros import command_queue
 from xpbd_ros.ros.command_messages import as_messages

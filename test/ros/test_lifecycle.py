@@ -6,8 +6,8 @@ import signal
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import pytest
-from ros.rig import Cloth, NodeProcess, PATIENCE, pin, TOWEL
 
+from support.node import Cloth, NodeProcess, PATIENCE, pin, TOWEL
 from xpbd_ros.log.reader import LogReader
 
 

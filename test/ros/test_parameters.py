@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import ListParameters
-from ros.rig import Cloth
 import yaml
 
+from support.node import Cloth
 from xpbd_ros.ros.parameters import TABLE
 
 HANGING = """

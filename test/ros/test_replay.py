@@ -17,10 +17,10 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from samples import cdr_string, cdr_uint64
 from std_msgs.msg import String, UInt64
 from std_srvs.srv import Trigger
 
+from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter

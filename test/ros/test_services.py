@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros.rig import Cloth, points, stamp_ns
 
+from support.node import Cloth, points, stamp_ns
 from xpbd_ros.log.reader import LogReader
 
 

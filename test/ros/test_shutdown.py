@@ -4,9 +4,9 @@ import signal
 import time
 
 import pytest
-from ros.rig import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
-from strict import read_strictly
 
+from support.node import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
+from support.strict_reader import read_strictly
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.recover import recover
 

@@ -4,7 +4,8 @@ import subprocess
 import sys
 
 import pytest
-from ros.rig import child_environment
+
+from support.node import child_environment
 
 PROGRAM = """
 import ctypes, signal, time

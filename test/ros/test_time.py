@@ -5,10 +5,10 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import pytest
-from ros.rig import Cloth, points, stamp_ns
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
+from support.node import Cloth, points, stamp_ns
 from xpbd_ros.log.reader import LogReader
 
 FRAME = 16_666_667

@@ -4,15 +4,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from ros.rig import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh
-from sim.shapes import disc, obj_text
-from sim.small import simulate
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.meshes import disc, obj_text
+from support.node import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
+from support.scenes import simulate
 from xpbd_ros.ros.messages import pin_markers
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text

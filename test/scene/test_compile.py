@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scene.shipped import each_scene
 from scipy.spatial.transform import Rotation
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
+from support.shipped_scenes import each_scene
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text

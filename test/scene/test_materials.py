@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.small import run, simulate
 import yaml
 
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping, scene_from_text

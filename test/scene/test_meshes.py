@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import arch, ball, box, disc, obj_text, vtk_text
-from sim.small import run
 import yaml
 
+from support.meshes import arch, ball, box, disc, obj_text, vtk_text
+from support.scenes import run
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_text

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import simulate
 
+from support.scenes import simulate
 from xpbd_ros.sim.backend.denormals import flush_denormals, ON_X86, restore_mode
 from xpbd_ros.sim.backend.jit import jit
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, hang, run, simulate
 
+from support.scenes import GRAVITY, hang, run, simulate
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.measure import largest_strain, momentum
 

@@ -3,8 +3,8 @@
 import numba
 import numpy as np
 import pytest
-from sim.small import EXAMPLES, SETTINGS, simulate, with_effects
 
+from support.scenes import EXAMPLES, SETTINGS, simulate, with_effects
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.measure import largest_strain

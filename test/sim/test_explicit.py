@@ -4,8 +4,8 @@ from math import ceil
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, run_until_still, simulate
 
+from support.scenes import GRAVITY, run, run_until_still, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene

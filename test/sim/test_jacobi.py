@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import run, run_stage, run_until_still, simulate
 
+from support.scenes import run, run_stage, run_until_still, simulate
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping import stages

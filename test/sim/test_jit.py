@@ -11,8 +11,8 @@ from numba.core import codegen
 from numba.core.dispatcher import Dispatcher
 import numpy as np
 import pytest
-from sim.small import hang
 
+from support.scenes import hang
 from xpbd_ros.sim.backend import jit, linking
 from xpbd_ros.sim.constraints import mesh_batches
 from xpbd_ros.sim.particles.integration import begin

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import run, with_effects
 
+from support.scenes import run, with_effects
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.stepping.rollback import REACH
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import run, with_effects
 
+from support.scenes import run, with_effects
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import BITS, lane_count

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.shapes import box, disc
 
+from support.meshes import box, disc
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, hinges
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.shapes import disc
 
+from support.meshes import disc
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.constraints.mesh_batches import EMPTY, pack, padded
 from xpbd_ros.sim.geometry.mesh import edges, hinges

@@ -7,8 +7,9 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
-from sim.shapes import disc, file_of
-from sim.small import numbers, simulate
+
+from support.meshes import disc, file_of
+from support.scenes import numbers, simulate
 
 EDGE, COUNT = 0.05, 12
 KINDS = {'regular': 0.0, 'turned': 20.0, 'alternating': 0.0, 'irregular': 0.0,

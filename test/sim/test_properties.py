@@ -6,9 +6,9 @@ from types import FunctionType
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
-from sim.shapes import disc, obj_text
-from sim.small import EXAMPLES, simulate, USUAL
 
+from support.meshes import disc, obj_text
+from support.scenes import EXAMPLES, simulate, USUAL
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import (

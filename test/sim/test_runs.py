@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from sim.small import numbers, simulate
 
+from support.scenes import numbers, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import lane_count

@@ -11,8 +11,8 @@ from numba.core.dispatcher import Dispatcher
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import EXAMPLES, run, simulate, with_effects
 
+from support.scenes import EXAMPLES, run, simulate, with_effects
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Grasp,

@@ -7,8 +7,8 @@ import sys
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, simulate
 
+from support.scenes import GRAVITY, run, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim import measure

@@ -5,7 +5,8 @@ import tracemalloc
 from numba.core.runtime import _nrt_python, rtsys
 import numpy as np
 import pytest
-from sim.small import (
+
+from support.scenes import (
     edge_forces,
     GRAVITY,
     hang,

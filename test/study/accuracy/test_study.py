@@ -8,9 +8,9 @@ import re
 
 import numpy as np
 import pytest
-from sim.small import DOWN
 import yaml
 
+from support.scenes import DOWN
 from xpbd_ros.cli.accuracy import lines
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError

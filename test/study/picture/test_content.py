@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import SQUARE, TWO
 
+from support.pictures import SQUARE, TWO
 from xpbd_ros.study.picture import Arrow, Body, draw, Path, Surface
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import ABOVE, colour_at, GREY, look, SQUARE, square
 
+from support.pictures import ABOVE, colour_at, GREY, look, SQUARE, square
 from xpbd_ros.study.picture import Body, Camera, fit, Instant, render
 from xpbd_ros.study.picture.light import DepthMap, directions, sky_light
 

@@ -2,8 +2,8 @@
 
 from matplotlib.figure import Figure
 import numpy as np
-from study.picture.scenes import ABOVE, SQUARE
 
+from support.pictures import ABOVE, SQUARE
 from xpbd_ros.study.picture import fit, Path
 from xpbd_ros.study.picture.marks import draw_path
 

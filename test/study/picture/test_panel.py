@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import (
+
+from support.pictures import (
     BLUE,
     colour_at,
     GREY,
@@ -14,7 +15,6 @@ from study.picture.scenes import (
     square,
     TWO,
 )
-
 from xpbd_ros.study.picture import Body, Camera, fit, Instant, render, Surface
 
 

@@ -8,10 +8,9 @@ import sys
 
 import numpy as np
 import pytest
-from scene.shipped import each_scene, WITH_MESHIO
-from sim.shapes import disc, obj_text
-from sim.test_field import box
 
+from support.meshes import box_surface, disc, obj_text
+from support.shipped_scenes import each_scene, WITH_MESHIO
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -113,7 +112,7 @@ def test_what_will_go_wrong_is_said(changes, text):
 def test_each_kind_of_collider_is_checked(tmp_path):
     """What is narrower than the gaps between particles is named; what has no far side is not."""
     for name, half in (('pole', (0.02, 0.5, 0.02)), ('crate', (0.2, 0.2, 0.2))):
-        vertices, faces = box(*half)
+        vertices, faces = box_surface(*half)
         (tmp_path / f'{name}.obj').write_text(obj_text(vertices, faces))
     colliders = {
         'ground': {'plane': {}}, 'ball': {'sphere': {'radius': 0.2}},

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from sim.shapes import file_of
-from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
 
+from support.meshes import file_of
+from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.prediction.law import APART, Law

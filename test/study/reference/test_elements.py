@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene.shipped import WITH_MESHIO
 from scipy.sparse.linalg import eigsh
 
+from support.shipped_scenes import WITH_MESHIO
 from xpbd_ros.study.reference import (
     elastic,
     equilibrium,

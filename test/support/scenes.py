@@ -1,4 +1,4 @@
-"""Scenes of a few particles, as many as a law needs."""
+"""Scenes of a few particles, and functions that run and measure them."""
 
 import atexit
 from functools import cache
@@ -7,8 +7,8 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from sim.shapes import ball, box, disc, obj_text
 
+from support.meshes import ball, box, disc, obj_text
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -1,9 +1,9 @@
 """
 How fast and how accurate the solver is, beside a C++ textbook and a SIMD lower bound.
 
-    python test/benchmark/solver.py                     everything: about a quarter of an hour
-    python test/benchmark/solver.py --quick             a look: a minute or two
-    python test/benchmark/solver.py --what grid line --sizes 64 128 --json figures.json
+    python benchmark/solver.py                     everything: about a quarter of an hour
+    python benchmark/solver.py --quick             a look: a minute or two
+    python benchmark/solver.py --what grid line --sizes 64 128 --json figures.json
 
 ``textbook.cpp`` is plain sequential Gauss-Seidel on an array of structs; ``bound.cpp`` is the same
 work in AVX-512 or AVX2 intrinsics on regular grids, as tight as we know how. Both run on one
@@ -36,7 +36,6 @@ import kernels
 from native import Native
 from report import Report
 import scenes
-
 import xpbd_ros
 from xpbd_ros.cli.output import add_json_argument, refuse_existing, STDOUT, write_json
 from xpbd_ros.errors import InputError

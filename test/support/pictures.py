@@ -1,4 +1,4 @@
-"""Small scenes, and what is seen of them."""
+"""Surfaces to render, and colours of the rendered image."""
 
 import numpy as np
 
