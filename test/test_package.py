@@ -112,7 +112,7 @@ def test_a_source_archive_has_no_tests(tmp_path):
     ('ws/install/xpbd_ros/lib/python3.12/site-packages/xpbd_ros',
      'ws/install/xpbd_ros/share/xpbd_ros'),
 ])
-def test_the_shipped_files_are_found_where_pip_and_colcon_put_them(package, share, tmp_path):
+def test_shipped_files_are_found_where_pip_and_colcon_put_them(package, share, tmp_path):
     (tmp_path / share).mkdir(parents=True)
     (tmp_path / share / MARKER).touch()
     (tmp_path / package).mkdir(parents=True)

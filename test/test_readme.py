@@ -166,7 +166,7 @@ def test_the_readme_is_short_and_names_every_page():
         assert f'(doc/{page.name})' in text()
 
 
-def test_the_page_of_the_node_has_its_topics_services_and_parameters():
+def test_the_page_of_the_node_has_its_topics_and_parameters():
     pytest.importorskip('rclpy', reason='ROS is not installed')
     from xpbd_ros.ros.inputs import INPUTS
     from xpbd_ros.ros.outputs import Outputs

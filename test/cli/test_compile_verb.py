@@ -35,7 +35,7 @@ def test_another_process_compiles_nothing_more(tmp_path):
     assert set((tmp_path / 'kernels').rglob('*.nbc')) == kept
 
 
-def test_a_scene_that_is_refused_stops_it_before_anything_is_compiled(capsys):
+def test_a_refused_scene_stops_it_before_compiling(capsys):
     assert main(['compile', 'towel', 'towle']) == 2
     out, error = capsys.readouterr()
     assert out == ''

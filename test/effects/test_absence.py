@@ -73,7 +73,7 @@ def test_every_effect_has_kernels_of_its_own_name():
 
 
 @pytest.mark.parametrize('names', SCENES)
-def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cache):
+def test_machine_code_holds_the_kernels_of_the_scene_only(names, cache):
     """
     The scene with contact runs first, so that the other meets what it left in the cache.
 
@@ -89,7 +89,7 @@ def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cac
     assert not seen['reaction']
 
 
-def test_a_shape_that_no_collider_has_is_not_in_the_machine_code(cache):
+def test_machine_code_holds_the_shapes_of_the_colliders_only(cache):
     """Ground is, once there is some; the test above has seen that a scene without has neither."""
     assert OF_SHAPES[1:] == [name for name in look(('contact',), cache, colliders=GROUND)[
         'kernels'] if name in OF_SHAPES]
@@ -103,7 +103,7 @@ def test_a_step_from_the_cache_imports_nothing_more(cache):
     assert seen['imported'] == ['xpbd_ros.effects.stretch']
 
 
-def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
+def test_loading_a_scene_imports_only_the_effects_it_names():
     code = ('import sys; from xpbd_ros.scene.load import load_scene; '
             "from xpbd_ros.scene.compile import compile_scene; load_scene('swing'); "
             "print(sorted(name for name in sys.modules if name.startswith('xpbd_ros.effects.')))")
@@ -113,7 +113,7 @@ def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
                                         for name in ('pin', 'shear', 'stretch')])
 
 
-def test_the_effects_of_a_scene_are_in_projection_order_and_there_are_no_others():
+def test_a_scene_has_its_effects_only_in_projection_order():
     assert tuple(with_effects(names=EFFECTS).effects) == tuple(
         name for name in EFFECTS if name not in SHAPES)
     simulation = simulate((3, 1), effects={'stretch': EXAMPLES['stretch'],
@@ -167,7 +167,7 @@ def scene_without(absent):
 
 @pytest.mark.parametrize('absent', [pytest.param(name, marks=[pytest.mark.slow] * (
     name not in QUICK)) for name in EFFECTS])
-def test_a_package_without_the_file_of_an_effect_computes_the_same_bits(absent, tmp_path):
+def test_deleting_the_file_of_an_unused_effect_keeps_all_bits(absent, tmp_path):
     """The file deleted, the cache empty: the same state, and its kernels in no machine code."""
     for source, left_out in (('xpbd_ros', (f'{absent}.py', '__pycache__')),
                              ('config', ()), ('test', ('__pycache__',))):

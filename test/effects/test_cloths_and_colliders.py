@@ -94,7 +94,7 @@ def test_two_sheets_land_whatever_the_speed_and_the_substeps(collider, method):
         assert crossed == 0, (speed, substeps)
 
 
-def test_what_is_pressed_shares_the_room_there_is_and_tells_where_there_is_none():
+def test_pressed_sheets_share_the_gap_and_report_a_lack_of_room():
     """Two sheets want 13 mm between a floor and a plate that leaves 3, and then nothing."""
     simulation = scene({'a': ((6, 6), (0.2, 0.2), {'position': [0.0, 0.0, 0.005]}),
                         'b': ((6, 6), (0.2, 0.2), {'position': [0.013, 0.007, 0.011]})},

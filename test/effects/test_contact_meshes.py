@@ -42,7 +42,7 @@ def mesh(file, surface, **keys):
     return {'mesh': {'file': write(file, surface), **keys}}
 
 
-def test_what_falls_on_a_mesh_comes_to_rest_at_the_thickness_from_it(tmp_path):
+def test_a_particle_comes_to_rest_at_the_thickness_from_a_mesh(tmp_path):
     """In millimetres; turned and moved."""
     vertices, faces = box_surface()
     turn, place = Rotation.from_rotvec([2.0, 0.4, -1.0]), np.array([1.0, -2.0, 0.5])
@@ -116,7 +116,7 @@ def test_nothing_passes_a_plate_thinner_than_the_usual_grid(tmp_path, plate, tur
 
 
 @pytest.mark.parametrize('plate', [0.0005, 0.005, 0.012])
-def test_a_plate_that_particles_would_pass_is_refused_with_the_way_out(tmp_path, plate):
+def test_a_plate_too_thin_for_its_grid_is_refused(tmp_path, plate):
     """Each on the coarsest grid that will do, where there is one, nothing passes."""
     def entry(spacing):
         return mesh(tmp_path / 'plate.obj', box_surface(0.05, 0.05, 0.5 * plate), spacing=spacing)
@@ -163,7 +163,7 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
                                    f'room for 0; raise effects.contact.mesh_nodes by {nodes}')
 
 
-def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypatch):
+def test_a_mesh_without_room_is_refused_before_any_distances(monkeypatch):
     monkeypatch.setattr(distance_field, '_stamp', None)
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})
     crate = PlaceCollider('crate', 'mesh', corners(box_surface()), Pose())
@@ -171,7 +171,7 @@ def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypat
     assert 'and there is room for 1000; raise effects.contact.mesh_nodes by ' in why
 
 
-def test_a_thin_mesh_without_room_for_a_finer_grid_is_refused_with_what_it_takes():
+def test_a_refused_thin_mesh_says_how_many_nodes_it_needs():
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 10_000})
     plate = PlaceCollider('plate', 'mesh', corners(box_surface(0.04, 0.04, 0.003)), Pose())
     (_, why), = simulation.step([plate]).refused
@@ -185,7 +185,7 @@ def test_a_thin_mesh_without_room_for_a_finer_grid_is_refused_with_what_it_takes
     assert placed.values.min() < -0.5 * placed.spacing
 
 
-def test_a_live_key_changes_nothing_of_a_mesh_though_its_file_is_gone(tmp_path):
+def test_a_live_key_does_not_reload_the_file_of_a_mesh(tmp_path):
     entry = mesh(tmp_path / 'box.obj', box_surface(), spacing=0.05)
     simulation = particle({'s': entry}, (0.0, 0.0, 0.2 + R), friction=0.5, substeps=4)
     simulation.step([MoveCollider('s', Pose((0.0, 0.0, -0.1)))])

@@ -170,7 +170,7 @@ def test_a_limit_keeps_momentum():
 
 
 @pytest.mark.parametrize('method', ['line', 'jacobi', 'explicit'])
-def test_no_particle_is_further_from_a_pin_than_the_cloth_reaches(method):
+def test_no_particle_is_further_from_a_pin_than_its_tether(method):
     """With one substep, where the edges alone would be many times as long."""
     more = {'method': method, 'integrator': 'leapfrog' if method == 'explicit' else 'bdf2',
             'substeps': 20 if method == 'explicit' else 1}
@@ -207,7 +207,7 @@ def test_tethers_follow_grasps_and_releases():
     assert (data.particle[:20] != slots[20]).all()
 
 
-def test_an_edge_that_is_held_holds_each_particle_by_the_nearest():
+def test_tethers_of_a_pinned_edge_start_at_its_nearest_particle():
     simulation = hang({'tether': {'slack': 0.0}})
     data = simulation.effects['tether'].data
     assert data.count[0] == 18
@@ -247,7 +247,7 @@ def uneven_disc(random):
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_on_a_mesh_a_tether_is_at_most_8_percent_longer_than_the_straight_way(seed, tmp_path):
+def test_tethers_of_a_mesh_are_at_most_8_percent_too_long(seed, tmp_path):
     random = np.random.default_rng(seed)
     vertices, triangles = uneven_disc(random)
     (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles))

@@ -102,7 +102,7 @@ def test_one_modulus_is_a_sheet_alike_in_all_directions(tmp_path):
         0.5 * 50.0 / (1.0 - 0.09) * (e1**2 + e2**2 - 0.6 * e1 * e2), rel=1e-12)
 
 
-def test_a_sheet_pulled_along_warp_gets_narrower_by_poissons_ratio_and_pulls_back():
+def test_a_sheet_pulled_along_warp_narrows_by_poissons_ratio():
     """
     Uniaxial: E22 = -ν E11 in the middle; a side 2 m away is held by (1 + s) Y E11 per metre.
 

@@ -22,7 +22,7 @@ def pair(time, **options):
     return simulate((2, 1), effects=effects, gravity=(0, 0, 0), **options)
 
 
-def test_the_kelvin_voigt_oscillator_decays_as_backward_euler_says():
+def test_the_kelvin_voigt_oscillator_decays_as_backward_euler():
     """V3: |z|² = 1 / (1 + c h / m + ω² h²) a step, with the reduced mass of two."""
     simulation = pair(TAU)
     mass = 0.5 * simulation.state.mass[simulation.slot[0]]
@@ -41,7 +41,7 @@ def test_the_kelvin_voigt_oscillator_decays_as_backward_euler_says():
 
 
 @pytest.mark.parametrize('method', ['gauss_seidel', 'jacobi', 'gauss_seidel_symmetric'])
-def test_the_decay_of_the_exact_oscillator_is_reached_with_the_integrators_order(method):
+def test_oscillator_decay_converges_at_the_integrators_order(method):
     errors = []
     order = 2.0 if method == 'gauss_seidel_symmetric' else 1.0
     for substeps in (16, 32, 64):
@@ -158,7 +158,7 @@ def test_a_scene_without_it_has_no_damping_in_its_data():
     assert not rigid.effects['stretch'].data.edges.damping.time.any()
 
 
-def test_methods_that_do_without_it_are_refused_and_auto_takes_another():
+def test_methods_without_rayleigh_are_refused():
     for method, integrator in (('line', 'bdf2'), ('explicit', 'leapfrog')):
         with pytest.raises(InputError, match=f"'{method}' does without rayleigh"):
             pair(TAU, method=method, integrator=integrator)

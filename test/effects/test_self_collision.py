@@ -211,7 +211,7 @@ def test_a_cloth_slides_on_cloth_as_it_would_on_a_slope(friction, solver):
 
 
 @pytest.mark.parametrize('degrees, sticks', [(15.0, True), (30.0, False)])
-def test_a_cloth_sticks_to_a_slope_of_cloth_below_the_angle_of_friction(degrees, sticks):
+def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, sticks):
     """μ = 0.4: 21.8°."""
     turn = Rotation.from_euler('y', -degrees, degrees=True)
     q = turn.as_quat().tolist()

@@ -107,7 +107,7 @@ def test_a_log_cut_short_anywhere_gives_what_came_before(run, damaged):
     assert before == len(everything)
 
 
-def test_one_wrong_byte_anywhere_is_found_and_costs_no_more_than_its_chunk(run, damaged):
+def test_one_wrong_byte_costs_no_more_than_its_chunk(run, damaged):
     """Chunks of 800 bytes hold 10 messages at most; a wrong length does not hide the others."""
     data = (run / 'run_0.mcap').read_bytes()
     everything = set(LogReader(run).messages())

@@ -31,7 +31,7 @@ def rest(cloth) -> int:
     return cloth.step()
 
 
-def test_a_corner_that_is_grasped_follows_its_target_and_is_let_go(cloth):
+def test_a_grasped_corner_follows_its_target_and_is_released(cloth):
     cloth.mark(pin('gripper', CORNER))
     frame = cloth.step()
     assert list(cloth.pin_state(frame)) == ['gripper']

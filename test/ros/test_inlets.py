@@ -79,7 +79,7 @@ def raised(name: str, by: float):
     return targets(**{name: (x, y, z + by)})
 
 
-def test_a_reliable_sender_is_heard_reliably_and_a_best_effort_one_as_well(cloth, senders):
+def test_reliable_and_best_effort_senders_are_heard(cloth, senders):
     topic = '/heard/pin_targets'
     senders(topic, RELIABLE).publish(raised('left', 0.05))
     cloth.peer.until(lambda: height(cloth, 'left') == pytest.approx(0.054), 'the reliable one')
@@ -165,7 +165,7 @@ def test_of_five_grasps_where_four_have_room_none_holds(cloth):
     cloth.status(lambda status: status['pins'] == '4')
 
 
-def test_the_quality_of_service_of_a_subscription_may_be_overridden(start, peer, towel):
+def test_the_qos_of_a_subscription_may_be_overridden(start, peer, towel):
     override = 'qos_overrides./picky/pin_targets.subscription'
     cloth = Cloth(peer, start('-r', '__node:=picky', '-p', f'{override}.reliability:=best_effort',
                               '-p', f'{override}.depth:=7', '-p',

@@ -79,7 +79,7 @@ def test_cannot_be_configured_says_why_and_stays(cloth, values, reason):
     assert cloth.go('configure', 'cleanup'), 'no harm was done'
 
 
-def test_cannot_record_where_something_is_says_so_and_stays_inactive(cloth, tmp_path):
+def test_an_occupied_record_path_keeps_the_node_inactive(cloth, tmp_path):
     run = tmp_path / 'run'
     run.mkdir()
     assert cloth.set(record__path=str(run)) == (True, '')

@@ -231,8 +231,7 @@ def test_a_service_answers_within_a_burst_of_messages(write_log, replay, listene
     assert said.startswith('is paused at ')
 
 
-def test_the_clock_tells_the_time_of_the_log_in_place_of_a_recorded_one(
-        tmp_path, replay, listener):
+def test_the_clock_follows_the_log_in_place_of_a_recorded_one(tmp_path, replay, listener):
     run = tmp_path / 'run'
     with LogWriter(run, scene='', settings={}) as log:
         log.add_channel('/clock', 'rosgraph_msgs/msg/Clock', Qos())

@@ -117,7 +117,7 @@ def test_several_cloths_have_topics_each(use):
     assert max(i for t in mesh.triangles for i in t.vertex_indices) == 11
 
 
-def test_a_mesh_is_one_row_of_particles_in_the_order_of_its_file(use, tmp_path):
+def test_a_mesh_is_published_as_one_row_in_file_order(use, tmp_path):
     vertices, triangles = disc(2)
     (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles) + 'v 0 0 0\n')
     cloth = use(f'cloths: {{c: {{density: 0.2, mesh: {{file: {tmp_path}/disc.obj}}}}}}\n{PINS}')

@@ -32,7 +32,7 @@ def wind(x=0.0, y=0.0, z=0.0, frame_id='') -> Vector3Stamped:
     return message
 
 
-def test_a_wind_blows_from_the_next_frame_on_and_again_from_the_log(start, peer, tmp_path):
+def test_wind_acts_from_the_next_frame_on_and_repeats(start, peer, tmp_path):
     (tmp_path / 'kite.yaml').write_text(SCENE)
     run = tmp_path / 'run'
     cloth = Cloth(peer, start(scene=tmp_path / 'kite.yaml', mode='lockstep',

@@ -41,7 +41,7 @@ def test_what_is_saved_runs_with_the_same_bits(name):
     assert simulation.hash() == again.hash()
 
 
-def test_a_cloth_lies_where_its_pose_says_and_weighs_what_its_density_says():
+def test_a_cloth_has_the_pose_and_density_of_its_scene():
     turn = Rotation.from_rotvec([0.3, -1.0, 0.5])
     simulation = simulate((4, 3), (0.6, 0.5), density=0.3, pose={
         'position': [1.0, 2.0, 3.0], 'orientation': turn.as_quat().tolist()})

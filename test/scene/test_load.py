@@ -74,7 +74,7 @@ def refusal(text, **options):
     ('cloths:', 'cloth:', f"cloth: unknown key; did you mean 'cloths'? {TOP}"),
     ('      stretch', '      contact: {thickness: 0.01}\n      stretch',
      'cloths.flag.effects.contact: belongs under effects')])
-def test_a_mistake_in_a_cloth_is_told_with_key_value_unit_and_the_way_out(before, after, text):
+def test_a_mistake_in_a_cloth_names_key_value_unit_and_remedy(before, after, text):
     assert FLAG.count(before) == 1
     assert refusal(FLAG.replace(before, after)) == f'flag.yaml: {text}'
 
@@ -275,7 +275,7 @@ def test_a_file_is_found_by_path_and_a_shipped_scene_by_name(tmp_path):
     assert load_scene('swing').name == 'swing'
 
 
-def test_a_folder_of_the_same_name_does_not_hide_a_shipped_scene(tmp_path, monkeypatch):
+def test_a_folder_of_equal_name_does_not_hide_a_shipped_scene(tmp_path, monkeypatch):
     """Runs are written to folders, and one may well be called after its scene."""
     (tmp_path / 'swing').mkdir()
     monkeypatch.chdir(tmp_path)

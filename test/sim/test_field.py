@@ -38,7 +38,7 @@ def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside():
     assert field.reach == pytest.approx(np.sqrt(0.38))
 
 
-def test_between_the_nodes_of_a_ball_it_errs_with_the_square_of_the_spacing():
+def test_the_error_between_nodes_falls_with_the_spacing_squared():
     points = np.random.default_rng(2).uniform(-0.33, 0.33, (2000, 3))
     points = points[np.linalg.norm(points, axis=1) > 0.15]
     expected, normals = exact(SPHERE, (0.3, 0.0, 0.0), points)
@@ -62,7 +62,7 @@ def test_off_the_grid_it_is_never_more_than_the_distance():
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)
 
 
-def test_faces_may_look_anywhere_vertices_may_be_double_and_pieces_may_overlap():
+def test_faces_may_be_flipped_doubled_or_overlap():
     rng = np.random.default_rng(4)
     vertices, faces = box_surface()
     soup = vertices[np.array([f[::-1] if rng.random() < 0.5 else f for f in faces])]

@@ -20,7 +20,7 @@ def sheet(method, iterations, **options):
                                'scene_effects': {'damping': {'rate': 8.0}}, **options})
 
 
-def test_relaxation_is_one_over_the_most_constraints_at_a_particle():
+def test_relaxation_is_one_over_the_largest_constraint_count():
     simulation = sheet('jacobi', 1)
     count = np.zeros(simulation.state.x.shape[1])
     for built in simulation.effects.values():

@@ -232,7 +232,7 @@ def test_units_of_length_do_not_matter(run):
 
 
 @pytest.mark.parametrize('run', does_not_depend_on_the_order)
-def test_the_order_of_a_mesh_matters_no_more_than_the_sweep_is_off(run):
+def test_the_order_of_a_mesh_matters_within_the_sweep_error(run):
     run()
 
 

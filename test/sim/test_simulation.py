@@ -307,7 +307,7 @@ def test_a_free_cloth_keeps_its_momentum(options):
                                atol=1e-14 * steps * largest)
 
 
-def test_a_free_cloth_keeps_more_of_its_angular_momentum_the_shorter_the_substep():
+def test_loss_of_angular_momentum_falls_with_the_substep():
     """Backward Euler loses it in proportion to the substep (V4)."""
     lost = []
     for substeps in (32, 64, 128):
@@ -339,7 +339,7 @@ def hung(*, turn=None, offset=(0.0, 0.0, 0.0), length=1.0, mass=1.0, time=1.0):
     return turn.inv().apply(frame.x - offset) / length
 
 
-def test_nothing_depends_on_where_the_scene_is_how_it_is_turned_or_the_units():
+def test_results_do_not_depend_on_place_rotation_or_units():
     """V24: millimetres, grams and tenths of a second give the same cloth."""
     plain = hung()
     np.testing.assert_allclose(hung(turn=Rotation.random(random_state=1)), plain, atol=1e-9)

@@ -58,7 +58,7 @@ def test_oscillation_converges_at_the_order_of_the_integrator(method, integrator
 
 @pytest.mark.parametrize(('integrator', 'order'), [
     ('backward_euler', 1), ('bdf2', 2), ('ndf2', 2)])
-def test_spinning_pair_loses_momentum_at_the_order_of_the_integrator(integrator, order):
+def test_a_spinning_pair_loses_momentum_at_its_order(integrator, order):
     errors = []
     for substeps in (32, 64, 128, 256):
         two = pair('line', integrator, substeps)
@@ -108,7 +108,7 @@ def test_same_bits_whatever_the_vector_width(tmp_path, program):
 
 @pytest.mark.parametrize('method', [
     METHODS[0], pytest.param(METHODS[1], marks=pytest.mark.slow), METHODS[2]])
-def test_palindromic_sweep_keeps_a_symmetric_sheet_symmetric_enough(method):
+def test_a_palindromic_sweep_keeps_a_sheet_nearly_symmetric(method):
     sheet = simulation(method, 'backward_euler', 32)
     for _ in range(20):
         frame = sheet.step()
@@ -161,7 +161,7 @@ def test_float32_keeps_its_digits_in_short_steps(method, integrator):
 @pytest.mark.parametrize('integrator', ['backward_euler', 'ndf2'])
 @pytest.mark.parametrize('effect', [{'damping': {'rate': 0.4}}, {'drag': {}},
                                     {'force': {'per_mass': [0.0, 0.1, 0.0]}}], ids=repr)
-def test_float32_feels_forces_that_move_less_than_its_last_digit(effect, integrator):
+def test_float32_feels_forces_below_its_last_digit(effect, integrator):
     """A fall of 0.5 m in 1280 substeps, in each of which they move it by less than 10 nm."""
     def fall(precision, scene_effects):
         return run(simulate((4, 3), (0.6, 0.4), pose={'position': [0.0, 0.5, 0.5]}, density=0.5,

@@ -33,7 +33,7 @@ def test_over_the_edge_of_a_box_it_is_that_of_the_net():
                                               np.hypot(b + c, a)), rel=1e-12)
 
 
-def test_on_a_ball_it_is_no_shorter_than_the_chord_and_hardly_longer_than_the_arc():
+def test_on_a_ball_it_is_between_chord_and_slightly_above_arc():
     vertices, triangles = ball(3)
     pairs, lines = straight_lines(vertices, triangles, 4)
     radius = np.linalg.norm(vertices[0])

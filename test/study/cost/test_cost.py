@@ -31,7 +31,7 @@ def test_every_effect_has_a_row_in_projection_order(found):
     assert (found.particles, found.frames, found.substeps) == (81, 6, 4)
 
 
-def test_an_effect_that_is_not_there_has_neither_code_nor_data_nor_time(found):
+def test_an_absent_effect_has_no_code_data_or_time(found):
     for row in found.effects:
         if not row.present:
             assert (row.constraints, row.kernels, row.bytes) == (0, 0, 0)
@@ -50,7 +50,7 @@ def test_constraints_kernels_and_bytes_are_counted(found):
             1e3 * rows[name].us_per_substep / rows[name].constraints)
 
 
-def test_what_memory_takes_and_what_would_fit_follow_from_the_limits(found):
+def test_memory_and_capacity_follow_from_the_limits(found):
     rows = {row.name: row for row in found.effects}
     for name in ('shear', 'stretch'):    # every particle of the 81, there and back
         assert rows[name].traffic == rows[name].bytes + 81 * 7 * 8

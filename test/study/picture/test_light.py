@@ -52,7 +52,7 @@ def test_a_penumbra_widens_with_the_height_of_what_casts_it():
     assert soft(0.45) > 2 * soft(0.1)
 
 
-def test_a_low_roof_takes_the_light_of_the_sky_from_what_is_below():
+def test_a_low_roof_blocks_the_light_of_the_sky():
     roof = Instant(surfaces=[square(0.5, GREY)])
     points, triangles = roof.surfaces[0].points, roof.surfaces[0].triangles
     maps = [DepthMap(points, triangles, direction, 64)
@@ -71,7 +71,7 @@ def test_cloth_in_the_open_does_not_shade_itself():
     assert np.ptp(inside) < 0.02
 
 
-def test_an_unloaded_plane_is_as_bright_as_one_far_from_everything():
+def test_an_unloaded_plane_is_as_bright_as_a_remote_one():
     """A scene of planes alone has no depth maps, and must not go dark for it."""
     view = fit(SQUARE, Camera(), 60, 60)
     box = (np.full(3, -1.0), np.full(3, 1.0))

@@ -37,7 +37,7 @@ def test_squares_that_cross_are_each_seen_where_they_are_higher():
     assert is_blue(colour_at(view, seen.image, [-0.5, -0.8, 0]))
 
 
-def test_a_plane_hides_what_is_below_it_but_not_a_cloth_that_lies_on_it():
+def test_a_plane_hides_all_below_it_but_no_cloth_on_it():
     ground = Body('plane', colour=GREY)
     view, seen = look(Instant(surfaces=[square(-0.5, RED)], bodies=[ground]))
     assert not is_red(colour_at(view, seen.image, [0, 0, 0]))
@@ -45,7 +45,7 @@ def test_a_plane_hides_what_is_below_it_but_not_a_cloth_that_lies_on_it():
     assert is_red(colour_at(view, seen.image, [0, 0, 0]))
 
 
-def test_cloth_that_bridges_a_body_covers_it_but_never_shows_through_a_thin_one():
+def test_cloth_covers_a_body_it_bridges_but_not_a_thin_one():
     """A flat triangle on a ball lies inside it by up to half its edge; a thin post stays whole."""
     cap = square(0.5 - 0.02, RED, scale=0.05)
     ball = Body('sphere', 0.5, colour=BLUE)

@@ -152,7 +152,7 @@ def test_decay_goes_with_the_integrator():
         1.2024 * math.sqrt(9.80665) / (2 * math.pi))
 
 
-def test_the_verb_prints_and_fails_where_there_is_something_to_warn_about(capsys, tmp_path):
+def test_the_verb_prints_and_fails_with_a_warning(capsys, tmp_path):
     keys = ['--set', 'solver.method=gauss_seidel', '--set', 'solver.substeps=16']
     assert main(['check', 'swing']) == 0
     capsys.readouterr()

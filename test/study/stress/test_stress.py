@@ -76,7 +76,7 @@ def test_a_run_is_judged_by_what_its_case_names(criterion, strain, fault):
         or fine.judge(track((0.0, 0.5, 0.02), (0.0, 1.0, 0.0)), 0.0)[0] == []
 
 
-def test_recovery_is_counted_from_the_end_of_the_cause_and_must_last():
+def test_recovery_counts_from_the_end_of_the_cause_and_lasts():
     run = track((0.0, 0.5, 0.1, 0.5, 0.1, 0.1), (0.0,) * 6)
     assert run.back_after(0.1, 0.2) == pytest.approx(0.3)
     assert run.back_after(0.1, 0.05) is None
