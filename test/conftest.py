@@ -12,6 +12,14 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, a
 from support.logs import sample_log
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them."""
+    both = [item.nodeid for item in items
+            if item.get_closest_marker('smoke') and item.get_closest_marker('slow')]
+    if both:
+        raise pytest.UsageError(f'smoke and slow: {", ".join(both)}')
+
+
 @pytest.fixture(scope='session')
 def domain_id() -> Iterator[int]:
     """Return a DDS domain that is free on this machine, and reserve it for this test run."""

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from support.meshes import disc, obj_text
+from support.tiers import slow
 from xpbd_ros.demo.domain import private_environment
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.scene.compile import compile_scene
@@ -81,7 +82,7 @@ def test_table_of_hard_cases_names_each_and_its_guards():
         assert guard.what in rows[guard.case][3]
 
 
-@pytest.mark.parametrize('page', ['README', 'scenes'])
+@pytest.mark.parametrize('page', ['README', slow('scenes')])
 def test_example_scene_runs(page):
     simulation = compile_scene(scene_from_text(block('yaml', page), where=page, name='readme'))
     for _ in range(5):

@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.slow
 CHECKOUT = Path(__file__).parents[2]
 ROW = {'what', 'method', 'precision', 'n', 'threads', 'ns_per_projection', 'ratio_to_textbook',
        'ratio_to_limit'}

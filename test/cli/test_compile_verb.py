@@ -10,6 +10,7 @@ SCENE = """
 cloths:
   strip: {grid: {size: [0.1, 0.1], resolution: [2, 2]}, density: 0.2,
           effects: {stretch: {warp: 10.0, weft: 10.0}}}
+solver: {method: gauss_seidel, integrator: backward_euler}
 """
 RUN = ('import sys; from xpbd_ros.scene.compile import compile_scene; '
        'from xpbd_ros.scene.load import load_scene; from xpbd_ros.sim.stepping import step; '

@@ -142,6 +142,7 @@ def test_json_on_stdout_is_all_that_is_printed_there(done, scene):
     assert numbers['run'] == str(done[1])
 
 
+@pytest.mark.smoke
 def test_the_log_holds_every_frame(done, scene):
     reader = LogReader(done[1])
     assert reader.whole

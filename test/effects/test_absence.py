@@ -12,6 +12,7 @@ import pytest
 from support.scenes import EXAMPLES, run, SHAPES, simulate, with_effects
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.backend import jit
 from xpbd_ros.sim.stepping import stages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,44 +62,43 @@ def look(names, cache, **more):
     return json.loads(child.stdout)
 
 
-@pytest.fixture(scope='module')
-def cache(tmp_path_factory):
-    """Return a cache that begins empty and that all processes here share."""
-    return tmp_path_factory.mktemp('cache')
-
-
 def test_every_effect_has_kernels_of_its_own_name():
     assert all(kernels([name]) for name in EFFECTS)
     assert sum(len(kernels([name])) for name in EFFECTS) == len(kernels())
 
 
-@pytest.mark.parametrize('names', SCENES)
-def test_machine_code_holds_the_kernels_of_the_scene_only(names, cache):
+@pytest.mark.parametrize('scenes', [
+    pytest.param([('stretch',)], id='one scene'),
+    pytest.param(list(SCENES), id='one after the other', marks=pytest.mark.slow)])
+def test_machine_code_holds_the_kernels_of_the_scene_only(scenes, tmp_path):
     """
     The scene with contact runs first, so that the other meets what it left in the cache.
 
-    Nobody asks for forces, and the method neither sweeps back nor solves lines nor leaps.
+    No effect asks for forces; the method neither sweeps back nor solves lines nor leaps.
     """
-    seen = look(names, cache)
-    assert not seen['cached']
-    assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
-        stages.accumulate_reactions, stages.project_back, stages.solve_lines,
-        stages.add_explicit_forces))
-    assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
-    assert [name.lower() for name in seen['data']] == list(names)
-    assert not seen['reaction']
+    for names in scenes:
+        seen = look(names, tmp_path)
+        assert not seen['cached']
+        assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
+            stages.accumulate_reactions, stages.project_back, stages.solve_lines,
+            stages.add_explicit_forces))
+        assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
+        assert [name.lower() for name in seen['data']] == list(names)
+        assert not seen['reaction']
 
 
-def test_machine_code_holds_the_shapes_of_the_colliders_only(cache):
+@pytest.mark.slow
+def test_machine_code_holds_the_shapes_of_the_colliders_only(tmp_path):
     """Ground is, once there is some; the test above has seen that a scene without has neither."""
-    assert OF_SHAPES[1:] == [name for name in look(('contact',), cache, colliders=GROUND)[
-        'kernels'] if name in OF_SHAPES]
+    assert OF_SHAPES[1:] == [name for name in look(
+        ('contact',), tmp_path, colliders=GROUND)['kernels'] if name in OF_SHAPES]
 
 
-def test_a_step_from_the_cache_imports_nothing_more(cache):
+def test_a_step_from_the_cache_imports_nothing_more():
     """Numba's cache holds the types of all scenes that it has seen; each has a folder here."""
-    look(('stretch',), cache)
-    seen = look(('stretch',), cache)
+    root = jit.CACHE_FOLDER.parents[1]    # of this process, with all that it has compiled
+    simulate(**SCENES['stretch',]).compile()
+    seen = look(('stretch',), root)
     assert seen['cached']
     assert seen['imported'] == ['xpbd_ros.effects.stretch']
 
@@ -154,7 +154,6 @@ CLOTH = {'shear': {'stiffness': 15.0}, 'stretch': {'warp': 60.0, 'weft': 40.0}}
 AROUND = {'damping': {'rate': 1.0}, 'force': {'per_mass': [0.1, 0.0, 0.0]}}
 BESIDE = {name: {'contact': {'thickness': 0.01}} for name in ('friction', 'self_collision')}
 """what the scene has as well, since the absent effect works with it"""
-QUICK = ('tether',)
 
 
 def scene_without(absent):
@@ -165,8 +164,8 @@ def scene_without(absent):
         for key, effects in named.items()}}
 
 
-@pytest.mark.parametrize('absent', [pytest.param(name, marks=[pytest.mark.slow] * (
-    name not in QUICK)) for name in EFFECTS])
+@pytest.mark.slow
+@pytest.mark.parametrize('absent', EFFECTS)
 def test_deleting_the_file_of_an_unused_effect_keeps_all_bits(absent, tmp_path):
     """The file deleted, the cache empty: the same state, and its kernels in no machine code."""
     for source, left_out in (('xpbd_ros', (f'{absent}.py', '__pycache__')),

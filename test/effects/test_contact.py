@@ -559,6 +559,7 @@ def propped(when, iterations):
     return simulation, np.abs(edges / 0.1 - 1.0).max(), depth
 
 
+@pytest.mark.slow
 def test_contact_in_each_iteration_strains_less_than_after():
     """Neither ends within the sphere; what is rigid keeps its length only in the first case."""
     strains = {}
@@ -568,5 +569,6 @@ def test_contact_in_each_iteration_strains_less_than_after():
     assert strains['sweep'] < 0.1 * strains['after']
 
 
+@pytest.mark.slow
 def test_with_one_iteration_the_order_of_contact_is_irrelevant():
     assert len({propped(when, 1)[0].hash() for when in ('sweep', 'after')}) == 1

@@ -17,6 +17,7 @@ from support.scenes import (
     simulate,
     with_effects,
 )
+from support.tiers import quick_only
 from xpbd_ros.effects import EFFECTS, load, SECTIONS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -266,7 +267,8 @@ def project_and_compare(state, data, constraint):
     state.x[:] = before
 
 
-@KINDS
+@pytest.mark.parametrize('name, mesh', quick_only(
+    ON_MESHES, ('stretch', True), ('hinge', False)))
 def test_jacobi_relaxes_and_explicit_takes_the_force_at_x(name, mesh):
     """The same projection as others' times ω; and Δx = -w h² ∇E."""
     for state, data, constraint in list(constraints(name, mesh))[::7]:
@@ -319,7 +321,8 @@ def test_multipliers_keep_stiffness_independent_of_iterations(name, mesh):
         state.x[:] = before
 
 
-@KINDS
+@pytest.mark.parametrize('name, mesh', quick_only(
+    ON_MESHES, ('stretch', False), ('bend', False), ('hinge', False), ('volume', True)))
 def test_the_force_on_a_pinned_particle_balances_the_others(name, mesh):
     """To rounding, also where the gradient turns from one projection to the next."""
     for state, data, constraint in constraints(name, mesh):

@@ -251,6 +251,7 @@ def test_a_strip_on_a_cylinder_obeys_the_capstan_equation(mu):
     assert front / back == pytest.approx(np.exp(0.5 * np.pi * mu), rel=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method, integrator', [('line', 'bdf2'), ('explicit', 'leapfrog')])
 def test_cloth_that_touches_only_itself_rubs_without_colliders(method, integrator):
     sheet = simulate((6, 6), effects={'stretch': {'warp': 60.0, 'weft': 40.0}}, method=method,

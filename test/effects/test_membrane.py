@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from support.meshes import disc, obj_text
 from support.scenes import EXAMPLES, run, simulate
+from support.tiers import slow
 from xpbd_ros.effects.membrane import inverse_rest_edges, Parameters
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import stability_limit
@@ -74,7 +75,7 @@ def test_an_affine_field_stores_what_the_continuum_does(kind, tmp_path):
             0.5 * strain @ plane_stress() @ strain, rel=1e-12)
 
 
-@pytest.mark.parametrize('kind', ['grid', 'irregular'])
+@pytest.mark.parametrize('kind', ['grid', slow('irregular')])
 def test_a_rigid_motion_strains_nothing(kind, tmp_path):
     simulation = sheet(kind, tmp_path)
     slot, x = simulation.slot, simulation.state.x.copy()
@@ -129,7 +130,7 @@ def test_a_sheet_pulled_along_warp_narrows_by_poissons_ratio():
 
 @pytest.mark.parametrize('stiffness', [1.0, 1e6, 1e12])
 @pytest.mark.parametrize('squeezed', [0.3, 1e-2, 1e-6, 0.0])
-@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('precision', ['float64', slow('float32')])
 def test_a_triangle_squeezed_flat_does_not_fly_apart(precision, squeezed, stiffness):
     """A full step of Green's strain would make it 1 / (2 σ) long."""
     simulation = simulate((4, 3), effects={'membrane': {

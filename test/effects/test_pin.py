@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
+from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Grasp,
@@ -19,6 +20,8 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.measure import momentum
 
 STRETCH = {'stretch': {'compliance': 1e-4}}
+SOME = ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')
+"""settings of the quick tier"""
 
 
 def sheet(grid=(5, 4), **options):
@@ -113,7 +116,7 @@ def test_a_release_gives_the_mass_back_and_the_motion_goes_on():
     np.testing.assert_allclose(frame.x[0], here + before * 5 * h + fallen * 3 * h, rtol=1e-10)
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('integrator', [slow('backward_euler'), 'bdf2'])
 def test_what_is_let_go_at_rest_starts_from_rest(integrator):
     """Not with what BDF2 would make of the pin's sudden stop."""
     simulation = simulate((1, 1), rate=50, effects=STRETCH, method='line', integrator=integrator,
@@ -257,7 +260,8 @@ def test_a_pin_that_holds_nothing_is_refused_with_those_that_do(command):
                                                    'hand)'),)
 
 
-@pytest.mark.parametrize('method, integrator', SETTINGS[:-1])    # explicit needs more substeps
+@pytest.mark.parametrize('method, integrator', quick_only(
+    SETTINGS[:-1], *SOME))    # explicit needs more substeps
 @pytest.mark.parametrize('substeps, iterations', [(1, 1), (6, 3)])
 def test_the_wrench_at_rest_is_the_weight(substeps, iterations, method, integrator):
     """Exactly so at any setting: what falls short of stiffness still pulls with its weight."""
@@ -432,9 +436,7 @@ def test_a_pin_without_sense_is_refused(pins, text):
 
 
 COMPLIANCE = 0.01
-SOME = ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')
-SPRUNG = pytest.mark.parametrize('method, integrator', [pytest.param(
-    *setting, marks=[pytest.mark.slow] * (setting not in SOME)) for setting in SETTINGS])
+SPRUNG = pytest.mark.parametrize('method, integrator', quick_only(SETTINGS, *SOME))
 
 
 def on_spring(*, at='corner_00', slip=None, **options):

@@ -100,6 +100,7 @@ def test_gas_changes_while_it_runs_and_more_of_it_fills_more():
     assert sizes(simulation, run(simulation, 60).x)[0] > 1.3 * first
 
 
+@pytest.mark.slow
 def test_a_float32_balloon_is_the_float64_one():
     volumes = [sizes(simulation, run(simulation, 60).x)[0] for simulation in (
         balloon(1, precision=precision) for precision in ('float64', 'float32'))]

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from support.scenes import GRAVITY, hang, run, run_stage, run_until_still, simulate
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -189,7 +190,7 @@ def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
                                   before[:, simulation.slot[pinned]])
 
 
-@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('precision', ['float64', slow('float32')])
 @pytest.mark.parametrize('span', [0.5, 1.0, 1.5])
 @pytest.mark.parametrize('grid, far', [((9, 1), 'corner_01'), ((1, 9), 'corner_10')])
 def test_a_rigid_straight_line_between_two_pins_stays_finite(grid, far, span, precision):
@@ -289,8 +290,8 @@ def test_edges_of_a_mesh_have_the_stiffness_of_their_direction():
 
 
 @pytest.mark.parametrize('method', [
-    'gauss_seidel', 'explicit', *(pytest.param(method, marks=pytest.mark.slow)
-                                  for method in ('line', 'jacobi'))])
+    pytest.param('gauss_seidel', marks=pytest.mark.smoke), slow('explicit'), slow('line'),
+    slow('jacobi')])
 def test_a_disc_of_triangles_hangs_with_its_weight(method):
     integrator = 'leapfrog' if method == 'explicit' else 'backward_euler'
     simulation = simulate(mesh=True, density=0.4, effects={

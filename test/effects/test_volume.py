@@ -7,6 +7,7 @@ from scipy.optimize import minimize
 from support.meshes import box, disc, file_of
 from support.scenes import run, run_stage, simulate
 from support.shipped_scenes import WITH_MESHIO
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
@@ -108,7 +109,7 @@ def test_a_pulled_bar_has_youngs_modulus_and_poissons_ratio(poisson):
     assert np.abs(force[side].sum(0)).max() < 1e-3 * YOUNG * e * area
 
 
-@pytest.mark.parametrize('poisson', [0.0, 0.45])
+@pytest.mark.parametrize('poisson', [slow(0.0), 0.45])
 def test_patch_test_converges_as_substeps_shrink(poisson):
     """The patch test; what is left is that gradients turn while a substep is solved."""
     errors = []
@@ -157,7 +158,8 @@ def test_a_body_that_is_flat_or_inside_out_comes_back(what, young):
     assert volumes(simulation, frame.x).sum() == pytest.approx(0.012, rel=1e-3)
 
 
-@pytest.mark.parametrize('precision, most', [('float64', 1e-12), ('float32', 2e-5)])
+@pytest.mark.parametrize('precision, most', [
+    ('float64', 1e-12), slow('float32', 2e-5)])
 @pytest.mark.parametrize('young', [1e3, 1e9])
 def test_a_turned_body_rests(young, precision, most):
     """Whatever the stiffness, even in float32: no terms that cancel at rest."""

@@ -53,6 +53,7 @@ def damaged(run, tmp_path):
     return read
 
 
+@pytest.mark.smoke
 def test_a_log_comes_back_as_it_was_written(run):
     reader = LogReader(run)
     assert reader.whole

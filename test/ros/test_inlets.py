@@ -178,6 +178,7 @@ def test_the_qos_of_a_subscription_may_be_overridden(start, peer, towel):
     cloth.node.wait_for('qos_overrides./picky/pin_tragets.subscription.depth', 'ignored')
 
 
+@pytest.mark.slow
 def test_jitter_of_arrival_does_not_shake_a_pin(start, peer, towel):
     """30 Hz with 10 ms of jitter, 20 cm in 2 s: at most 1.5 times the hand's acceleration."""
     cloth = Cloth(peer, start('-r', '__node:=shaken', scene=towel, mode='lockstep',

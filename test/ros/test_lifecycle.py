@@ -25,6 +25,7 @@ def test_waits_to_be_configured(cloth):
     assert cloth.describe('gravity') == [], 'no scene, no keys of a scene'
 
 
+@pytest.mark.smoke
 def test_goes_through_its_states_and_back(cloth):
     for _ in range(2):
         assert cloth.go('configure')

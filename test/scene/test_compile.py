@@ -12,7 +12,8 @@ from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.measure import largest_strain
 
-EACH = each_scene(slow=('arch', 'bag', 'balloon', 'drum', 'fold'))
+EACH = each_scene(slow=('arch', 'bag', 'balloon', 'curtain', 'drape', 'drum', 'flag', 'fold',
+                        'softbox'))
 """slow: those that take long to compile, of effects that have quick tests of their own"""
 
 

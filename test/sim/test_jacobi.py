@@ -57,7 +57,8 @@ def test_the_order_of_the_effects_makes_no_difference():
 
 
 def test_momentum_stays():
-    simulation = sheet('jacobi', 3, pins={}, gravity=(0, 0, 0), scene_effects={})
+    simulation = sheet('jacobi', 3, pins={}, gravity=(0, 0, 0), scene_effects={}, effects={
+        'stretch': {'warp': 60.0, 'weft': 40.0}})
     simulation.state.x[:, simulation.slot] += np.random.default_rng(1).normal(0, 0.03, (3, 30))
     run(simulation, 20)
     assert np.abs(simulation.state.v).max() > 0.1

@@ -80,14 +80,12 @@ DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,
          'cloths.cover.pose.position': [-0.5, -0.5, 0.33]}
 
 
+@pytest.mark.slow    # the quick tests above have one method on one scene
 @pytest.mark.parametrize('name, keys, method', [
-    ('swing', SMALL, 'line'),
-    pytest.param('drape', DRAPE, 'line', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'gauss_seidel_symmetric', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'gauss_seidel', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'jacobi', marks=pytest.mark.slow),
-    pytest.param('swing', {**SMALL, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow),
-    pytest.param('drape', {**DRAPE, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow)])
+    ('swing', SMALL, 'line'), ('drape', DRAPE, 'line'),
+    ('swing', SMALL, 'gauss_seidel_symmetric'), ('swing', SMALL, 'gauss_seidel'),
+    ('swing', SMALL, 'jacobi'), ('swing', {**SMALL, 'solver.substeps': 40}, 'explicit'),
+    ('drape', {**DRAPE, 'solver.substeps': 40}, 'explicit')])
 def test_the_clock_changes_no_bit(name, keys, method):
     """With every kind of stage and method; ``cost`` itself would fail where the runs part."""
     assert cost(load_scene(name, {**keys, 'solver.method': method}), 5, rounds=1).frames == 5
@@ -127,6 +125,7 @@ def test_the_limits_of_the_machine_are_plausible():
     assert 0.1 < most['fma_gflop_s'] < 1000.0
 
 
+@pytest.mark.slow
 def test_the_verb_prints_what_it_writes(tmp_path):
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'cost', 'swing', '--duration', '0.05', '--json',

@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image
 import pytest
 
+from support.tiers import slow
 from xpbd_ros.study.picture import Arrow, Body, draw, grid_spacing, Instant, Path, Surface
 
 
@@ -32,7 +33,8 @@ def little_run(count):
     return instants
 
 
-@pytest.mark.parametrize(('count', 'columns'), [(1, None), (2, None), (6, None), (5, 4)])
+@pytest.mark.parametrize(('count', 'columns'), [
+    (1, None), slow(2, None), slow(6, None), (5, 4)])
 def test_a_picture_has_the_width_asked_for_and_is_small(tmp_path, count, columns):
     file = tmp_path / 'run.png'
     draw(little_run(count), file, title='A run', columns=columns, width_px=600)

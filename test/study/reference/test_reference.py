@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import eigh
 from scipy.special import ellipk
 
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -322,7 +323,7 @@ def test_leapfrog_keeps_the_energy_to_second_order():
 
 @pytest.mark.parametrize('method, levels, worst', [
     ('explicit', 10, 1e-9), ('bdf2', 6, 1e-3), ('backward_euler', 6, 3e-2)])
-@pytest.mark.parametrize('c', [0.0, 3.0])
+@pytest.mark.parametrize('c', [0.0, slow(3.0)])
 def test_the_limit_of_the_oscillator_is_within_its_uncertainty(method, levels, worst, c,
                                                                tmp_path):
     """And the uncertainty is worth something: it is small, and not below the error."""

@@ -13,7 +13,7 @@ from xpbd_ros.study.stress.trajectory import Track
 from xpbd_ros.study.stress.trial import Trial
 
 EVERY = all_hard()
-QUICK = ('H3', 'H6', 'H13', 'H16', 'H18', 'H31')
+QUICK = ('H3', 'H6', 'H16', 'H18', 'H31')
 
 
 @pytest.mark.slow
@@ -39,6 +39,7 @@ def test_every_number_of_the_list_has_a_case():
         assert any(one.family == family for one in EVERY), family
 
 
+@pytest.mark.slow
 def test_the_textbook_solver_fails_what_it_must():
     """A pin sent 10 m away takes the cloth with it at any speed; ours follows at 5 m/s."""
     case = next(one for one in EVERY if one.id == 'H13')

@@ -5,6 +5,7 @@ import pytest
 
 from xpbd_ros.study.stress.textbook import advance, Model, PLANE
 
+pytestmark = pytest.mark.slow    # its one kernel is among those that compile longest
 G = 9.80665
 
 
