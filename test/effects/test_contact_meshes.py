@@ -39,9 +39,10 @@ def particle(colliders, x, *, contact=None, friction=0.0, **options):
     A mesh comes with ground far below, and ground with a mesh far away: one step for both.
     """
     kinds = {kind for entry in colliders.values() for kind in entry}
-    if 'mesh' in kinds and 'heights' not in kinds:
+    meshes = 'mesh' in kinds or 'mesh_nodes' in (contact or {})
+    if meshes and 'heights' not in kinds:
         colliders = {**colliders, 'far': {'heights': FLAT, 'position': [0.0, 0.0, -1e3]}}
-    if 'heights' in kinds and 'mesh' not in kinds:
+    if 'heights' in kinds and not meshes:
         colliders = {**colliders, 'far': {'mesh': {
             'file': file_of(*box_surface()), 'spacing': 0.05}, 'position': [1e3, 0.0, 0.0]}}
     return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
