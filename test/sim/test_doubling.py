@@ -4,7 +4,8 @@ import numba
 import numpy as np
 import pytest
 
-from support.scenes import EXAMPLES, SETTINGS, simulate, with_effects
+from support.scenes import EXAMPLES, FEW, SETTINGS, simulate, USUAL, with_effects
+from support.tiers import quick_only
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.measure import largest_strain
@@ -27,11 +28,12 @@ def position_error(simulation, state) -> float:
     return rms(np.sqrt((apart**2).sum(0)))
 
 
-@pytest.mark.parametrize(('method', 'integrator'), [
-    setting if setting == ('line', 'bdf2') else pytest.param(*setting, marks=pytest.mark.slow)
-    for setting in SETTINGS])
-def test_the_start_of_a_frame_gives_the_same_frame(method, integrator):
-    simulation = with_effects(method=method, integrator=integrator, substeps=20)
+@pytest.mark.parametrize(('method', 'integrator', 'names'), [
+    ('line', 'bdf2', FEW), *quick_only(((*setting, USUAL) for setting in SETTINGS), (
+        'gauss_seidel', 'backward_euler', USUAL))],
+    ids=lambda value: value if isinstance(value, str) else f'{len(value)} effects')
+def test_the_start_of_a_frame_gives_the_same_frame(method, integrator, names):
+    simulation = with_effects(method=method, integrator=integrator, substeps=20, names=names)
     start = kept(simulation, 4)
     assert [numba.typeof(a) for a in start.effects] == [
         numba.typeof(a) for a in simulation._tuple]

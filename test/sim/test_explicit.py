@@ -155,6 +155,7 @@ def test_the_bound_is_close_above_the_highest_frequency(angle, more):
     assert bound < more * 0.5 * np.sqrt(highest)
 
 
+@pytest.mark.slow
 def test_the_swing_is_stable_and_exact_at_its_own_substeps():
     """As the sheet comes to hang from its corners, warp and weft pull along one direction."""
     keys = {'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [31, 31],
@@ -211,6 +212,7 @@ def test_soft_diagonals_may_be_compressed_and_stiff_ones_not(stiffness, redone):
     assert simulation.stats()['explicit_redone'] == redone
 
 
+@pytest.mark.slow
 def test_a_gripper_that_starts_to_move_is_calm():
     simulation = compile_scene(load_scene('swing', {
         'solver.method': 'explicit', 'cloths.sheet.grid.resolution': [9, 9],

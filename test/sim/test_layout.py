@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from support.scenes import run, with_effects
+from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import BITS, lane_count
@@ -119,7 +120,7 @@ def test_a_new_state_has_mass_only_in_the_slots_of_particles():
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')])
+    ('gauss_seidel', 'backward_euler'), slow('line', 'bdf2')])
 @pytest.mark.parametrize('grid', [
     (6, 5), *(pytest.param(grid, marks=pytest.mark.slow) for grid in ((1, 7), (7, 1)))])
 def test_nothing_moves_the_padding(grid, method, integrator):

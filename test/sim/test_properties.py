@@ -23,7 +23,6 @@ from xpbd_ros.sim.commands import (
 )
 
 METHODS = [('gauss_seidel', 'backward_euler'), ('line', 'bdf2')]
-"""those that other tests compile as well"""
 magnitudes = st.floats(-6.0, 6.0).map(lambda e: 10.0**e)
 """twelve decades"""
 places = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
@@ -40,11 +39,12 @@ commands = st.one_of(
 
 
 @st.composite
-def cloths(draw, square=True):
+def cloths(draw, every=True):
     """
     Return the options of a cloth with the usual effects.
 
-    Square cells have a step of their own to compile.
+    Square cells and each method have a step of their own to compile; not ``every`` scene has one
+    that other tests compile as well.
     """
     warp, weft, shear = (draw(magnitudes) for _ in range(3))
     values = {**EXAMPLES, 'stretch': {'warp': warp, 'weft': weft}, 'shear': {'stiffness': shear},
@@ -52,11 +52,11 @@ def cloths(draw, square=True):
               'damping': {'rate': draw(magnitudes)}}
     kinds = {scope: {name: values[name] for name in USUAL if EFFECTS[name] == scope}
              for scope in ('cloth', 'scene')}
-    method, integrator = draw(st.sampled_from(METHODS))
+    method, integrator = draw(st.sampled_from(METHODS if every else METHODS[:1]))
     scale = draw(magnitudes)
     kinds['scene']['contact'] = {'thickness': draw(st.floats(1e-4, 0.1))}
     grids = st.tuples(*[st.integers(3, 7)] * 2)
-    if not square:
+    if not every:
         grids = grids.filter(lambda grid: grid[0] != grid[1])
     return {'grid': draw(grids), 'size': (scale, scale),
             'density': draw(magnitudes), 'effects': kinds['cloth'],
@@ -71,7 +71,7 @@ def some(count: int, slow: int, **strategies):
     """
     Return a decorator: tests of so many examples, and of many more that is slow.
 
-    ``options`` is a function of whether grids may have square cells: in the slow one.
+    ``options`` is a function of whether every scene may come: in the slow one.
     """
     def both(test):
         found = []
@@ -177,7 +177,7 @@ def does_not_depend_on_the_unit_of_length(options, power):
                                atol=1e-9 * options['size'][0])
 
 
-@some(5, 300, options=cloths, angle=st.floats(-3.0, 3.0),
+@some(5, 300, options=cloths, angle=st.floats(-3.0, 3.0).map(lambda x: round(x, 6)),
       shift=st.tuples(*[st.floats(-3.0, 3.0).map(lambda x: round(x, 6))] * 2))
 def does_not_depend_on_where_it_is(options, angle, shift):
     """Turned about the vertical, and moved along the table."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from support.scenes import EXAMPLES, run, simulate, with_effects
+from support.scenes import EXAMPLES, FEW, run, simulate, with_effects
 from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
@@ -49,7 +49,9 @@ COMMANDS = {
 METHODS = pytest.mark.parametrize('options', [
     {}, pytest.param({'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'},
                      marks=pytest.mark.slow),
-    {'method': 'line', 'integrator': 'bdf2'}], ids=lambda options: options.get('method', 'plain'))
+    {'method': 'line', 'integrator': 'bdf2', 'names': FEW},
+    slow({'method': 'line', 'integrator': 'bdf2'})], ids=lambda options: (
+        options.get('method', 'plain') + ('-few' if 'names' in options else '')))
 
 
 def story(**options):
@@ -273,7 +275,7 @@ def test_compiling_moves_nothing():
 @pytest.mark.parametrize('grid', [
     (7, 1), *(slow(grid) for grid in ((1, 1), (2, 1), (1, 2), (1, 7), (2, 2)))])
 @pytest.mark.parametrize('options', [
-    {'names': ('pin', 'stretch', 'contact')}, slow({}),
+    {'names': FEW}, slow({}),
     slow({'method': 'line', 'integrator': 'bdf2'}),
     slow({'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'})],
     ids=lambda options: options.get('method', 'few' if options else 'plain'))
@@ -288,12 +290,15 @@ def test_the_smallest_cloths_run(options, grid):
     assert frame.inv_mass.min() > 0.0
 
 
-def tumble(**options):
+def tumble(*, names=None, **options):
     """Return a free cloth that spins and deforms, far above the table."""
-    simulation = simulate((6, 5), (1.0, 0.7), effects=CLOTH, gravity=(0, 0, 0),
+    scene_effects = {'pin': {}, 'damping': {'rate': 0.0}, 'contact': {'thickness': 0.005},
+                     'friction': {}}
+    if names:
+        scene_effects = {name: scene_effects[name] for name in ('pin', 'contact')}
+    simulation = simulate((6, 5), (1.0, 0.7), gravity=(0, 0, 0), scene_effects=scene_effects,
+                          effects={'stretch': CLOTH['stretch']} if names else CLOTH,
                           colliders={'table': {'plane': {}, 'position': [0.0, 0.0, -1e3]}},
-                          scene_effects={'pin': {}, 'damping': {'rate': 0.0},
-                                         'contact': {'thickness': 0.005}, 'friction': {}},
                           **options)
     rng = np.random.default_rng(4)
     x = simulation.frame().x

@@ -44,6 +44,8 @@ EXAMPLES = {
 """parameters for each effect there is, of a cloth of about 1 m"""
 USUAL = ('pin', 'damping', 'bend', 'shear', 'stretch', 'contact', 'friction')
 """what most scenes call for; with all effects there are, a scene compiles for a minute"""
+FEW = ('pin', 'stretch', 'contact')
+"""less to compile, where the method is what counts"""
 SHAPES = {'volume': lambda: box((2, 1, 1), 0.2), 'pressure': lambda: ball(1)}
 """vertices and cells for each effect of cloths that a grid cannot have"""
 OF_SHEETS = [name for name, scope in EFFECTS.items() if scope == 'cloth' and name not in SHAPES]
