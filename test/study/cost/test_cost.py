@@ -103,6 +103,7 @@ def test_what_a_shipped_scene_does_not_name_is_listed_as_absent(name):
     assert all(row.kernels and row.bytes for row in found if row.present)
 
 
+@pytest.mark.slow
 def test_a_run_that_differs_is_not_believed(monkeypatch):
     monkeypatch.setattr(Simulation, 'hash', lambda self: id(self))
     with pytest.raises(AssertionError, match='computes something else'):
