@@ -6,6 +6,7 @@ import signal
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import pytest
+from visualization_msgs.msg import MarkerArray
 
 from support.node import Cloth, NodeProcess, PATIENCE, pin, TOWEL
 from xpbd_ros.log.reader import LogReader
@@ -35,7 +36,7 @@ def test_goes_through_its_states_and_back(cloth):
         assert cloth.go('activate')
         assert cloth.state == 'active'
         cloth.statuses.clear()
-        cloth.meet()
+        cloth.meet(pins=MarkerArray())
         frame = cloth.step()
         cloth.mark(pin('hand', (-0.2, -0.2, 0.004)))
         assert list(cloth.pin_state(cloth.step())) == ['hand']
