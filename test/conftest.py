@@ -1,4 +1,4 @@
-"""What tests of every part need: a DDS domain of their own, and a small log."""
+"""Fixtures of all tests: a private DDS domain, meshio, a small log."""
 
 from collections.abc import Callable, Iterator
 import os
@@ -9,7 +9,15 @@ import socket
 import pytest
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
-from samples import sample_log
+from support.logs import sample_log
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them."""
+    both = [item.nodeid for item in items
+            if item.get_closest_marker('smoke') and item.get_closest_marker('slow')]
+    if both:
+        raise pytest.UsageError(f'smoke and slow: {", ".join(both)}')
 
 
 @pytest.fixture(scope='session')

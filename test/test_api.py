@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 import pytest
-from sim.small import run, with_effects
 
+from support.scenes import run, with_effects
 import xpbd_ros
 from xpbd_ros import Grasp, InputError, MoveCollider, MovePin, Pose, Release, SetKey
 

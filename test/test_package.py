@@ -3,10 +3,13 @@
 import ast
 import importlib
 import importlib.util
+import os
 from pathlib import Path
 import runpy
+import shutil
 import subprocess
 import sys
+import tarfile
 import types
 from xml.etree import ElementTree
 
@@ -84,6 +87,25 @@ def test_ament_finds_the_package(setup_arguments):
     assert 'package.xml' in installed
 
 
+def test_a_source_archive_has_no_tests(tmp_path):
+    """setuptools would add test/test_*.py, without the modules that those import."""
+    pytest.importorskip('setuptools')
+    for name in ('setup.py', 'setup.cfg', 'pyproject.toml', 'MANIFEST.in', 'package.xml'):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in ('xpbd_ros', 'config', 'resource', 'test', 'benchmark'):
+        shutil.copytree(ROOT / name, tmp_path / name,
+                        ignore=shutil.ignore_patterns('__pycache__'))
+    environment = {name: value for name, value in os.environ.items()
+                   if name != 'DIST_EXTRA_CONFIG'}    # .ci/run sets it for the package itself
+    subprocess.run([sys.executable, 'setup.py', '-q', 'sdist'], cwd=tmp_path, check=True,
+                   capture_output=True, env=environment)
+    (archive,) = (tmp_path / 'dist').iterdir()
+    with tarfile.open(archive) as files:
+        folders = {Path(name).parts[1] for name in files.getnames() if '/' in name}
+    assert {'xpbd_ros', 'config'} <= folders
+    assert not {'test', 'benchmark'} & folders
+
+
 @pytest.mark.parametrize(('package', 'share'), [
     ('checkout/xpbd_ros', 'checkout/config'),
     ('venv/lib/python3.12/site-packages/xpbd_ros', 'venv/share/xpbd_ros'),
@@ -93,7 +115,7 @@ def test_ament_finds_the_package(setup_arguments):
     ('ws/install/xpbd_ros/lib/python3.12/site-packages/xpbd_ros',
      'ws/install/xpbd_ros/share/xpbd_ros'),
 ])
-def test_the_shipped_files_are_found_where_pip_and_colcon_put_them(package, share, tmp_path):
+def test_shipped_files_are_found_where_pip_and_colcon_put_them(package, share, tmp_path):
     (tmp_path / share).mkdir(parents=True)
     (tmp_path / share / MARKER).touch()
     (tmp_path / package).mkdir(parents=True)
@@ -140,6 +162,7 @@ def imported(file: Path) -> set[str]:
     return names
 
 
+@pytest.mark.smoke
 def test_imports_point_one_way():
     """The solver runs without ROS, and what is below can be read without what is above."""
     wrong = []
@@ -164,6 +187,7 @@ def is_ros(package: str) -> bool:
         ('_msgs', '_srvs'))
 
 
+@pytest.mark.smoke
 def test_rooms_of_the_simulation_import_only_what_is_below():
     """``ROOMS`` is their order; a directory and a file beside it count alike."""
     folder, wrong = PACKAGE / 'sim', []
@@ -179,6 +203,7 @@ def test_rooms_of_the_simulation_import_only_what_is_below():
     assert not wrong, '\n'.join(wrong)
 
 
+@pytest.mark.smoke
 def test_only_the_backend_knows_the_inside_of_numba():
     inside = {file: sorted(name for name in imported(file)
                            if name.split('.')[0] == 'llvmlite' or name.startswith('numba.core'))
@@ -186,6 +211,7 @@ def test_only_the_backend_knows_the_inside_of_numba():
     assert not [(file, names) for file, names in inside.items() if names]
 
 
+@pytest.mark.smoke
 def test_effects_never_import_one_another():
     """Adding one is one file; taking one away breaks none."""
     wrong = [f'{file.name}: {name}' for file in sorted((PACKAGE / 'effects').glob('[!_]*.py'))
@@ -196,6 +222,7 @@ def test_effects_never_import_one_another():
     assert not wrong, '\n'.join(wrong)
 
 
+@pytest.mark.smoke
 def test_sim_is_numbers_only():
     """No file formats, no plots: NumPy, SciPy, Numba with its LLVM, and Python."""
     for file in sorted((PACKAGE / 'sim').rglob('*.py')):
@@ -209,7 +236,7 @@ def test_style():
         pytest.skip('ruff is not installed')
     result = subprocess.run(
         [sys.executable, '-m', 'ruff', 'check', '--no-cache', 'setup.py', 'xpbd_ros', 'config',
-         'test'],
+         'test', 'benchmark'],
         cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
 

@@ -12,9 +12,10 @@ import time
 
 import numpy as np
 import pytest
-from sim.shapes import disc, obj_text
 import yaml
 
+from support.meshes import disc, obj_text
+from support.tiers import slow
 from xpbd_ros.demo.domain import private_environment
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.scene.compile import compile_scene
@@ -81,7 +82,7 @@ def test_table_of_hard_cases_names_each_and_its_guards():
         assert guard.what in rows[guard.case][3]
 
 
-@pytest.mark.parametrize('page', ['README', 'scenes'])
+@pytest.mark.parametrize('page', ['README', slow('scenes')])
 def test_example_scene_runs(page):
     simulation = compile_scene(scene_from_text(block('yaml', page), where=page, name='readme'))
     for _ in range(5):
@@ -184,7 +185,7 @@ def test_every_section_of_numerics_that_is_cited_exists():
     assert not {number: file for number, file in cited.items() if number not in there}
 
 
-def test_sections_of_numerics_follow_one_another_and_name_only_those_that_exist():
+def test_sections_of_numerics_are_in_order_and_refer_to_others():
     there = re.findall(r'^##+ (\d+(?:\.\d+)?)[. ]', text('numerics'), re.M)
     assert there == sorted(there, key=lambda number: [int(part) for part in number.split('.')])
     assert len(set(there)) == len(there)
@@ -194,7 +195,7 @@ def test_sections_of_numerics_follow_one_another_and_name_only_those_that_exist(
         assert number in there, number
 
 
-def test_the_page_of_the_node_has_its_topics_services_and_parameters():
+def test_the_page_of_the_node_has_its_topics_and_parameters():
     pytest.importorskip('rclpy', reason='ROS is not installed')
     from xpbd_ros.ros.inputs import INPUTS
     from xpbd_ros.ros.outputs import Outputs

@@ -1,7 +1,8 @@
-"""A long run under random commands; ``python test/soak.py`` does it for hours."""
+"""A long run under random commands; ``python test/support/soak.py`` does it for hours."""
 
 import pytest
-from soak import soak
+
+from support.soak import soak
 
 
 @pytest.mark.slow

@@ -9,8 +9,8 @@ import sys
 
 import pytest
 
-HERE = Path(__file__).parent
-CHECKOUT = HERE.parents[1]
+pytestmark = pytest.mark.slow
+CHECKOUT = Path(__file__).parents[2]
 ROW = {'what', 'method', 'precision', 'n', 'threads', 'ns_per_projection', 'ratio_to_textbook',
        'ratio_to_limit'}
 
@@ -25,7 +25,7 @@ def report(tmp_path_factory) -> dict:
 
 def run(file: Path, *arguments: str) -> dict:
     done = subprocess.run(
-        [sys.executable, str(HERE / 'solver.py'), *arguments, '--json', str(file)],
+        [sys.executable, 'benchmark/solver.py', *arguments, '--json', str(file)], cwd=CHECKOUT,
         env={**os.environ, 'PYTHONPATH': str(CHECKOUT)}, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(file.read_text())

@@ -11,6 +11,7 @@ SCENE = """
 cloths:
   strip: {grid: {size: [0.1, 0.1], resolution: [2, 2]}, density: 0.2,
           effects: {stretch: {warp: 10.0, weft: 10.0}}}
+solver: {method: gauss_seidel, integrator: backward_euler}
 """
 RUN = ('import sys; from xpbd_ros.scene.compile import compile_scene; '
        'from xpbd_ros.scene.load import load_scene; from xpbd_ros.sim.stepping import step; '
@@ -41,7 +42,7 @@ def test_another_process_compiles_nothing_more(tmp_path):
     assert set((tmp_path / 'kernels').rglob('*.nbc')) == kept
 
 
-def test_a_scene_that_is_refused_stops_it_before_anything_is_compiled(capsys):
+def test_a_refused_scene_stops_it_before_compiling(capsys):
     assert main(['compile', 'towel', 'towle']) == 2
     out, error = capsys.readouterr()
     assert out == ''

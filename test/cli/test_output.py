@@ -11,7 +11,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
 
-def test_numpy_paths_and_numbers_that_are_not_finite_are_written(tmp_path, monkeypatch):
+def test_numpy_values_paths_and_non_finite_numbers_are_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_json('out.json', {'path': tmp_path / 'a', 'none': math.nan, 'big': [math.inf, 1.5],
                             'array': np.arange(3), 'count': np.int64(4), 'pair': (1, True)})
@@ -25,7 +25,7 @@ def test_nothing_is_written_where_nothing_was_asked_for(capsys):
     assert capsys.readouterr().out == ''
 
 
-def test_a_new_folder_is_made_before_the_work_and_goes_if_nothing_came_of_it(tmp_path):
+def test_a_new_folder_is_removed_if_the_work_fails(tmp_path):
     with new_folder(None) as folder:
         assert folder is None
     with new_folder(str(tmp_path / 'a' / 'b')) as folder:

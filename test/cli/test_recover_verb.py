@@ -3,8 +3,7 @@
 import json
 from pathlib import Path
 
-from strict import read_strictly
-
+from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
 
 

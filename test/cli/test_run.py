@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
-from sim.shapes import disc, obj_text
-from strict import read_strictly
 import yaml
 
+from support.meshes import disc, obj_text
+from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -93,7 +93,7 @@ def test_a_log_without_guards_that_acted_tells_of_none(done):
     assert '/diagnostics' not in LogReader(done[1]).topics
 
 
-def test_inputs_of_a_damaged_log_are_taken_and_the_damage_is_told(done, scene, tmp_path, capsys):
+def test_inputs_of_a_damaged_log_are_used_with_a_warning(done, scene, tmp_path, capsys):
     whole, = done[1].glob('*.mcap')
     damaged = tmp_path / 'damaged.mcap'
     damaged.write_bytes(whole.read_bytes()[:-5])
@@ -142,6 +142,7 @@ def test_json_on_stdout_is_all_that_is_printed_there(done, scene):
     assert numbers['run'] == str(done[1])
 
 
+@pytest.mark.smoke
 def test_the_log_holds_every_frame(done, scene):
     reader = LogReader(done[1])
     assert reader.whole
@@ -284,7 +285,7 @@ def log(scene, tmp_path_factory):
     return recorded(scene, tmp_path_factory.mktemp('log') / 'log', COMMANDS)
 
 
-def test_a_repeated_run_is_compared_with_its_log_for_as_long_as_that_goes(log, scene, capsys):
+def test_a_repeated_run_is_compared_up_to_the_end_of_its_log(log, scene, capsys):
     code, found, said = repeated(log, scene, capsys=capsys)
     assert (code, said) == (0, [])
     assert found == {'log': str(log / 'log_0.mcap'), 'identical': True, 'frames': 13,
@@ -363,7 +364,7 @@ def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(scene, tmp_path,
     assert [path.name for path in tmp_path.iterdir()] == ['late']
 
 
-def test_a_study_says_what_differs_from_the_log_whose_inputs_it_takes(log, scene, capsys):
+def test_a_study_lists_its_differences_from_the_log(log, scene, capsys):
     other = load_scene(str(scene), {'gravity': [0, 0, -5.0], 'solver.substeps': 3})
     assert sorted(commands_of('cost', str(log), other, 6)) == [2, 5, 9]
     name = f'xpbd_ros cost: {log}/log_0.mcap: '

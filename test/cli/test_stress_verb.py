@@ -20,8 +20,7 @@ def test_one_case_as_a_table_and_as_json(capsys, tmp_path):
     assert (tmp_path / 'p' / 'stress.png').stat().st_size > 5000
 
 
-def test_without_ros_the_cases_of_the_node_are_skipped_and_that_is_no_success(
-        capsys, monkeypatch):
+def test_without_ros_node_cases_are_skipped_and_the_verb_fails(capsys, monkeypatch):
     monkeypatch.setattr('importlib.util.find_spec', lambda name: None)
     assert main(['stress', '--case', 'H21', '--json', '-']) == 1
     numbers = json.loads(capsys.readouterr().out)

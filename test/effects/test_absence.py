@@ -8,16 +8,17 @@ import subprocess
 import sys
 
 import pytest
-from sim.small import EXAMPLES, run, SHAPES, simulate, with_effects
 
+from support.scenes import EXAMPLES, run, SHAPES, simulate, with_effects
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.backend import jit
 from xpbd_ros.sim.stepping import stages
 
 ROOT = Path(__file__).resolve().parents[2]
 CHILD = """
 import json, sys, warnings
-from sim.small import run, simulate
+from support.scenes import run, simulate
 scene, kernels = json.loads(sys.argv[1])
 simulation = simulate(**scene)
 simulation.compile()
@@ -61,49 +62,48 @@ def look(names, cache, **more):
     return json.loads(child.stdout)
 
 
-@pytest.fixture(scope='module')
-def cache(tmp_path_factory):
-    """Return a cache that begins empty and that all processes here share."""
-    return tmp_path_factory.mktemp('cache')
-
-
 def test_every_effect_has_kernels_of_its_own_name():
     assert all(kernels([name]) for name in EFFECTS)
     assert sum(len(kernels([name])) for name in EFFECTS) == len(kernels())
 
 
-@pytest.mark.parametrize('names', SCENES)
-def test_the_machine_code_holds_the_kernels_of_the_scene_and_no_other(names, cache):
+@pytest.mark.parametrize('scenes', [
+    pytest.param([('stretch',)], id='one scene'),
+    pytest.param(list(SCENES), id='one after the other', marks=pytest.mark.slow)])
+def test_machine_code_holds_the_kernels_of_the_scene_only(scenes, tmp_path):
     """
     The scene with contact runs first, so that the other meets what it left in the cache.
 
-    Nobody asks for forces, and the method neither sweeps back nor solves lines nor leaps.
+    No effect asks for forces; the method neither sweeps back nor solves lines nor leaps.
     """
-    seen = look(names, cache)
-    assert not seen['cached']
-    assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
-        stages.accumulate_reactions, stages.project_back, stages.solve_lines,
-        stages.add_explicit_forces))
-    assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
-    assert [name.lower() for name in seen['data']] == list(names)
-    assert not seen['reaction']
+    for names in scenes:
+        seen = look(names, tmp_path)
+        assert not seen['cached']
+        assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
+            stages.accumulate_reactions, stages.project_back, stages.solve_lines,
+            stages.add_explicit_forces))
+        assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
+        assert [name.lower() for name in seen['data']] == list(names)
+        assert not seen['reaction']
 
 
-def test_a_shape_that_no_collider_has_is_not_in_the_machine_code(cache):
+@pytest.mark.slow
+def test_machine_code_holds_the_shapes_of_the_colliders_only(tmp_path):
     """Ground is, once there is some; the test above has seen that a scene without has neither."""
-    assert OF_SHAPES[1:] == [name for name in look(('contact',), cache, colliders=GROUND)[
-        'kernels'] if name in OF_SHAPES]
+    assert OF_SHAPES[1:] == [name for name in look(
+        ('contact',), tmp_path, colliders=GROUND)['kernels'] if name in OF_SHAPES]
 
 
-def test_a_step_from_the_cache_imports_nothing_more(cache):
+def test_a_step_from_the_cache_imports_nothing_more():
     """Numba's cache holds the types of all scenes that it has seen; each has a folder here."""
-    look(('stretch',), cache)
-    seen = look(('stretch',), cache)
+    root = jit.CACHE_FOLDER.parents[1]    # of this process, with all that it has compiled
+    simulate(**SCENES['stretch',]).compile()
+    seen = look(('stretch',), root)
     assert seen['cached']
     assert seen['imported'] == ['xpbd_ros.effects.stretch']
 
 
-def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
+def test_loading_a_scene_imports_only_the_effects_it_names():
     code = ('import sys; from xpbd_ros.scene.load import load_scene; '
             "from xpbd_ros.scene.compile import compile_scene; load_scene('swing'); "
             "print(sorted(name for name in sys.modules if name.startswith('xpbd_ros.effects.')))")
@@ -113,7 +113,7 @@ def test_loading_a_scene_imports_no_effect_that_it_does_not_name():
                                         for name in ('pin', 'shear', 'stretch')])
 
 
-def test_the_effects_of_a_scene_are_in_projection_order_and_there_are_no_others():
+def test_a_scene_has_its_effects_only_in_projection_order():
     assert tuple(with_effects(names=EFFECTS).effects) == tuple(
         name for name in EFFECTS if name not in SHAPES)
     simulation = simulate((3, 1), effects={'stretch': EXAMPLES['stretch'],
@@ -137,7 +137,7 @@ def test_what_is_turned_off_makes_no_difference():
 WITHOUT = """
 import json, sys
 from pathlib import Path
-from sim.small import run, simulate
+from support.scenes import run, simulate
 scene, kernels, absent = json.loads(sys.argv[1])
 import xpbd_ros
 assert not (Path(xpbd_ros.__file__).parent / 'effects' / f'{absent}.py').exists()
@@ -154,7 +154,6 @@ CLOTH = {'shear': {'stiffness': 15.0}, 'stretch': {'warp': 60.0, 'weft': 40.0}}
 AROUND = {'damping': {'rate': 1.0}, 'force': {'per_mass': [0.1, 0.0, 0.0]}}
 BESIDE = {name: {'contact': {'thickness': 0.01}} for name in ('friction', 'self_collision')}
 """what the scene has as well, since the absent effect works with it"""
-QUICK = ('tether',)
 
 
 def scene_without(absent):
@@ -165,9 +164,9 @@ def scene_without(absent):
         for key, effects in named.items()}}
 
 
-@pytest.mark.parametrize('absent', [pytest.param(name, marks=[pytest.mark.slow] * (
-    name not in QUICK)) for name in EFFECTS])
-def test_a_package_without_the_file_of_an_effect_computes_the_same_bits(absent, tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize('absent', EFFECTS)
+def test_deleting_the_file_of_an_unused_effect_keeps_all_bits(absent, tmp_path):
     """The file deleted, the cache empty: the same state, and its kernels in no machine code."""
     for source, left_out in (('xpbd_ros', (f'{absent}.py', '__pycache__')),
                              ('config', ()), ('test', ('__pycache__',))):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import disc, file_of
-from sim.small import run, simulate
 
+from support.meshes import disc, file_of
+from support.scenes import run, simulate
 from xpbd_ros.sim.measure import elastic_energy
 
 K = 50.0

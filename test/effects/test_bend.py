@@ -5,8 +5,8 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial.transform import Rotation
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 
 B = 3e-4
@@ -29,7 +29,7 @@ def on_a_cylinder(x, curvature, degrees):
 
 @pytest.mark.parametrize('degrees', [0.0, 22.5, 45.0, 67.5, 90.0, 135.0])
 @pytest.mark.parametrize('n', [6, 21])
-def test_the_energy_on_a_cylinder_is_that_of_a_plate_in_every_direction(degrees, n):
+def test_energy_on_a_cylinder_is_a_plates_in_every_direction(degrees, n):
     """
     With κxx = κ cos², κyy = κ sin², κxy = κ sin cos it is ½ B (κxx² + κyy² + 2 κxy²) = ½ B κ².
 
@@ -99,12 +99,8 @@ def test_a_fold_stores_energy_without_a_wrap(angle):
     assert bends.energy(y) == pytest.approx(expected, rel=1e-12, abs=1e-18)
 
 
-def test_hinges_of_an_irregular_mesh_are_not_softer_than_asked_and_half_too_stiff_at_most():
-    """
-    Rolled, within the table of doc/numerics.md 5.7.
-
-    The disc's triangles are nearly equilateral.
-    """
+def test_hinges_of_an_irregular_mesh_are_at_most_half_too_stiff():
+    """Rolled, within the table of doc/numerics.md 5.7; the triangles are nearly equilateral."""
     simulation = simulate(mesh=True, effects={'bend': {'stiffness': B}})
     mesh = simulation.cloths[0].mesh
     for degrees in (0.0, 30.0, 75.0):
@@ -114,7 +110,7 @@ def test_hinges_of_an_irregular_mesh_are_not_softer_than_asked_and_half_too_stif
         assert 0.6 * plate < energy < 1.5 * plate    # a rim of triangles lacks its hinges
 
 
-def test_a_flat_sheet_stores_nothing_however_it_is_stretched_turned_or_moved():
+def test_a_flat_sheet_stores_no_energy_in_any_affine_pose():
     bends, x = bending((5, 4), (1.0, 0.7))
     x = x.T
     deformed = (Rotation.random(random_state=1).apply(x @ np.diag([1.3, 0.6, 1.0]) + [

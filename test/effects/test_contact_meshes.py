@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, simulate
-from sim.test_field import ball, box
 import yaml
 
+from support.meshes import box_surface, file_of, octahedral_ball
+from support.scenes import GRAVITY, run, simulate
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
@@ -14,6 +15,7 @@ from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, SetKey
 from xpbd_ros.sim.contact import distance_field
 
 R = 0.01
+FLAT = {'size': [1.0, 1.0], 'values': [[0.0, 0.0], [0.0, 0.0]]}
 
 
 def write(file, surface):
@@ -31,7 +33,18 @@ def corners(surface):
 
 
 def particle(colliders, x, *, contact=None, friction=0.0, **options):
-    """Return the simulation of one particle among colliders."""
+    """
+    Return the simulation of one particle among colliders.
+
+    A mesh comes with ground far below, and ground with a mesh far away: one step for both.
+    """
+    kinds = {kind for entry in colliders.values() for kind in entry}
+    meshes = 'mesh' in kinds or 'mesh_nodes' in (contact or {})
+    if meshes and 'heights' not in kinds:
+        colliders = {**colliders, 'far': {'heights': FLAT, 'position': [0.0, 0.0, -1e3]}}
+    if 'heights' in kinds and not meshes:
+        colliders = {**colliders, 'far': {'mesh': {
+            'file': file_of(*box_surface()), 'spacing': 0.05}, 'position': [1e3, 0.0, 0.0]}}
     return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
                     scene_effects={'contact': {'thickness': R, **(contact or {})},
                                    'friction': {}}, **options)
@@ -42,9 +55,9 @@ def mesh(file, surface, **keys):
     return {'mesh': {'file': write(file, surface), **keys}}
 
 
-def test_what_falls_on_a_mesh_comes_to_rest_at_the_thickness_from_it(tmp_path):
+def test_a_particle_comes_to_rest_at_the_thickness_from_a_mesh(tmp_path):
     """In millimetres; turned and moved."""
-    vertices, faces = box()
+    vertices, faces = box_surface()
     turn, place = Rotation.from_rotvec([2.0, 0.4, -1.0]), np.array([1.0, -2.0, 0.5])
     up = turn.apply([0.0, 0.0, 1.0])
     entry = mesh(tmp_path / 'box.obj', (1000.0 * vertices, faces), scale=0.001, spacing=0.02)
@@ -58,9 +71,10 @@ def test_what_falls_on_a_mesh_comes_to_rest_at_the_thickness_from_it(tmp_path):
     assert simulation.stats()['collider_grid_bytes'] == 4 * grids.nodes[0].prod() > 1e4
 
 
+@pytest.mark.slow
 def test_cloth_hangs_over_a_ball_of_triangles_as_over_a_sphere(tmp_path):
     """The ball has 8192 faces and a spacing of a fifth of its thickness."""
-    shapes = {'mesh': {**mesh(tmp_path / 'ball.obj', ball(0.15), spacing=0.005)},
+    shapes = {'mesh': {**mesh(tmp_path / 'ball.obj', octahedral_ball(0.15), spacing=0.005)},
               'sphere': {'sphere': {'radius': 0.15}}}
     ends = {}
     for name, entry in shapes.items():
@@ -82,7 +96,7 @@ def test_cloth_hangs_over_a_ball_of_triangles_as_over_a_sphere(tmp_path):
 @pytest.mark.parametrize('substeps', [1, 7])
 def test_a_bullet_does_not_pass_a_thin_mesh(tmp_path, speed, substeps):
     """H18: a plate of 4 mm, on a grid of 2 mm."""
-    entry = mesh(tmp_path / 'plate.obj', box(0.03, 0.04, 0.002), spacing=0.002)
+    entry = mesh(tmp_path / 'plate.obj', box_surface(0.03, 0.04, 0.002), spacing=0.002)
     for side, off in ((1.0, 0.0), (-1.0, 0.011)):
         simulation = particle({'s': entry}, (off, 0.3 * off, side * 0.77), gravity=(0, 0, 0),
                               substeps=substeps, contact={'thickness': 0.003})
@@ -95,7 +109,9 @@ def fallen(entry, turn, speed, thickness):
     """Return how many of 121 particles that meet a plate along its normal end behind it."""
     up = turn.apply([0.0, 0.0, 1.0])
     simulation = simulate(
-        (11, 11), (0.08, 0.08), colliders={'s': {**entry, 'friction': 10.0}},
+        (11, 11), (0.08, 0.08), colliders={'s': {**entry, 'friction': 10.0}, 'far': {
+            'heights': FLAT, 'position': (-1e3 * up).tolist(),
+            'orientation': turn.as_quat().tolist()}},
         scene_effects={'contact': {'thickness': thickness}, 'friction': {}}, substeps=4,
         gravity=(-GRAVITY * up).tolist(), pose={
             'position': turn.apply([-0.041, -0.039, 0.05]).tolist(),
@@ -105,21 +121,21 @@ def fallen(entry, turn, speed, thickness):
 
 
 @pytest.mark.parametrize(('plate', 'turn', 'speed'), [
-    (0.001, (0.0, 0.0, 0.0), 0.0), (0.002, (0.0, 0.0, 0.5), 30.0), (0.004, (1.0, 2.0, 0.3), 0.0),
-    (0.004, (-2.0, 0.1, 1.0), 3.0)])
+    (0.001, (0.0, 0.0, 0.0), 0.0), slow(0.002, (0.0, 0.0, 0.5), 30.0),
+    (0.004, (1.0, 2.0, 0.3), 0.0), slow(0.004, (-2.0, 0.1, 1.0), 3.0)])
 def test_nothing_passes_a_plate_thinner_than_the_usual_grid(tmp_path, plate, turn, speed):
     """That is a 96th of the longest side, up to 6.25 mm."""
     turn = Rotation.from_rotvec(turn)
-    vertices, faces = box(0.3, 0.05, 0.5 * plate)
+    vertices, faces = box_surface(0.3, 0.05, 0.5 * plate)
     entry = mesh(tmp_path / 'plate.obj', (turn.apply(vertices), faces))
     assert fallen(entry, turn, speed, 0.002) == 0
 
 
 @pytest.mark.parametrize('plate', [0.0005, 0.005, 0.012])
-def test_a_plate_that_particles_would_pass_is_refused_with_the_way_out(tmp_path, plate):
+def test_a_plate_too_thin_for_its_grid_is_refused(tmp_path, plate):
     """Each on the coarsest grid that will do, where there is one, nothing passes."""
     def entry(spacing):
-        return mesh(tmp_path / 'plate.obj', box(0.05, 0.05, 0.5 * plate), spacing=spacing)
+        return mesh(tmp_path / 'plate.obj', box_surface(0.05, 0.05, 0.5 * plate), spacing=spacing)
     with pytest.raises(InputError) as error:
         particle({'s': entry(0.0125)}, (0, 0, 0))
     text = (f'small.yaml: colliders.s.mesh: {tmp_path}/plate.obj: is so thin in places that '
@@ -136,9 +152,10 @@ def test_a_plate_that_particles_would_pass_is_refused_with_the_way_out(tmp_path,
     assert fallen(entry(float(spacing)), Rotation.identity(), 10.0, R) == 0
 
 
+@pytest.mark.slow
 def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
     """TRIANGLE_LIST; its grid has the place that the scene keeps for such."""
-    crate = PlaceCollider('crate', 'mesh', corners(box()), Pose((0.0, 0.0, -0.2)))
+    crate = PlaceCollider('crate', 'mesh', corners(box_surface()), Pose((0.0, 0.0, -0.2)))
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 400_000}, substeps=4)
     frame = run(simulation, 60, [crate])
     np.testing.assert_allclose(frame.x[0], [0.0, 0.0, R], atol=1e-6)
@@ -163,16 +180,17 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
                                    f'room for 0; raise effects.contact.mesh_nodes by {nodes}')
 
 
-def test_a_mesh_without_room_is_refused_before_its_distances_are_found(monkeypatch):
+def test_a_mesh_without_room_is_refused_before_any_distances(monkeypatch):
     monkeypatch.setattr(distance_field, '_stamp', None)
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})
-    (_, why), = simulation.step([PlaceCollider('crate', 'mesh', corners(box()), Pose())]).refused
+    crate = PlaceCollider('crate', 'mesh', corners(box_surface()), Pose())
+    (_, why), = simulation.step([crate]).refused
     assert 'and there is room for 1000; raise effects.contact.mesh_nodes by ' in why
 
 
-def test_a_thin_mesh_without_room_for_a_finer_grid_is_refused_with_what_it_takes():
+def test_a_refused_thin_mesh_says_how_many_nodes_it_needs():
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 10_000})
-    plate = PlaceCollider('plate', 'mesh', corners(box(0.04, 0.04, 0.003)), Pose())
+    plate = PlaceCollider('plate', 'mesh', corners(box_surface(0.04, 0.04, 0.003)), Pose())
     (_, why), = simulation.step([plate]).refused
     start, _, more = why.partition(', and there is room for 10000; raise effects.contact.')
     assert start.startswith("collider 'plate': its grid has ")
@@ -184,8 +202,8 @@ def test_a_thin_mesh_without_room_for_a_finer_grid_is_refused_with_what_it_takes
     assert placed.values.min() < -0.5 * placed.spacing
 
 
-def test_a_live_key_changes_nothing_of_a_mesh_though_its_file_is_gone(tmp_path):
-    entry = mesh(tmp_path / 'box.obj', box(), spacing=0.05)
+def test_a_live_key_does_not_reload_the_file_of_a_mesh(tmp_path):
+    entry = mesh(tmp_path / 'box.obj', box_surface(), spacing=0.05)
     simulation = particle({'s': entry}, (0.0, 0.0, 0.2 + R), friction=0.5, substeps=4)
     simulation.step([MoveCollider('s', Pose((0.0, 0.0, -0.1)))])
     (tmp_path / 'box.obj').unlink()
@@ -241,7 +259,7 @@ def test_a_particle_that_leaves_the_world_holds_nothing_up(tmp_path, speed):
     simulation = simulate((5, 1), (0.2, 0.2), pose={'position': [0.0, 0.0, R]}, colliders={
         'ground': {'heights': {'size': [2.0, 2.0], 'values': [[0.0] * 20] * 20}},
         'ball': {'sphere': {'radius': 0.5}, 'position': [0.1, 0.0, -0.5]},
-        'crate': mesh(tmp_path / 'box.obj', box(0.5, 0.5, 0.5), spacing=0.1)},
+        'crate': mesh(tmp_path / 'box.obj', box_surface(0.5, 0.5, 0.5), spacing=0.1)},
         scene_effects={'contact': {'thickness': R}, 'friction': {}})
     for k in range(3):
         simulation.state.v[k, simulation.slot[2]] = speed
@@ -251,7 +269,7 @@ def test_a_particle_that_leaves_the_world_holds_nothing_up(tmp_path, speed):
 
 
 def test_files_are_found_beside_the_scene(tmp_path):
-    write(tmp_path / 'box.obj', box())
+    write(tmp_path / 'box.obj', box_surface())
     (tmp_path / 'ground.csv').write_text('0 0\n0 0\n')
     (tmp_path / 'scene.yaml').write_text(yaml.safe_dump({
         'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [2, 2]}, 'density': 1}},
@@ -281,7 +299,7 @@ def test_shapes_that_a_scene_lacks_have_no_arrays():
     ({'heights': {'size': [1, 1]}}, "heights: needs either 'values' or 'file', and only one of "
      'them')])
 def test_a_shape_without_sense_is_refused(tmp_path, entry, text):
-    file = write(tmp_path / 'open.obj', (box()[0], box()[1][1:]))
+    file = write(tmp_path / 'open.obj', (box_surface()[0], box_surface()[1][1:]))
     for keys in entry.values():
         if keys.get('file') == 'OPEN':
             keys['file'] = file

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import simulate
+
+from support.scenes import simulate
 
 B = 3e-4
 
 
 @pytest.mark.parametrize('angle, share', [(np.pi / 2, 1.0), (-np.pi / 2, 1.0), (0.1, 0.0045)])
-def test_a_fold_along_a_row_stores_what_hinges_store_at_90_degrees_and_little_before(angle, share):
+def test_a_fold_stores_the_energy_of_hinges_at_90_degrees(angle, share):
     """A sheet of 5 x 9 folded along its middle row; only what crosses that row changes."""
     energies = {}
     for name in ('hinge', 'cross_bend'):

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import SetKey
 
@@ -16,7 +17,7 @@ def pushed(force, **options):
                     scene_effects={'force': force}, **options)
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('integrator', ['backward_euler', slow('bdf2')])
 def test_what_is_free_speeds_up_by_force_over_mass(integrator):
     """V1 with a force: v = f t / m, exactly."""
     for force, expected in (({'per_mass': F}, lambda mass: np.outer(np.ones(12), F)),
@@ -43,7 +44,7 @@ def test_only_what_is_named_is_pushed():
     assert (np.flatnonzero(frame.v.any(1)) == [1, 5]).all()
 
 
-@pytest.mark.parametrize('precision', ['float64', 'float32'])
+@pytest.mark.parametrize('precision', ['float64', slow('float32')])
 def test_what_is_pinned_hands_the_force_to_its_pin(precision):
     simulation = pushed({'total': F}, pins={'a': {'cloth': 'c', 'at': list(range(12))}},
                         precision=precision, substeps=3)

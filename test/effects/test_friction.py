@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.small import GRAVITY, run, run_stage, simulate, with_effects
 
+from support.scenes import GRAVITY, run, run_stage, simulate, with_effects
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import MoveCollider, Pose, SetKey, Twist
 from xpbd_ros.sim.particles.state import Substep
@@ -126,7 +126,7 @@ def test_a_turntable_carries_what_lies_on_it_round():
 
 
 @pytest.mark.parametrize('speed', [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)])
-def test_a_surface_that_turns_carries_round_and_not_along_the_tangent(speed):
+def test_a_turning_surface_carries_particles_on_a_circle(speed):
     """
     At 3 rad/s for 2 s: on the circle about the axis where the surface is at rest.
 
@@ -143,7 +143,7 @@ def test_a_surface_that_turns_carries_round_and_not_along_the_tangent(speed):
     assert np.linalg.norm(frame.x[0, :2] - axis) == pytest.approx(radius, abs=5e-6)
 
 
-def test_cloth_rides_on_a_table_that_moves_and_turns_without_slipping():
+def test_cloth_rides_on_a_moving_table_without_slipping():
     """With a large coefficient it keeps its place in the table's axes."""
     simulation = with_effects((5, 5), substeps=4, pins={}, colliders={
         't': {'box': {'size': [3.0, 3.0, 0.2]}, 'position': [0.5, 0.5, -0.105], 'friction': 1e4}})
@@ -206,7 +206,7 @@ def test_what_sticks_holds_more_than_what_slides(substeps, iterations):
         assert np.linalg.norm(frame.v[0]) == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_surface_has_its_static_friction_and_the_pair_the_mean_of_both():
+def test_a_pair_has_the_mean_of_both_static_frictions():
     simulation = simulate(
         (1, 1), friction=0.9, pose={'position': [0.0, 0.0, R]}, colliders={
             'a': {'plane': {}, 'friction': 0.1, 'static_friction': 0.4},
@@ -227,7 +227,7 @@ def test_without_a_static_coefficient_there_is_no_array_of_them():
 
 
 @pytest.mark.parametrize('mu', [0.0, 0.2, 0.5])
-def test_a_strip_that_slides_round_a_cylinder_is_pulled_harder_where_it_leaves(mu):
+def test_a_strip_on_a_cylinder_obeys_the_capstan_equation(mu):
     """V16, the capstan: T2 / T1 = exp(μ φ) with φ = 90°, here without inertia to speak of."""
     n, radius, thickness = 61, 0.1, 0.002
     bend = radius + thickness
@@ -251,6 +251,7 @@ def test_a_strip_that_slides_round_a_cylinder_is_pulled_harder_where_it_leaves(m
     assert front / back == pytest.approx(np.exp(0.5 * np.pi * mu), rel=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('method, integrator', [('line', 'bdf2'), ('explicit', 'leapfrog')])
 def test_cloth_that_touches_only_itself_rubs_without_colliders(method, integrator):
     sheet = simulate((6, 6), effects={'stretch': {'warp': 60.0, 'weft': 40.0}}, method=method,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import disc, obj_text
-from sim.small import run, run_stage, simulate
 
+from support.meshes import disc, obj_text
+from support.scenes import run, run_stage, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -43,7 +43,7 @@ def on_a_cylinder(x, curvature, degrees):
 
 @pytest.mark.parametrize('degrees', [0.0, 22.5, 45.0, 90.0, 135.0])
 @pytest.mark.parametrize('rigidities', [{'stiffness': B}, {'warp': B, 'weft': 4.0 * B}])
-def test_the_energy_on_a_cylinder_is_that_of_a_plate_in_every_direction(degrees, rigidities):
+def test_energy_on_a_cylinder_is_a_plates_in_every_direction(degrees, rigidities):
     """V12: (B1 κxx² + B2 κyy² + 4 D66 κxy²) / 2 per area, D66 = sqrt(B1 B2) / 2."""
     n, curvature = 11, 1e-3
     simulation = simulate((n, n), effects={'hinge': rigidities})
@@ -68,7 +68,7 @@ def test_no_particle_of_a_grid_is_softer_than_its_neighbours():
     np.testing.assert_allclose(energies, energies[0], rtol=1e-6)
 
 
-def test_a_shell_keeps_its_curved_shape_and_a_flat_one_would_not(tmp_path):
+def test_a_shell_keeps_its_curved_rest_shape(tmp_path):
     vertices, triangles = disc(4)
     curved = on_a_cylinder(vertices.T, 2.0, 30.0).T
     simulation = from_mesh(tmp_path, curved, triangles)
@@ -148,7 +148,7 @@ def test_a_triangle_without_height_is_left_alone(fold, place):
 
 
 @pytest.mark.parametrize('height', [1e-10, 1e-6, 1e-3])
-def test_a_triangle_of_next_to_no_height_moves_no_more_than_it_is_high(fold, height):
+def test_a_sliver_triangle_moves_no_more_than_its_height(fold, height):
     simulation, to = fold
     to(2.0)
     slot = simulation.slot[3]
@@ -158,7 +158,7 @@ def test_a_triangle_of_next_to_no_height_moves_no_more_than_it_is_high(fold, hei
     assert 0.0 < np.abs(simulation.state.x - before).max() < 4.0 * height
 
 
-def test_hinges_without_stiffness_are_as_absent_and_points_and_strips_have_none():
+def test_hinges_without_stiffness_act_as_absent():
     simulation = simulate((3, 3), effects={'hinge': {'stiffness': 1e-300}}, gravity=(0, 0, 0),
                           iterations=2)
     simulation.state.x[2, simulation.slot[4]] += 0.5

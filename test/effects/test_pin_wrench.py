@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from sim.shapes import ball, obj_text
-from sim.small import GRAVITY, simulate
 
+from support.meshes import ball, obj_text
+from support.scenes import GRAVITY, simulate
+from support.tiers import quick_only
 from xpbd_ros.sim.commands import MovePin, Pose
 
 LATTICE = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'shear': {'stiffness': 10.0},
@@ -39,20 +40,18 @@ CASES = {
               'integrator': 'backward_euler'},
     'mesh-limit': {'effects': SOFT, 'pins': SPOTS, 'mesh': True,
                    'integrator': 'backward_euler'},
-}
-SLOW = {
     'lattice-jacobi': {'effects': LATTICE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
     'limit-jacobi': {'effects': SOFT, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
     'membrane-jacobi': {'effects': MEMBRANE, 'pins': CORNERS, 'method': 'jacobi', 'substeps': 16},
     'ball': {'effects': BALL, 'pins': SPOTS, 'mesh': lambda folder: write(folder, *ball(1))},
 }
-ALL = [*CASES, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)]
+ALL = quick_only(CASES, 'lattice')
 
 
 def make(name, tmp_path, **options):
     """Return the simulation of a case."""
     given = {'method': 'auto', 'integrator': None, 'substeps': None, 'density': 0.2,
-             **{**CASES, **SLOW}[name], **options}
+             **CASES[name], **options}
     if callable(given.get('mesh')):
         given['mesh'] = given['mesh'](tmp_path)
     return simulate((13, 17), (1.0, 0.8), **given)
@@ -77,7 +76,7 @@ def test_pins_at_rest_carry_the_weight(name, tmp_path):
 @pytest.mark.parametrize('name', ALL)
 def test_shaken_pins_give_the_cloth_its_momentum(name, tmp_path):
     """∫ (M g - F) dt = Δ Σ m v within 1e-3 of ∫ |F| dt, however rough it is."""
-    simulation = make(name, tmp_path, scene_effects={'pin': {}})
+    simulation = make(name, tmp_path, scene_effects={'pin': {}, 'damping': {'rate': 0.0}})
     mass = simulation.state.mass[simulation.slot]
     places = {pin: np.array(state.pose.position)
               for pin, state in simulation.frame().pins.items()}

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import ball, box, disc, file_of
-from sim.small import run, simulate
 
+from support.meshes import ball, box, disc, file_of
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 
@@ -100,6 +100,7 @@ def test_gas_changes_while_it_runs_and_more_of_it_fills_more():
     assert sizes(simulation, run(simulation, 60).x)[0] > 1.3 * first
 
 
+@pytest.mark.slow
 def test_a_float32_balloon_is_the_float64_one():
     volumes = [sizes(simulation, run(simulation, 60).x)[0] for simulation in (
         balloon(1, precision=precision) for precision in ('float64', 'float32'))]

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.shapes import disc, file_of
-from sim.small import DOWN, GRAVITY, run, run_until_still, SETTINGS
 
+from support.meshes import disc, file_of
+from support.scenes import DOWN, GRAVITY, run, run_until_still, SETTINGS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.crossings import crossings, of_edges, to_triangle
-from sim.small import EXAMPLES, GRAVITY, run, simulate
 
+from support.crossings import crossings, of_edges, to_triangle
+from support.scenes import EXAMPLES, GRAVITY, run, simulate
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -67,6 +68,7 @@ def crumpled(mode):
     return simulation, places(state.x, slot)
 
 
+@pytest.mark.slow
 def test_brute_force_finds_the_same_particles():
     simulation, x = crumpled('particles')
     near = stay(simulation)
@@ -98,7 +100,7 @@ def test_brute_force_finds_the_same_triangles_and_edges():
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
 
 
-@pytest.mark.parametrize('mode', ['surface', 'particles'])
+@pytest.mark.parametrize('mode', ['surface', slow('particles')])
 def test_cloths_that_meet_keep_their_momentum(mode):
     simulation = scene({'a': square(0.0), 'b': square(0.03, x=0.01, y=0.02)}, mode=mode,
                        gravity=0.0, thickness=THICKNESS if mode == 'surface' else flat())
@@ -117,6 +119,7 @@ def test_cloths_that_meet_keep_their_momentum(mode):
     assert np.linalg.norm(other[:2]) < 0.2 and np.linalg.norm(one[:2]) > 0.03    # it rubs
 
 
+@pytest.mark.slow
 def test_a_twist_of_three_turns_gets_nothing_through():
     """H27: it ends as a rope."""
     simulation = scene({'c': ((7, 19), (0.12, 0.36), {})}, substeps=12, thickness=0.005,
@@ -175,7 +178,7 @@ def test_however_fast_it_does_not_get_through(speed):
 
 
 @pytest.mark.parametrize('aside', [0.0, 0.013])
-@pytest.mark.parametrize('mode', ['surface', 'particles'])
+@pytest.mark.parametrize('mode', ['surface', slow('particles')])
 def test_an_overlap_comes_apart_without_a_kick(mode, aside):
     """What lies aside is pushed aside too, and what that strains swings back."""
     thickness = 0.02 if mode == 'surface' else flat()
@@ -191,6 +194,7 @@ def test_an_overlap_comes_apart_without_a_kick(mode, aside):
         assert np.abs(shown.v).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('friction, solver', [
     (0.0, {'method': 'auto'}), (0.0, {'method': 'auto', 'substeps': 16}),
     (0.4, {'method': 'auto'})])
@@ -211,7 +215,7 @@ def test_a_cloth_slides_on_cloth_as_it_would_on_a_slope(friction, solver):
 
 
 @pytest.mark.parametrize('degrees, sticks', [(15.0, True), (30.0, False)])
-def test_a_cloth_sticks_to_a_slope_of_cloth_below_the_angle_of_friction(degrees, sticks):
+def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, sticks):
     """μ = 0.4: 21.8°."""
     turn = Rotation.from_euler('y', -degrees, degrees=True)
     q = turn.as_quat().tolist()

@@ -1,8 +1,8 @@
 """Shear: what a sheared sheet pulls with."""
 
 import pytest
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
 from xpbd_ros.sim.commands import MovePin, Pose
 
 

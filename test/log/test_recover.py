@@ -6,10 +6,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 import pytest
 from rosbags.highlevel import AnyReader, AnyReaderError
-from samples import cdr_uint64
-from strict import read_strictly
 import yaml
 
+from support.logs import cdr_uint64
+from support.strict_reader import read_strictly
 from xpbd_ros.errors import InputError
 from xpbd_ros.log import writer
 from xpbd_ros.log.qos import Qos

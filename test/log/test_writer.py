@@ -16,10 +16,10 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_typestore, Stores
-from samples import cdr_string, cdr_uint64
-from strict import read_strictly
 import yaml
 
+from support.logs import cdr_string, cdr_uint64
+from support.strict_reader import read_strictly
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.errors import LogError
@@ -268,7 +268,7 @@ def test_big_messages_do_not_wait_for_the_flush(tmp_path):
 WRITE_UNTIL_KILLED = """
 import os, struct, sys, time
 from pathlib import Path
-from samples import cdr_uint64
+from support.logs import cdr_uint64
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 
@@ -316,7 +316,7 @@ def test_a_kill_loses_no_more_than_the_flush_period(tmp_path):
 WRITE_UNTIL_FULL = """
 import os, resource, sys
 from pathlib import Path
-from samples import cdr_string
+from support.logs import cdr_string
 from xpbd_ros.log.errors import LogError
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter

@@ -1,4 +1,4 @@
-"""Nodes in processes of their own, and a node in this one to talk to them."""
+"""Fixtures: nodes under test in other processes, and a peer node in this process."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 import rclpy
 from rclpy.context import Context
-from ros.rig import Cloth, NodeProcess, Peer, pose_stamped, targets, TOWEL
 from visualization_msgs.msg import MarkerArray
+
+from support.node import Cloth, NodeProcess, Peer, pose_stamped, targets, TOWEL
 
 
 @pytest.fixture(scope='module')

@@ -6,9 +6,9 @@ from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState, PointCloud2
-from strict import STORE
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.strict_reader import STORE
 from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.recorder import type_name
 

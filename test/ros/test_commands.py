@@ -5,8 +5,9 @@ from math import cos, pi, sin
 from geometry_msgs.msg import Twist
 import numpy as np
 import pytest
-from ros.rig import collider, pin, pose_stamped, targets, transform, WEIGHT
 from visualization_msgs.msg import Marker, MarkerArray
+
+from support.node import collider, pin, pose_stamped, targets, transform, WEIGHT
 
 CORNER = (-0.2, -0.2, 0.004)
 """row 0, column 0 of the towel at the start [m]"""
@@ -30,7 +31,7 @@ def rest(cloth) -> int:
     return cloth.step()
 
 
-def test_a_corner_that_is_grasped_follows_its_target_and_is_let_go(cloth):
+def test_a_grasped_corner_follows_its_target_and_is_released(cloth):
     cloth.mark(pin('gripper', CORNER))
     frame = cloth.step()
     assert list(cloth.pin_state(frame)) == ['gripper']

@@ -2,16 +2,16 @@
 
 import json
 import os
-import struct
 import subprocess
 import sys
 
 from geometry_msgs.msg import Point, Twist
 import pytest
-from ros.rig import child_environment, Cloth, collider, pin, pose_stamped, targets
-from strict import read_strictly
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.logs import recorded_inputs, state_hashes
+from support.node import child_environment, Cloth, collider, pin, pose_stamped, targets
+from support.strict_reader import read_strictly
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.node_stress.node import SCENE
 
@@ -37,24 +37,6 @@ def cloth(start, peer, scene):
                colliders=MarkerArray(),
                collider__ball__pose=pose_stamped((0.0, 1.0, 0.15)))
     return cloth
-
-
-def hashes(run) -> dict[int, int]:
-    """Return the hash of each frame of a log."""
-    reader = LogReader(run)
-    assert reader.whole
-    (topic,) = (topic for topic in reader.topics if topic.endswith('/state_hash'))
-    return {message.frame: struct.unpack_from('<Q', message.data, 4)[0]
-            for message in reader.messages({topic})}
-
-
-def inputs(run) -> list[tuple[int, str]]:
-    """Return the frames at which there was an input, and its topic."""
-    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'wind',
-             'parameter_events', 'resets')
-    return [(message.frame, message.topic.rsplit('/', 1)[-1])
-            for message in LogReader(run).messages()
-            if message.topic.rsplit('/', 1)[-1] in known]
 
 
 def play(cloth, wait) -> None:
@@ -109,13 +91,13 @@ def record(cloth, run, mode: str, wait) -> dict[int, int]:
     assert cloth.set(mode='lockstep') == (True, '')
     assert cloth.record(False) == (True, str(run))
     assert read_strictly(run)['/parameter_events'] > 0
-    return hashes(run)
+    return state_hashes(run)
 
 
 def repeated(run, folder) -> dict[int, int]:
     """Return the hashes of a log's inputs applied to a log's scene by ``xpbd_ros run``."""
     (folder / 'scene.yaml').write_text(LogReader(run).scene)
-    last = max(hashes(run))
+    last = max(state_hashes(run))
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'run', folder / 'scene.yaml', '--commands', run,
          '-o', folder / 'again', '--json', '-'],
@@ -124,14 +106,14 @@ def repeated(run, folder) -> dict[int, int]:
     assert json.loads(done.stdout)['refused'] == 0
     assert json.loads(done.stdout)['commands']['identical']
     assert json.loads(done.stdout)['frames'] == last
-    assert inputs(folder / 'again') == inputs(run)
-    return hashes(folder / 'again')
+    assert recorded_inputs(folder / 'again') == recorded_inputs(run)
+    return state_hashes(folder / 'again')
 
 
 def test_lockstep_twice_gives_the_same_bits(cloth, tmp_path):
     first = record(cloth, tmp_path / 'first', 'lockstep', cloth.step)
     second = record(cloth, tmp_path / 'second', 'lockstep', cloth.step)
-    assert inputs(tmp_path / 'second') == inputs(tmp_path / 'first')
+    assert recorded_inputs(tmp_path / 'second') == recorded_inputs(tmp_path / 'first')
     assert len(set(first.values())) > 40, 'something happened'
     assert second == first
     assert repeated(tmp_path / 'first', tmp_path) == first
@@ -144,7 +126,7 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
         cloth.peer.until(lambda: len(cloth.clouds) >= before + count, 'frames')
     run = tmp_path / 'run'
     first = record(cloth, run, 'realtime', wait)
-    kinds = {topic for _, topic in inputs(run)}
+    kinds = {topic for _, topic in recorded_inputs(run)}
     assert kinds == {'pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events',
                      'resets'}
     assert cloth.get('solver.substeps') == [11]
@@ -163,9 +145,9 @@ def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(cloth, scene, tm
     cloth.aim(left=(-0.2, -0.2, 0.05))
     cloth.step(3)
     assert cloth.record(False) == (True, run)
-    first = min(hashes(run))
+    first = min(state_hashes(run))
     assert first >= 3
-    assert inputs(run) != []
+    assert recorded_inputs(run) != []
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'run', scene, '--commands', run, '-o',
          tmp_path / 'again'], env=child_environment(), capture_output=True, text=True,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from ros.rig import Cloth, collider, pin, points, pose_stamped, stamp_ns, targets, TOWEL
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.node import Cloth, collider, pin, points, pose_stamped, stamp_ns, targets, TOWEL
 from xpbd_ros.log.reader import LogReader
 
 ROOMY = TOWEL.replace('max_pins: 4', 'max_pins: 128').replace(
@@ -81,7 +81,7 @@ def test_a_subscriber_that_never_reads_blocks_no_other(cloth, context):
         deaf.destroy_node()
 
 
-def test_a_million_markers_in_one_message_are_refused_by_their_length(cloth):
+def test_a_message_of_a_million_markers_is_refused_by_length(cloth):
     one = serialize_message(MarkerArray(markers=[Marker()] * 1000))
     million = one[:4] + (10**6).to_bytes(4, 'little') + one[8:] * 20
     for data in (one[:4] + (10**6).to_bytes(4, 'little') + one[8:], million):

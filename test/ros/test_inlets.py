@@ -10,8 +10,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros.rig import Cloth, pin, points, stamp_ns, targets
 from sensor_msgs.msg import MultiDOFJointState
+
+from support.node import Cloth, pin, points, stamp_ns, targets
 
 CORNERS = {'left': (-0.2, -0.2, 0.004), 'right': (-0.2, 0.2, 0.004)}
 BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -78,7 +79,7 @@ def raised(name: str, by: float):
     return targets(**{name: (x, y, z + by)})
 
 
-def test_a_reliable_sender_is_heard_reliably_and_a_best_effort_one_as_well(cloth, senders):
+def test_reliable_and_best_effort_senders_are_heard(cloth, senders):
     topic = '/heard/pin_targets'
     senders(topic, RELIABLE).publish(raised('left', 0.05))
     cloth.peer.until(lambda: height(cloth, 'left') == pytest.approx(0.054), 'the reliable one')
@@ -164,7 +165,7 @@ def test_of_five_grasps_where_four_have_room_none_holds(cloth):
     cloth.status(lambda status: status['pins'] == '4')
 
 
-def test_the_quality_of_service_of_a_subscription_may_be_overridden(start, peer, towel):
+def test_the_qos_of_a_subscription_may_be_overridden(start, peer, towel):
     override = 'qos_overrides./picky/pin_targets.subscription'
     cloth = Cloth(peer, start('-r', '__node:=picky', '-p', f'{override}.reliability:=best_effort',
                               '-p', f'{override}.depth:=7', '-p',
@@ -177,6 +178,7 @@ def test_the_quality_of_service_of_a_subscription_may_be_overridden(start, peer,
     cloth.node.wait_for('qos_overrides./picky/pin_tragets.subscription.depth', 'ignored')
 
 
+@pytest.mark.slow
 def test_jitter_of_arrival_does_not_shake_a_pin(start, peer, towel):
     """30 Hz with 10 ms of jitter, 20 cm in 2 s: at most 1.5 times the hand's acceleration."""
     cloth = Cloth(peer, start('-r', '__node:=shaken', scene=towel, mode='lockstep',

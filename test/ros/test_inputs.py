@@ -7,11 +7,11 @@ import time
 from geometry_msgs.msg import Point, PoseStamped, Twist, Vector3, Vector3Stamped
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import pin, pose_stamped, targets, transform
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.node import pin, pose_stamped, targets, transform
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros import command_queue
 from xpbd_ros.ros.command_messages import as_messages
@@ -257,7 +257,7 @@ def test_commands_come_out_of_the_log_as_they_went_in():
 
 
 @pytest.mark.parametrize('count', [2**64 - 1, 2**40, 4097])
-def test_a_log_that_counts_more_resets_than_there_can_be_is_refused(count):
+def test_a_log_with_an_impossible_count_of_resets_is_refused(count):
     kind, read = INPUTS['resets'][:2]
     with pytest.raises(InputError, match=f'{count} resets in one frame'):
         read(unpacked(serialize_message(kind(data=count)), kind), 'world')
@@ -301,7 +301,7 @@ def test_the_last_target_of_each_name_waits_whoever_says_it(box):
     assert [[c.pin for c in group] for group in box.drain()] == [['right'], ['left', 'up']]
 
 
-def test_a_newer_target_does_not_make_an_older_message_something_else(box):
+def test_a_newer_target_does_not_alter_an_older_message(box):
     """``missing`` is refused with its message, and the newer target stands on its own."""
     take(box, targets(left=(1, 0, 0), missing=(0, 0, 0)))
     take(box, targets(left=(2, 0, 0)))
@@ -316,7 +316,7 @@ def test_of_a_stream_with_stamps_the_latest_are_kept(box):
     assert places == list(range(2 * command_queue.MAX_STAMPED, 3 * command_queue.MAX_STAMPED))
 
 
-def test_a_target_does_not_pass_a_grasp_or_a_release_of_its_name(box):
+def test_a_target_keeps_its_order_to_grasps_and_releases(box):
     first, second = (MovePin('a', HERE),), (MovePin('a', Pose()),)
     for between in (Grasp('a', HERE, 1.0), Release('a'), ReleaseAll(), Reset()):
         other = (MovePin('b', HERE),)

@@ -6,8 +6,9 @@ import signal
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 import pytest
-from ros.rig import Cloth, NodeProcess, PATIENCE, pin, TOWEL
+from visualization_msgs.msg import MarkerArray
 
+from support.node import Cloth, NodeProcess, PATIENCE, pin, TOWEL
 from xpbd_ros.log.reader import LogReader
 
 
@@ -25,6 +26,7 @@ def test_waits_to_be_configured(cloth):
     assert cloth.describe('gravity') == [], 'no scene, no keys of a scene'
 
 
+@pytest.mark.smoke
 def test_goes_through_its_states_and_back(cloth):
     for _ in range(2):
         assert cloth.go('configure')
@@ -34,7 +36,7 @@ def test_goes_through_its_states_and_back(cloth):
         assert cloth.go('activate')
         assert cloth.state == 'active'
         cloth.statuses.clear()
-        cloth.meet()
+        cloth.meet(pins=MarkerArray())
         frame = cloth.step()
         cloth.mark(pin('hand', (-0.2, -0.2, 0.004)))
         assert list(cloth.pin_state(cloth.step())) == ['hand']
@@ -79,7 +81,7 @@ def test_cannot_be_configured_says_why_and_stays(cloth, values, reason):
     assert cloth.go('configure', 'cleanup'), 'no harm was done'
 
 
-def test_cannot_record_where_something_is_says_so_and_stays_inactive(cloth, tmp_path):
+def test_an_occupied_record_path_keeps_the_node_inactive(cloth, tmp_path):
     run = tmp_path / 'run'
     run.mkdir()
     assert cloth.set(record__path=str(run)) == (True, '')

@@ -9,11 +9,11 @@ from geometry_msgs.msg import PoseStamped, Twist
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import Cloth, collider, PATIENCE, pin, points, pose_stamped, targets
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.node import Cloth, collider, PATIENCE, pin, points, pose_stamped, targets
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene

@@ -17,10 +17,10 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from samples import cdr_string, cdr_uint64
 from std_msgs.msg import String, UInt64
 from std_srvs.srv import Trigger
 
+from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
@@ -231,8 +231,7 @@ def test_a_service_answers_within_a_burst_of_messages(write_log, replay, listene
     assert said.startswith('is paused at ')
 
 
-def test_the_clock_tells_the_time_of_the_log_in_place_of_a_recorded_one(
-        tmp_path, replay, listener):
+def test_the_clock_follows_the_log_in_place_of_a_recorded_one(tmp_path, replay, listener):
     run = tmp_path / 'run'
     with LogWriter(run, scene='', settings={}) as log:
         log.add_channel('/clock', 'rosgraph_msgs/msg/Clock', Qos())

@@ -6,11 +6,11 @@ import sys
 
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import child_environment, collider, pin
-from samples import cdr_uint64
 from std_msgs.msg import UInt64
 from visualization_msgs.msg import MarkerArray
 
+from support.logs import cdr_uint64
+from support.node import child_environment, collider, pin
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 

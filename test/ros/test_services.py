@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros.rig import Cloth, points, stamp_ns
 
+from support.node import Cloth, points, stamp_ns
 from xpbd_ros.log.reader import LogReader
 
 
@@ -140,7 +140,7 @@ def test_records_on_request_into_a_fresh_folder(running):
     assert running.record(False) == (True, other)
 
 
-def test_a_log_that_is_open_is_flushed_as_it_is_told_to_from_then_on(stepping, tmp_path):
+def test_a_new_flush_period_applies_to_an_open_log(stepping, tmp_path):
     run = tmp_path / 'run'
     assert stepping.set(record__path=str(run), record__flush_period=3600.0) == (True, '')
     assert stepping.record(True) == (True, str(run))

@@ -4,9 +4,9 @@ import signal
 import time
 
 import pytest
-from ros.rig import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
-from strict import read_strictly
 
+from support.node import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
+from support.strict_reader import read_strictly
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.recover import recover
 
@@ -70,6 +70,7 @@ def test_a_second_signal_does_not_cut_the_log_short(tmp_path, towel, own_domain)
         node.kill()
 
 
+@pytest.mark.slow
 def test_signals_that_go_on_do_not_cut_its_end_short(tmp_path, towel, own_domain):
     """As when a shell and launch both pass it on: one may come while Python takes itself apart."""
     node = NodeProcess(tmp_path, '-r', '__node:=often', parameters={'scene': towel})

@@ -4,7 +4,8 @@ import subprocess
 import sys
 
 import pytest
-from ros.rig import child_environment
+
+from support.node import child_environment
 
 PROGRAM = """
 import ctypes, signal, time
@@ -36,7 +37,7 @@ def run(name, early='pass', late='pass'):
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
-def test_with_exit_at_once_on_signals_it_ends_even_within_a_callback(name):
+def test_exit_at_once_on_signals_ends_within_a_callback(name):
     done = run(name, early='callback()')
     assert (done.returncode, done.stdout, done.stderr) == (0, 'compiling\n', '')
 

@@ -8,9 +8,9 @@ import random
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 import pytest
 from rclpy.serialization import serialize_message
-from ros.rig import collider, pin, pose_stamped, targets
 from visualization_msgs.msg import MarkerArray
 
+from support.node import collider, pin, pose_stamped, targets
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.inputs import INPUTS, read_pose
 

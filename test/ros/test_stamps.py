@@ -20,7 +20,7 @@ def stamps():
     return stamps
 
 
-def test_frames_that_come_when_due_are_even_however_late_they_are_within_a_frame(stamps):
+def test_frames_late_within_a_frame_have_even_stamps(stamps):
     noise = random.Random(1)
     for k in range(1, 200):
         late = noise.randrange(FRAME)

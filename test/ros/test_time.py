@@ -5,10 +5,10 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray
 import pytest
-from ros.rig import Cloth, points, stamp_ns
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
+from support.node import Cloth, points, stamp_ns
 from xpbd_ros.log.reader import LogReader
 
 FRAME = 16_666_667
@@ -118,6 +118,7 @@ class Ages:
         return all(ages and -2_000_000 <= min(ages) <= FRAME for ages in self.heard.values())
 
 
+@pytest.mark.slow
 def test_stamps_are_the_clocks_after_whatever_held_frames_up(start, peer, towel):
     cloth = Cloth(peer, start('-r', '__node:=held', scene=towel), '/held')
     peer.until(lambda: cloth.clouds and cloth.statuses, 'the node')
@@ -191,6 +192,7 @@ def test_a_clock_that_is_set_is_followed(start, peer, towel, tmp_path):
     peer.company.clear()
 
 
+@pytest.mark.slow
 def test_use_sim_time_may_be_set_while_it_runs(start, peer, towel):
     cloth = Cloth(peer, start('-r', '__node:=live', scene=towel), '/live')
     peer.until(lambda: cloth.clouds and cloth.statuses, 'the node')

@@ -4,15 +4,15 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from ros.rig import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2, PointField
 from shape_msgs.msg import Mesh
-from sim.shapes import disc, obj_text
-from sim.small import simulate
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
+from support.meshes import disc, obj_text
+from support.node import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
+from support.scenes import simulate
 from xpbd_ros.ros.messages import pin_markers
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
@@ -117,7 +117,7 @@ def test_several_cloths_have_topics_each(use):
     assert max(i for t in mesh.triangles for i in t.vertex_indices) == 11
 
 
-def test_a_mesh_is_one_row_of_particles_in_the_order_of_its_file(use, tmp_path):
+def test_a_mesh_is_published_as_one_row_in_file_order(use, tmp_path):
     vertices, triangles = disc(2)
     (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles) + 'v 0 0 0\n')
     cloth = use(f'cloths: {{c: {{density: 0.2, mesh: {{file: {tmp_path}/disc.obj}}}}}}\n{PINS}')

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from sim.small import simulate
 
+from support.scenes import simulate
 from xpbd_ros.ros.error_monitor import ErrorMonitor, LATER, SHARE, substeps_for
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import stiffness_given

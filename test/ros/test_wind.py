@@ -6,8 +6,9 @@ import sys
 
 from geometry_msgs.msg import Vector3, Vector3Stamped
 import pytest
-from ros.rig import child_environment, Cloth
-from ros.test_determinism import hashes, inputs
+
+from support.logs import recorded_inputs, state_hashes
+from support.node import child_environment, Cloth
 
 SCENE = """
 gravity: [0.0, 0.0, 0.0]
@@ -31,7 +32,7 @@ def wind(x=0.0, y=0.0, z=0.0, frame_id='') -> Vector3Stamped:
     return message
 
 
-def test_a_wind_blows_from_the_next_frame_on_and_again_from_the_log(start, peer, tmp_path):
+def test_wind_acts_from_the_next_frame_on_and_repeats(start, peer, tmp_path):
     (tmp_path / 'kite.yaml').write_text(SCENE)
     run = tmp_path / 'run'
     cloth = Cloth(peer, start(scene=tmp_path / 'kite.yaml', mode='lockstep',
@@ -52,12 +53,12 @@ def test_a_wind_blows_from_the_next_frame_on_and_again_from_the_log(start, peer,
     assert rise.min() > 0.0
     assert cloth.cloud(frame)[..., 0] == pytest.approx(cloth.cloud(still)[..., 0], abs=0.02)
     assert cloth.record(False) == (True, str(run))
-    assert {topic for _, topic in inputs(run)} == {'wind'}
+    assert {topic for _, topic in recorded_inputs(run)} == {'wind'}
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'run', tmp_path / 'kite.yaml', '--commands', run,
          '--duration', repr(frame / 60.0), '-o', tmp_path / 'again', '--json', '-'],
         env=child_environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)['refused'] == 0
-    assert hashes(tmp_path / 'again') == hashes(run)
-    assert len(set(hashes(run).values())) > 4
+    assert state_hashes(tmp_path / 'again') == state_hashes(run)
+    assert len(set(state_hashes(run).values())) > 4

@@ -2,17 +2,18 @@
 
 import numpy as np
 import pytest
-from scene.shipped import each_scene
 from scipy.spatial.transform import Rotation
-from sim.small import run, simulate
 
+from support.scenes import run, simulate
+from support.shipped_scenes import each_scene
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.measure import largest_strain
 
-EACH = each_scene(slow=('arch', 'bag', 'balloon', 'drum', 'fold'))
+EACH = each_scene(slow=('arch', 'bag', 'balloon', 'curtain', 'drape', 'drum', 'flag', 'fold',
+                        'softbox'))
 """slow: those that take long to compile, of effects that have quick tests of their own"""
 
 
@@ -41,7 +42,7 @@ def test_what_is_saved_runs_with_the_same_bits(name):
     assert simulation.hash() == again.hash()
 
 
-def test_a_cloth_lies_where_its_pose_says_and_weighs_what_its_density_says():
+def test_a_cloth_has_the_pose_and_density_of_its_scene():
     turn = Rotation.from_rotvec([0.3, -1.0, 0.5])
     simulation = simulate((4, 3), (0.6, 0.5), density=0.3, pose={
         'position': [1.0, 2.0, 3.0], 'orientation': turn.as_quat().tolist()})

@@ -35,6 +35,7 @@ def refusal(text, **options):
     return str(error.value)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize('before, after, text', [
     ('stretch:', 'strech:', "cloths.flag.effects.strech: unknown effect; did you mean 'stretch'? "
      f'(known: {", ".join(name for name in EFFECTS if EFFECTS[name] == "cloth")})'),
@@ -74,7 +75,7 @@ def refusal(text, **options):
     ('cloths:', 'cloth:', f"cloth: unknown key; did you mean 'cloths'? {TOP}"),
     ('      stretch', '      contact: {thickness: 0.01}\n      stretch',
      'cloths.flag.effects.contact: belongs under effects')])
-def test_a_mistake_in_a_cloth_is_told_with_key_value_unit_and_the_way_out(before, after, text):
+def test_a_mistake_in_a_cloth_names_key_value_unit_and_remedy(before, after, text):
     assert FLAG.count(before) == 1
     assert refusal(FLAG.replace(before, after)) == f'flag.yaml: {text}'
 
@@ -172,6 +173,7 @@ def test_numbers_may_be_written_without_a_dot():
     assert read(FLAG + 'solver: {substeps: 1e1}').top.solver.substeps == 10
 
 
+@pytest.mark.smoke
 def test_what_is_left_out_takes_its_default():
     scene = read(FLAG)
     assert scene.top.gravity == (0.0, 0.0, -9.80665)
@@ -267,6 +269,7 @@ def write(folder: Path, content: bytes, name: str = 'flag.yaml') -> str:
     return str(folder / name)
 
 
+@pytest.mark.smoke
 def test_a_file_is_found_by_path_and_a_shipped_scene_by_name(tmp_path):
     scene = load_scene(write(tmp_path, FLAG.encode()))
     assert scene.name == 'flag'
@@ -275,7 +278,7 @@ def test_a_file_is_found_by_path_and_a_shipped_scene_by_name(tmp_path):
     assert load_scene('swing').name == 'swing'
 
 
-def test_a_folder_of_the_same_name_does_not_hide_a_shipped_scene(tmp_path, monkeypatch):
+def test_a_folder_of_equal_name_does_not_hide_a_shipped_scene(tmp_path, monkeypatch):
     """Runs are written to folders, and one may well be called after its scene."""
     (tmp_path / 'swing').mkdir()
     monkeypatch.chdir(tmp_path)

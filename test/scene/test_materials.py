@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.small import run, simulate
 import yaml
 
+from support.scenes import run, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping, scene_from_text
@@ -30,7 +30,7 @@ def refusal(*arguments, **keys) -> str:
     return str(error.value)
 
 
-def test_a_material_gives_density_and_values_to_the_effects_that_are_named():
+def test_a_material_sets_density_and_values_of_named_effects():
     scene = cloth('denim')
     assert scene.cloths['c'].density == 0.324
     assert set(scene.cloth_effects['c']) == {'stretch', 'shear', 'bend'}
@@ -146,7 +146,7 @@ def test_strips_of_a_solid_do_so_too(poisson, ratio):
         (2000.0, 2000.0, 1000.0 / (1.0 + poisson)), rel=1e-4)
 
 
-def test_a_row_of_particles_has_no_diagonals_that_it_must_allow_for():
+def test_a_row_of_particles_has_no_diagonals_to_allow_for():
     scene = cloth('interlock', grid={'size': [0.5, 0.1], 'resolution': [6, 1]})
     assert scene.cloth_effects['c']['stretch'].warp == pytest.approx(pulled(
         MATERIALS['interlock'])[0])
@@ -155,7 +155,7 @@ def test_a_row_of_particles_has_no_diagonals_that_it_must_allow_for():
 @pytest.mark.parametrize('name', ['interlock', pytest.param('blanket', marks=pytest.mark.slow)])
 @pytest.mark.parametrize('resolution', [
     (7, 4), pytest.param((19, 2), marks=pytest.mark.slow)])
-def test_a_strip_that_is_pulled_pulls_back_with_the_modulus_of_the_table(name, resolution):
+def test_a_pulled_strip_has_the_modulus_of_the_table(name, resolution):
     """At rest, with the solver that users get; cells three times as wide as high, and as high."""
     length, width, strain = 0.6, 0.1, 0.01
     simulation = compile_scene(scene_from_mapping({
@@ -180,7 +180,7 @@ def test_a_solid_of_poisson_a_third_is_a_lattice_exactly():
 
 
 @pytest.mark.parametrize('poisson', [-0.99, -0.3, 0.0, 0.2, 0.5])
-def test_a_solid_keeps_its_young_and_its_shear_modulus_whatever_poisson(poisson):
+def test_a_solid_keeps_its_moduli_at_any_poissons_ratio(poisson):
     sheet = sheet_of(Isotropic(2e6, poisson, 1e-3, 900.0))
     assert pulled(sheet) == pytest.approx((2000.0, 2000.0), rel=1e-12)
     assert sheet.shear == pytest.approx(1000.0 / (1.0 + poisson), rel=1e-12)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.shapes import box, disc, obj_text
 
+from support.meshes import box, disc, obj_text
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.mesh_file import read_mesh_file
 

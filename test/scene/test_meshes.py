@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.shapes import arch, ball, box, disc, obj_text, vtk_text
-from sim.small import run
 import yaml
 
+from support.meshes import arch, ball, box, disc, obj_text, vtk_text
+from support.scenes import run
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_text
@@ -41,7 +41,7 @@ def refusal(make) -> str:
     return str(error.value)
 
 
-def test_a_mesh_lies_where_its_scale_and_pose_say_in_the_order_of_the_file(scene):
+def test_a_mesh_has_its_scale_pose_and_file_order(scene):
     turn = Rotation.from_rotvec([0.3, -1.0, 0.5])
     simulation = compile_scene(scene({'scale': 0.5}, cloth={'pose': {
         'position': [1.0, 2.0, 3.0], 'orientation': turn.as_quat().tolist()}}))

@@ -3,9 +3,9 @@
 from dataclasses import fields, is_dataclass, replace
 
 import pytest
-from scene.shipped import each_scene
 import yaml
 
+from support.shipped_scenes import each_scene
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, scene_from_text
 from xpbd_ros.scene.save import scene_text

@@ -135,7 +135,8 @@ def test_nothing_reaches_outside_an_array(what, record_property):
     """In a process of its own, where all kernels have bounds checks; it proves that they do."""
     tests = Path(__file__).parents[1]
     child = subprocess.run(
-        [sys.executable, '-m', 'sim.bounded', what], capture_output=True, text=True, check=False,
+        [sys.executable, '-m', 'support.bounds_checks', what],
+        capture_output=True, text=True, check=False,
         env={**os.environ, 'NUMBA_BOUNDSCHECK': '1', 'PYTHONPATH': os.pathsep.join(
             [str(tests.parent), str(tests)])})
     assert child.returncode == 0, child.stdout[-2000:] + child.stderr[-4000:]

@@ -86,7 +86,7 @@ def inside(shape, p):
 
 
 @SHAPES
-def test_the_distance_is_that_to_the_nearest_point_of_the_surface(shape):
+def test_the_distance_is_to_the_nearest_point_of_the_surface(shape):
     points = np.random.default_rng(shape).uniform(-1.2, 1.2, (2000, 3))
     phi, _ = distance(shape, SIZES[shape], points)
     nearest, _ = cKDTree(surface(shape)).query(points)
@@ -129,14 +129,14 @@ def test_a_plane_is_what_lies_below_z():
     (BOX, (0.3, 0.5, 0.2), (0, 0, 0), -0.2),
     (BOX, (0.2, 0.2, 0.2), (0, 0, 0), -0.2),
     (BOX, (0.3, 0.5, 0.2), (0.6, 0.9, 0.2), 0.5)])
-def test_where_the_gradient_is_undefined_the_normal_still_has_length_1(shape, size, point, phi):
+def test_the_normal_has_length_1_without_a_gradient_too(shape, size, point, phi):
     found, *normal = shape_distance(shape, *map(float, (*size, *point)))
     assert found == pytest.approx(phi, abs=1e-15)
     assert np.linalg.norm(normal) == pytest.approx(1.0, abs=1e-15)
 
 
 @SHAPES
-def test_a_ball_of_the_reach_holds_the_shape_and_no_smaller_one_does(shape):
+def test_the_reach_is_the_radius_of_the_bounding_ball(shape):
     farthest = np.linalg.norm(surface(shape), axis=1).max()
     assert reach(shape, np.array(SIZES[shape])) == pytest.approx(farthest, rel=1e-12)
     assert reach(PLANE, np.zeros(3)) < 0.0

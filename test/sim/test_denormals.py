@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import simulate
 
+from support.scenes import with_effects
 from xpbd_ros.sim.backend.denormals import flush_denormals, ON_X86, restore_mode
 from xpbd_ros.sim.backend.jit import jit
 
@@ -34,9 +34,8 @@ def test_they_are_flushed_within_and_not_after():
 
 @pytest.mark.skipif(not ON_X86, reason='an x86 has the mode')
 def test_a_sway_that_has_died_away_is_gone_from_the_state():
-    simulation = simulate((4, 4), effects={'stretch': {'compliance': 1e-3},
-                                           'bend': {'stiffness': 1e-3}}, gravity=(0, 0, 0))
-    simulation.state.x[2, simulation.slot] = TINY * np.arange(16)
+    simulation = with_effects(gravity=(0, 0, 0))
+    simulation.state.x[2, simulation.slot] = TINY * np.arange(30)
     simulation.state.v[2, simulation.slot] = TINY
     simulation.step()
     np.testing.assert_array_equal(simulation.state.v[2], 0.0)

@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, hang, run, simulate
 
+from support.scenes import GRAVITY, hang, run, simulate
 from xpbd_ros.sim.commands import Release
 from xpbd_ros.sim.measure import largest_strain, momentum
 
 
 @pytest.mark.parametrize('compliance', [0.0, 1e-3])
-def test_coincident_particles_part_the_same_way_each_time_and_keep_momentum(compliance):
+def test_coincident_particles_separate_and_keep_momentum(compliance):
     """H5; the gradient is undefined there."""
     after = []
     for _ in range(2):

@@ -4,39 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from support.meshes import BOX_FACES, box_surface, octahedral_ball
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contact.colliders import BOX, Grids, SPHERE
 from xpbd_ros.sim.contact.distance_field import distance_field
 from xpbd_ros.sim.contact.signed_distance import grid_distance, shape_distance
-
-FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7],
-                  [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]])
-
-
-def box(a=0.3, b=0.5, c=0.2):
-    """Return the surface of a box of half extents a, b, c."""
-    return np.array([[x, y, z] for x in (-a, a) for y in (-b, b) for z in (-c, c)]), FACES
-
-
-def ball(radius=0.3, rounds=5):
-    """Return the surface of a ball as an octahedron, divided a few times."""
-    points = [np.array(p, float) for p in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1),
-                                           (0, 0, -1))]
-    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
-    for _ in range(rounds):
-        middle, found = {}, []
-        for f in faces:
-            m = []
-            for p, q in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0])):
-                key = min(p, q), max(p, q)
-                if key not in middle:
-                    middle[key] = len(points)
-                    points.append(points[p] + points[q])
-                    points[-1] /= np.linalg.norm(points[-1])
-                m.append(middle[key])
-            found += [(f[0], m[0], m[2]), (m[0], f[1], m[1]), (m[2], m[1], f[2]), tuple(m)]
-        faces = found
-    return radius * np.array(points), np.array(faces)
 
 
 def look_up(field, points):
@@ -60,19 +32,19 @@ def nodes(field):
 
 
 def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside():
-    field = distance_field(*box(), gap=0.01, spacing=0.031)
+    field = distance_field(*box_surface(), gap=0.01, spacing=0.031)
     expected, _ = exact(BOX, (0.3, 0.5, 0.2), nodes(field))
     np.testing.assert_allclose(field.values.ravel(), expected, atol=1e-6)
     assert field.reach == pytest.approx(np.sqrt(0.38))
 
 
-def test_between_the_nodes_of_a_ball_it_errs_with_the_square_of_the_spacing():
+def test_the_error_between_nodes_falls_with_the_spacing_squared():
     points = np.random.default_rng(2).uniform(-0.33, 0.33, (2000, 3))
     points = points[np.linalg.norm(points, axis=1) > 0.15]
     expected, normals = exact(SPHERE, (0.3, 0.0, 0.0), points)
     errors = []
     for spacing in (0.06, 0.03):
-        phi, found = look_up(distance_field(*ball(), gap=0.01, spacing=spacing), points)
+        phi, found = look_up(distance_field(*octahedral_ball(), gap=0.01, spacing=spacing), points)
         errors.append(np.abs(phi - expected).max())
         np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-12)
         assert np.linalg.norm(found - normals, axis=1).max() < 8.0 * spacing
@@ -81,7 +53,7 @@ def test_between_the_nodes_of_a_ball_it_errs_with_the_square_of_the_spacing():
 
 def test_off_the_grid_it_is_never_more_than_the_distance():
     points = np.random.default_rng(3).uniform(-3.0, 3.0, (2000, 3))
-    field = distance_field(*box(), gap=0.01, spacing=0.05)
+    field = distance_field(*box_surface(), gap=0.01, spacing=0.05)
     expected, _ = exact(BOX, (0.3, 0.5, 0.2), points)
     phi, normals = look_up(field, points)
     out = expected > field.pad + 0.2
@@ -90,9 +62,9 @@ def test_off_the_grid_it_is_never_more_than_the_distance():
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)
 
 
-def test_faces_may_look_anywhere_vertices_may_be_double_and_pieces_may_overlap():
+def test_faces_may_be_flipped_doubled_or_overlap():
     rng = np.random.default_rng(4)
-    vertices, faces = box()
+    vertices, faces = box_surface()
     soup = vertices[np.array([f[::-1] if rng.random() < 0.5 else f for f in faces])]
     again = distance_field(soup.reshape(-1, 3), np.arange(36).reshape(-1, 3), gap=0.01,
                            spacing=0.05)
@@ -111,7 +83,7 @@ def test_faces_may_look_anywhere_vertices_may_be_double_and_pieces_may_overlap()
 def test_what_is_thin_has_a_grid_on_which_it_is_not_lost(thick, turn):
     """Each point halfway through a plate is inside, and its distance not far off."""
     turn = Rotation.identity() if turn is None else Rotation.random(random_state=turn)
-    vertices, faces = box(0.1, 0.08, 0.5 * thick)
+    vertices, faces = box_surface(0.1, 0.08, 0.5 * thick)
     field = distance_field(turn.apply(vertices), faces, gap=0.01)
     points = np.random.default_rng(1).uniform(-0.07, 0.07, (500, 3)) * [1.0, 1.0, 0.0]
     phi, _ = look_up(field, turn.apply(points))
@@ -120,18 +92,18 @@ def test_what_is_thin_has_a_grid_on_which_it_is_not_lost(thick, turn):
 
 
 def test_the_spacing_is_the_gap_unless_that_is_too_fine():
-    assert distance_field(*box(), gap=0.05).spacing == 0.05
-    assert distance_field(*box(), gap=0.001).spacing == pytest.approx(1.0 / 96.0)
+    assert distance_field(*box_surface(), gap=0.05).spacing == 0.05
+    assert distance_field(*box_surface(), gap=0.001).spacing == pytest.approx(1.0 / 96.0)
 
 
 @pytest.mark.parametrize('surface, text', [
-    ((box()[0], FACES[1:]), 'is not closed (3 open edges), so it has no inside; close it, or use '
-     'a box'),
-    ((box()[0], FACES[:0]), 'has no triangles'),
-    ((box()[0] * np.nan, FACES), 'has vertices that are not finite'),
-    ((box()[0], FACES + 1), 'names vertex 8, and has 8'),
-    ((box()[0] * 1e4, FACES), 'a spacing of 1 m takes 6005 × 10005 × 4005 nodes, more than '
-     '16000000; use a larger one')])
+    ((box_surface()[0], BOX_FACES[1:]),
+     'is not closed (3 open edges), so it has no inside; close it, or use a box'),
+    ((box_surface()[0], BOX_FACES[:0]), 'has no triangles'),
+    ((box_surface()[0] * np.nan, BOX_FACES), 'has vertices that are not finite'),
+    ((box_surface()[0], BOX_FACES + 1), 'names vertex 8, and has 8'),
+    ((box_surface()[0] * 1e4, BOX_FACES),
+     'a spacing of 1 m takes 6005 × 10005 × 4005 nodes, more than 16000000; use a larger one')])
 def test_what_is_no_body_is_refused(surface, text):
     with pytest.raises(InputError) as error:
         distance_field(*surface, gap=0.01, spacing=1.0)

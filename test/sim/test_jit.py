@@ -14,8 +14,8 @@ from numba.core import codegen
 from numba.core.dispatcher import Dispatcher
 import numpy as np
 import pytest
-from sim.small import hang
 
+from support.scenes import hang
 from xpbd_ros.sim.backend import disk_cache, jit, linking, locked_cache
 from xpbd_ros.sim.constraints import mesh_batches
 from xpbd_ros.sim.particles.integration import begin
@@ -29,7 +29,7 @@ def nowhere(tmp_path):
     return str(tmp_path / 'file' / 'folder')
 
 
-def test_the_cache_is_where_the_user_says_and_changes_with_the_sources(tmp_path, monkeypatch):
+def test_the_cache_folder_follows_the_user_and_the_sources(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'xdg'))
     monkeypatch.delenv('NUMBA_CACHE_DIR', raising=False)
     folder = disk_cache.cache_folder()
@@ -61,7 +61,7 @@ def test_without_a_place_to_write_it_is_a_temporary_one(nowhere, monkeypatch, tm
     assert disk_cache.cache_folder() == tmp_path / 'xpbd_ros_'
 
 
-def test_kernels_release_the_interpreter_and_leave_numbas_own_cache_alone():
+def test_kernels_release_the_gil_and_leave_numbas_cache_alone():
     assert begin.targetoptions['nogil']
     assert not begin.targetoptions.get('fastmath')
     assert str(jit.CACHE_FOLDER) in begin.stats.cache_path
@@ -88,7 +88,7 @@ def test_variants_are_written_by_one_process_at_a_time(tmp_path, monkeypatch):
     assert len(list(tmp_path.rglob('*.nbc'))) == 2
 
 
-def test_no_kernel_allocates_but_what_runs_when_a_scene_is_compiled():
+def test_only_kernels_run_at_scene_compilation_allocate():
     """Without a runtime for it Numba refuses to compile an array that a kernel makes."""
     allocates = set()
     for name in ('xpbd_ros.effects', 'xpbd_ros.sim'):
@@ -120,7 +120,7 @@ def thirds_of(xs, count):
         xs[k] = thirds(xs[k], count)
 
 
-def test_what_a_kernel_calls_is_machine_code_only_as_a_part_of_it(monkeypatch):
+def test_callees_become_machine_code_only_within_their_kernel(monkeypatch):
     """Numba makes it of each function by itself as well, and of all that this one calls."""
     made = []
     finalize = codegen.JITCodeLibrary._finalize_specific
@@ -182,7 +182,7 @@ def test_a_part_of_a_step_can_be_called_from_python():
 
 
 HASH = """
-from sim.small import hang, run
+from support.scenes import hang, run
 from xpbd_ros.sim.backend.jit import WHY_PLAIN
 simulation = hang(method='line', integrator='bdf2')
 run(simulation, 20)

@@ -2,17 +2,19 @@
 
 import numpy as np
 import pytest
-from sim.small import run, with_effects
 
+from support.scenes import FEW, run, with_effects
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.stepping.rollback import REACH
 
 
-@pytest.fixture(scope='module')
-def cloth():
+@pytest.fixture(scope='module', params=[
+    'bdf2', pytest.param('ndf2', marks=pytest.mark.slow)])
+def cloth(request):
     """Return a cloth, pinned at a corner, that has swung for a while."""
     simulation = with_effects(
-        names=('stretch', 'shear', 'contact'), method='line', integrator='ndf2',
+        method='line', integrator=request.param,
+        names=FEW if request.param == 'bdf2' else ('stretch', 'shear', 'contact'),
         colliders={'table': {'plane': {}, 'position': [0, 0, -9]}})
     run(simulation, 20)
     return simulation

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from sim.small import run, with_effects
 
+from support.scenes import run, with_effects
+from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import BITS, lane_count
@@ -49,7 +50,7 @@ def test_parts_of_rows_begin_on_whole_vectors(shapes, dtype):
 @DTYPES
 @pytest.mark.parametrize('shape', [*[(n, n) for n in range(1, 40)], (64, 64), (128, 128),
                                    (16, 64), (41, 41)], ids=str)
-def test_x_and_y_of_a_particle_are_not_near_one_place_of_two_pages(shape, dtype):
+def test_x_and_y_of_a_particle_avoid_4k_aliasing(shape, dtype):
     found, slots = blocks([shape], dtype)
     apart = slots * np.dtype(dtype).itemsize % PAGE
     assert APART <= apart <= PAGE - APART
@@ -58,7 +59,7 @@ def test_x_and_y_of_a_particle_are_not_near_one_place_of_two_pages(shape, dtype)
 
 
 @DTYPES
-def test_meshes_lie_between_grids_by_rank_and_end_on_whole_vectors(dtype):
+def test_meshes_lie_between_grids_and_end_on_whole_vectors(dtype):
     lanes = lane_count(dtype)
     rank = np.random.default_rng(1).permutation(37)
     found, slots = blocks([(5, 6), rank, np.zeros(1, int), (1, 1)], dtype)
@@ -80,7 +81,7 @@ def test_columns_as_far_apart_as_there_are_parts_are_neighbours(columns, dtype):
     assert (block.slots[:, block.parts:] - block.slots[:, :-block.parts] == 1).all()
 
 
-def test_rows_are_split_for_the_least_padding_whatever_the_lanes():
+def test_rows_are_split_for_the_least_padding():
     found, _ = blocks([(2, columns) for columns in (41, 64, 81, 3)], 'float64')
     assert [block.parts for block in found] == [6, 4, 11, 4]
     assert [block.short for block in found] == [True, False, True, True]
@@ -97,7 +98,7 @@ def test_zeros_begin_on_a_cache_line_and_on_a_vector(shape, dtype):
         assert not array.any()
 
 
-def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
+def test_a_new_state_has_mass_only_in_the_slots_of_particles():
     (block,), slots = blocks([(3, 5)], 'float64')
     slot = block.slots.ravel()
     x = np.random.default_rng(1).normal(size=(15, 3))
@@ -119,7 +120,7 @@ def test_a_new_state_has_its_particles_in_their_slots_and_no_mass_elsewhere():
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')])
+    ('gauss_seidel', 'backward_euler'), slow('line', 'bdf2')])
 @pytest.mark.parametrize('grid', [
     (6, 5), *(pytest.param(grid, marks=pytest.mark.slow) for grid in ((1, 7), (7, 1)))])
 def test_nothing_moves_the_padding(grid, method, integrator):

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import simulate
 
+from support.scenes import simulate
 from xpbd_ros.sim import measure
 
 

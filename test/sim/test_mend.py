@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.shapes import box, disc
 
+from support.meshes import box, disc
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.geometry.mesh import cross, hinges
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -51,7 +51,7 @@ def test_edges_and_hinges_are_those_of_brute_force():
     assert len(mesh.hinges) == len(inner)
 
 
-def test_a_body_has_a_quarter_of_each_tetrahedron_at_each_corner_and_a_skin_that_faces_out():
+def test_a_body_has_the_edges_and_skin_of_its_tetrahedra():
     mesh = solid_mesh(*box((2, 2, 3), 0.1))
     assert mesh.notes == ()
     assert mesh.area.sum() == pytest.approx(0.2 * 0.2 * 0.3, rel=1e-13)
@@ -88,7 +88,7 @@ def test_what_can_be_mended_is_and_is_said(vertices, triangles, particles, left,
         assert mesh.area.sum() == pytest.approx(0.5 * normals(mesh)[:, 2].sum(), rel=1e-14)
 
 
-def test_the_order_of_the_file_stays_where_vertices_are_left_out():
+def test_removed_vertices_leave_the_order_of_the_file():
     vertices = [[7.0, 7, 7], *SQUARE[:2], SQUARE[0], *SQUARE[2:]]
     mesh = surface_mesh(vertices, [[3, 2, 4], [1, 4, 5]])
     np.testing.assert_array_equal(mesh.positions, SQUARE)

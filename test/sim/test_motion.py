@@ -74,7 +74,7 @@ def test_a_target_after_a_pause_is_not_part_of_a_stream():
     assert motion.pose.position == (0.01, 0.0, 0.0)
 
 
-def test_a_jump_of_10_m_is_followed_at_max_speed_reported_and_reached():
+def test_a_jump_of_10_m_is_followed_at_max_speed_and_reported():
     motion = Motion(Pose(), 5.0)
     motion.aim(Pose((10.0, 0.0, 0.0)), None, 0, 0)
     for frame in range(119):
@@ -105,7 +105,7 @@ def test_a_turn_is_bounded_per_frame_and_arrives(angle):
     assert poses[-1].orientation == tuple(goal.as_quat())
 
 
-def test_what_is_far_from_the_pose_turns_no_faster_than_max_speed():
+def test_a_far_particle_turns_no_faster_than_max_speed():
     goal = Rotation.from_rotvec([0.0, 0.0, 1.0])
     motion = Motion(Pose(), 2.0, lever=0.5)
     motion.aim(Pose((0.0, 0.0, 0.0), tuple(goal.as_quat())), None, 0, 0)
@@ -147,7 +147,7 @@ def test_stop_stays_where_it_is():
     assert motion.pose == here
 
 
-def test_a_monotone_cubic_meets_its_points_holds_its_ends_and_never_overshoots():
+def test_a_monotone_cubic_interpolates_without_overshoot():
     points = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.5, 1.0, 0.0], [1.5, 0.5, 1.0, 2.0],
               [3.0, 0.1, 1.0, 2.5]]
     curve = monotone_cubic(points)

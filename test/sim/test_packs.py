@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.shapes import disc
 
+from support.meshes import disc
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.constraints.mesh_batches import EMPTY, pack, padded
 from xpbd_ros.sim.geometry.mesh import edges, hinges
@@ -29,7 +29,7 @@ AROUND = pytest.mark.parametrize('name', LISTS)
 
 
 @AROUND
-def test_every_constraint_is_in_one_pack_and_no_two_of_a_pack_share_a_particle(name):
+def test_packs_partition_constraints_without_shared_particles(name):
     particles = LISTS[name]
     order = pack(particles)
     assert len(order) % PACK == 0

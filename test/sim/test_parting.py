@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from sim.crossings import volume
 
+from support.crossings import volume
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 NEED = 0.05

@@ -7,8 +7,9 @@ import pytest
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 from scipy.spatial import Delaunay
-from sim.shapes import disc, file_of
-from sim.small import numbers, simulate
+
+from support.meshes import disc, file_of
+from support.scenes import numbers, simulate
 
 EDGE, COUNT = 0.05, 12
 KINDS = {'regular': 0.0, 'turned': 20.0, 'alternating': 0.0, 'irregular': 0.0,
@@ -78,7 +79,7 @@ def stored(simulation, kind, warp, weft):
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('warp, weft', [(2e-3, 2e-3), (1e-3, 4e-3), (5e-3, 1e-3)])
-def test_a_sheet_that_settles_on_a_cylinder_stores_what_a_plate_would(warp, weft, kind):
+def test_a_sheet_on_a_cylinder_has_the_energy_of_a_plate(warp, weft, kind):
     """(√B1 c² + √B2 s²)² / 2 per area, along every direction."""
     simulation = built(kind, 'bend', warp, weft)
     np.testing.assert_allclose(stored(simulation, kind, warp, weft), 1.0, rtol=0.02)
@@ -110,7 +111,7 @@ def test_what_a_mesh_cannot_carry_is_told_with_what_it_gives(kind):
     assert along[1] == pytest.approx(weft, rel=0.1)
 
 
-def test_a_mesh_that_is_not_flat_keeps_its_one_rigidity_and_says_so_of_two():
+def test_a_curved_mesh_refuses_two_rigidities():
     vertices, triangles = disc(4)
     vertices[:, 2] = 0.3 * vertices[:, 0]**2
     for stiffness, count in (({'stiffness': 1e-3}, 0), ({'warp': 1e-3, 'weft': 2e-3}, 1)):

@@ -6,9 +6,9 @@ from types import FunctionType
 from hypothesis import given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
-from sim.shapes import disc, obj_text
-from sim.small import EXAMPLES, simulate, USUAL
 
+from support.meshes import disc, obj_text
+from support.scenes import EXAMPLES, simulate, USUAL
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.commands import (
@@ -23,7 +23,6 @@ from xpbd_ros.sim.commands import (
 )
 
 METHODS = [('gauss_seidel', 'backward_euler'), ('line', 'bdf2')]
-"""those that other tests compile as well"""
 magnitudes = st.floats(-6.0, 6.0).map(lambda e: 10.0**e)
 """twelve decades"""
 places = st.tuples(*[st.floats(-2.0, 2.0)] * 3)
@@ -40,18 +39,26 @@ commands = st.one_of(
 
 
 @st.composite
-def cloths(draw):
-    """Return the options of a cloth with the usual effects."""
+def cloths(draw, every=True):
+    """
+    Return the options of a cloth with the usual effects.
+
+    Square cells and each method have a step of their own to compile; not ``every`` scene has one
+    that other tests compile as well.
+    """
     warp, weft, shear = (draw(magnitudes) for _ in range(3))
     values = {**EXAMPLES, 'stretch': {'warp': warp, 'weft': weft}, 'shear': {'stiffness': shear},
               'bend': {'stiffness': draw(magnitudes) * 1e-3},
               'damping': {'rate': draw(magnitudes)}}
     kinds = {scope: {name: values[name] for name in USUAL if EFFECTS[name] == scope}
              for scope in ('cloth', 'scene')}
-    method, integrator = draw(st.sampled_from(METHODS))
+    method, integrator = draw(st.sampled_from(METHODS if every else METHODS[:1]))
     scale = draw(magnitudes)
     kinds['scene']['contact'] = {'thickness': draw(st.floats(1e-4, 0.1))}
-    return {'grid': draw(st.tuples(*[st.integers(3, 7)] * 2)), 'size': (scale, scale),
+    grids = st.tuples(*[st.integers(3, 7)] * 2)
+    if not every:
+        grids = grids.filter(lambda grid: grid[0] != grid[1])
+    return {'grid': draw(grids), 'size': (scale, scale),
             'density': draw(magnitudes), 'effects': kinds['cloth'],
             'scene_effects': kinds['scene'], 'method': method, 'integrator': integrator,
             'substeps': draw(st.integers(1, 6)), 'iterations': draw(st.integers(1, 3)),
@@ -61,20 +68,28 @@ def cloths(draw):
 
 
 def some(count: int, slow: int, **strategies):
-    """Return a decorator: tests of so many examples, and of many more that is slow."""
+    """
+    Return a decorator: tests of so many examples, and of many more that is slow.
+
+    ``options`` is a function of whether every scene may come: in the slow one.
+    """
     def both(test):
         found = []
         for examples, marks in ((count, ()), (slow, pytest.mark.slow)):
+            if 'options' in strategies:
+                mine = {**strategies, 'options': strategies['options'](bool(marks))}
+            else:
+                mine = strategies
             again = FunctionType(test.__code__, test.__globals__, test.__name__)
             found.append(pytest.param(settings(
                 max_examples=examples, deadline=None, derandomize=True, database=None,
-                suppress_health_check=list(HealthCheck))(given(**strategies)(again)),
+                suppress_health_check=list(HealthCheck))(given(**mine)(again)),
                 id=f'{examples} examples', marks=marks))
         return found
     return both
 
 
-@some(12, 1500, options=cloths(),
+@some(12, 1500, options=cloths,
       story=st.lists(st.lists(commands, max_size=3), min_size=3, max_size=12))
 def stays_finite(options, story):
     """Whatever is asked for: finite, a time that rises, and the same bits when repeated."""
@@ -93,7 +108,7 @@ def stays_finite(options, story):
     assert hashes[0] == hashes[1]
 
 
-@some(8, 600, options=cloths(), seed=st.integers(0, 2**32 - 1))
+@some(8, 600, options=cloths, seed=st.integers(0, 2**32 - 1))
 def keeps_momentum_and_gains_no_energy(options, seed):
     """A free cloth without gravity, strained and thrown anyhow."""
     options = {**options, 'pins': {}, 'gravity': (0.0, 0.0, 0.0), 'iterations': 1,
@@ -128,7 +143,7 @@ def after_four_frames(options, **changes):
     return frame.x
 
 
-@some(5, 300, options=cloths(), power=st.integers(-20, 20))
+@some(5, 300, options=cloths, power=st.integers(-20, 20))
 def does_not_depend_on_units(options, power):
     """Masses and stiffnesses times a power of two."""
     by = 2.0**power
@@ -139,7 +154,7 @@ def does_not_depend_on_units(options, power):
         after_four_frames(options), rtol=0.0, atol=1e-9 * options['size'][0])
 
 
-@some(5, 300, options=cloths(), power=st.integers(-20, 20))
+@some(5, 300, options=cloths, power=st.integers(-20, 20))
 def does_not_depend_on_the_unit_of_length(options, power):
     """
     What has a length in it times a power of two; N/m and kg have none, N m has two.
@@ -162,8 +177,8 @@ def does_not_depend_on_the_unit_of_length(options, power):
                                atol=1e-9 * options['size'][0])
 
 
-@some(5, 300, options=cloths(), angle=st.floats(-3.0, 3.0),
-      shift=st.tuples(*[st.floats(-3.0, 3.0)] * 2))
+@some(5, 300, options=cloths, angle=st.floats(-3.0, 3.0).map(lambda x: round(x, 6)),
+      shift=st.tuples(*[st.floats(-3.0, 3.0).map(lambda x: round(x, 6))] * 2))
 def does_not_depend_on_where_it_is(options, angle, shift):
     """Turned about the vertical, and moved along the table."""
     size = options['size'][0]
@@ -232,7 +247,7 @@ def test_units_of_length_do_not_matter(run):
 
 
 @pytest.mark.parametrize('run', does_not_depend_on_the_order)
-def test_the_order_of_a_mesh_matters_no_more_than_the_sweep_is_off(run):
+def test_the_order_of_a_mesh_matters_within_the_sweep_error(run):
     run()
 
 

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from sim.small import numbers, simulate
 
+from support.scenes import numbers, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import lane_count
@@ -87,8 +87,7 @@ def test_every_constraint_of_a_grid_appears_once(effect, square, precision, grid
 @AROUND
 @pytest.mark.parametrize('precision', ['float64', 'float32'])
 @pytest.mark.parametrize('effect', EFFECTS)
-def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect, precision,
-                                                                          grids):
+def test_vectors_stay_inside_runs_and_write_no_shared_lanes(effect, precision, grids):
     """A whole vector is stored, lanes past the run's end too: its ends must not overlap."""
     simulation = cloths(grids, precision)
     slots, lanes = simulation.state.x.shape[1], lane_count(precision)
@@ -107,7 +106,7 @@ def test_vectors_reach_past_no_end_and_write_back_nothing_that_they_share(effect
 
 @AROUND
 @pytest.mark.parametrize('effect', EFFECTS)
-def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids):
+def test_every_constraint_has_storage_of_its_own(effect, grids):
     simulation = cloths(grids)
     slots = simulation.state.x.shape[1]
     assert all(batch.force is None for batch in batches(simulation, effect))    # none requested
@@ -130,7 +129,7 @@ def test_every_constraint_keeps_its_numbers_in_a_place_of_its_own(effect, grids)
             assert last < (runs.base[r] // slots + 1) * slots
 
 
-def test_the_order_is_every_other_strip_and_then_those_in_between():
+def test_the_order_is_odd_strips_after_even_strips():
     runs = batches(cloths([(5, 3 * STRIP + 3)]), 'stretch')[0].runs
     (block,), _ = blocks([(3 * STRIP + 3, 5)], 'float64')
     strip = (runs.start - block.first) // block.row_stride // STRIP
@@ -184,7 +183,7 @@ def test_joined_runs_are_those_of_one_grid_after_another():
         np.testing.assert_array_equal(part, np.concatenate([listed(first)[k], alone[k]]))
 
 
-def test_held_lists_the_edges_at_a_pinned_particle_and_forgets_the_last_list():
+def test_the_list_of_pinned_edges_is_replaced():
     simulation = simulate((4, 1), effects={'stretch': {'compliance': 1.0}},
                           scene_effects={'pin': {}})
     edges = simulation.effects['stretch'].constraints

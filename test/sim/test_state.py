@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from sim.small import GRAVITY, run, simulate
+
+from support.scenes import GRAVITY, run, simulate
 
 STRETCH = {'stretch': {'compliance': 1e-3}}
 

@@ -102,7 +102,7 @@ def test_velocities_meet_between_frames_too():
     assert np.abs(np.diff(along_x(moved), 2)).max() * 1e6 < 20.0 * LARGEST, 'a jump is 100 times'
 
 
-def test_a_pose_that_is_too_late_is_waited_for_and_the_delay_is_longer_from_then_on():
+def test_a_late_pose_is_awaited_and_lengthens_the_delay():
     sent = np.arange(70) / 30
     arrives = np.where(np.arange(70) < 20, sent, sent + 0.15)
     motion = Motion(Pose(), 5.0)
@@ -127,7 +127,7 @@ def test_a_slow_or_fast_simulation_keeps_up_with_the_sender(pace):
     assert (moved[begin:] >= [place(t - lag) - 1e-3 for t in now]).all()
 
 
-def test_after_a_long_stop_of_the_simulation_it_goes_on_near_the_end():
+def test_after_a_long_pause_the_stream_resumes_near_its_end():
     motion = Motion(Pose(), 5.0)
     sent = np.arange(180) / 30
     follow(motion, sent, np.where(sent < 1.0, sent, 6.0), frames=370)
@@ -144,7 +144,7 @@ def test_what_comes_again_or_too_late_is_passed_over():
     assert along_x(follow(twice, again, arrives, frames=90)) == pytest.approx(along_x(alone))
 
 
-def test_a_clock_of_the_sender_that_starts_again_starts_another_stream():
+def test_a_restarted_clock_of_the_sender_starts_a_new_stream():
     motion = Motion(Pose(), 5.0)
     motion.aim(Pose((0.01, 0.0, 0.0)), None, EPOCH, 0)
     motion.advance(16_666_667, FRAME)
@@ -173,7 +173,7 @@ def test_the_sign_of_a_quaternion_makes_no_turn():
             assert abs(np.dot(motion.pose.orientation, q)) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_a_twist_that_has_nothing_to_do_with_the_poses_does_no_harm():
+def test_a_twist_that_contradicts_the_poses_does_no_harm():
     motion = Motion(Pose(), 5.0)
     for k in range(60):
         noise = np.random.default_rng(k).choice([-1e6, 0.0, 1e6], 6).tolist()

@@ -37,10 +37,10 @@ def hashes(threads: int, *, effects=None, cloths=None, frames=4, method='line',
 
 
 @pytest.mark.parametrize('method, options', [
-    ('line', {}),
+    ('line', {'effects': {'stretch': STRETCH}}), pytest.param('line', {}, marks=pytest.mark.slow),
     pytest.param('gauss_seidel_symmetric', {'precision': 'float32'}, marks=pytest.mark.slow),
     pytest.param('jacobi', {'iterations': 3}, marks=pytest.mark.slow),
-    ('explicit', {'substeps': 100})])
+    pytest.param('explicit', {'substeps': 100}, marks=pytest.mark.slow)])
 def test_the_same_bits_with_any_number_of_threads(method, options):
     one = hashes(1, method=method, **options)
     for threads in (2, 3):

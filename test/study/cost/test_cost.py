@@ -31,7 +31,7 @@ def test_every_effect_has_a_row_in_projection_order(found):
     assert (found.particles, found.frames, found.substeps) == (81, 6, 4)
 
 
-def test_an_effect_that_is_not_there_has_neither_code_nor_data_nor_time(found):
+def test_an_absent_effect_has_no_code_data_or_time(found):
     for row in found.effects:
         if not row.present:
             assert (row.constraints, row.kernels, row.bytes) == (0, 0, 0)
@@ -50,7 +50,7 @@ def test_constraints_kernels_and_bytes_are_counted(found):
             1e3 * rows[name].us_per_substep / rows[name].constraints)
 
 
-def test_what_memory_takes_and_what_would_fit_follow_from_the_limits(found):
+def test_memory_and_capacity_follow_from_the_limits(found):
     rows = {row.name: row for row in found.effects}
     for name in ('shear', 'stretch'):    # every particle of the 81, there and back
         assert rows[name].traffic == rows[name].bytes + 81 * 7 * 8
@@ -80,14 +80,12 @@ DRAPE = {'cloths.cover.grid.resolution': [6, 5], 'solver.substeps': 3,
          'cloths.cover.pose.position': [-0.5, -0.5, 0.33]}
 
 
+@pytest.mark.slow    # the quick tests above have one method on one scene
 @pytest.mark.parametrize('name, keys, method', [
-    ('swing', SMALL, 'line'),
-    pytest.param('drape', DRAPE, 'line', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'gauss_seidel_symmetric', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'gauss_seidel', marks=pytest.mark.slow),
-    pytest.param('swing', SMALL, 'jacobi', marks=pytest.mark.slow),
-    pytest.param('swing', {**SMALL, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow),
-    pytest.param('drape', {**DRAPE, 'solver.substeps': 40}, 'explicit', marks=pytest.mark.slow)])
+    ('swing', SMALL, 'line'), ('drape', DRAPE, 'line'),
+    ('swing', SMALL, 'gauss_seidel_symmetric'), ('swing', SMALL, 'gauss_seidel'),
+    ('swing', SMALL, 'jacobi'), ('swing', {**SMALL, 'solver.substeps': 40}, 'explicit'),
+    ('drape', {**DRAPE, 'solver.substeps': 40}, 'explicit')])
 def test_the_clock_changes_no_bit(name, keys, method):
     """With every kind of stage and method; ``cost`` itself would fail where the runs part."""
     assert cost(load_scene(name, {**keys, 'solver.method': method}), 5, rounds=1).frames == 5
@@ -105,6 +103,7 @@ def test_what_a_shipped_scene_does_not_name_is_listed_as_absent(name):
     assert all(row.kernels and row.bytes for row in found if row.present)
 
 
+@pytest.mark.slow
 def test_a_run_that_differs_is_not_believed(monkeypatch):
     monkeypatch.setattr(Simulation, 'hash', lambda self: id(self))
     with pytest.raises(AssertionError, match='computes something else'):
@@ -128,6 +127,7 @@ def test_the_limits_of_the_machine_are_plausible():
     assert 0.1 < most['fma_gflop_s'] < 1000.0
 
 
+@pytest.mark.slow
 def test_the_verb_prints_what_it_writes(tmp_path):
     done = subprocess.run(
         [sys.executable, '-m', 'xpbd_ros', 'cost', 'swing', '--duration', '0.05', '--json',

@@ -57,7 +57,7 @@ def test_a_gripper_holds_the_end_of_its_path_between_its_jaws():
     assert parts_of(Instant(paths=[Path([])]), 1.0) == []
 
 
-def test_grid_lines_are_a_round_distance_apart_and_lie_on_the_plane():
+def test_grid_lines_are_on_the_plane_a_round_distance_apart():
     from xpbd_ros.study.picture.meshes import grid_spacing, plane
     assert [grid_spacing(s) for s in (0.45, 1.0, 2.0, 10.0)] == [0.05, 0.1, 0.2, 1.0]
     turn = (np.sin(0.2), 0.0, 0.0, np.cos(0.2))    # 0.4 rad about x

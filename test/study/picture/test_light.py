@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import SQUARE, TWO
 
+from support.pictures import SQUARE, TWO
 from xpbd_ros.study.picture import Body, Surface
 
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -65,7 +65,7 @@ def test_a_penumbra_widens_with_the_height_of_what_casts_it():
         assert width(height) == pytest.approx(expected, rel=0.35)
 
 
-def test_a_low_roof_takes_the_light_of_the_sky_from_what_is_below():
+def test_a_low_roof_blocks_the_light_of_the_sky():
     from xpbd_ros.study.picture.light import skylight
     lamps = skylight(meshes(level(0.5)))
     below, beside = lamps.light(np.array([[0.0, 0, 0], [6.0, 0, 0]]), np.repeat(UP, 2, axis=0))

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from study.picture.scenes import (
+
+from support.pictures import (
     BLUE,
     FACING,
     is_blue,
@@ -14,7 +15,6 @@ from study.picture.scenes import (
     TWO,
     world,
 )
-
 from xpbd_ros.study.picture import Body, Instant, Path, Surface
 from xpbd_ros.study.picture.camera import SUN
 
@@ -50,14 +50,14 @@ def test_squares_that_cross_are_each_seen_where_they_are_nearer():
     assert is_red(seen.at(world([0.5, -0.8, 0]))) and is_blue(seen.at(world([-0.5, -0.8, 0])))
 
 
-def test_a_plane_hides_what_is_behind_it_but_not_a_cloth_that_lies_on_it():
+def test_a_plane_hides_all_behind_it_but_no_cloth_on_it():
     for depth, hidden in ((0.5, True), (1e-5, False)):
         seen = Picture(Instant(surfaces=[square(-depth, RED)],
                                bodies=[Body('plane', orientation=FACING)]))
         assert is_red(seen.at([0, 0, 0])) != hidden
 
 
-def test_cloth_that_bridges_a_body_covers_it_but_never_shows_through_a_thin_one():
+def test_cloth_covers_a_body_it_bridges_but_not_a_thin_one():
     """A flat triangle on a ball lies a little inside it; a thin post stays whole."""
     instant = Instant(surfaces=[square(0.5 - 0.005, RED, scale=0.03)],
                       bodies=[Body('sphere', (0.5,))])
@@ -67,7 +67,7 @@ def test_cloth_that_bridges_a_body_covers_it_but_never_shows_through_a_thin_one(
     assert not is_red(seen.at(world([0, 0, 0.04])))
 
 
-def test_the_back_of_a_cloth_is_paler_and_turning_the_triangles_shows_it():
+def test_the_back_of_a_cloth_is_paler():
     front, back = (Picture(Instant(surfaces=[square(0.0, RED, triangles=triangles)])).at([0, 0, 0])
                    for triangles in (TWO, TWO[:, ::-1]))
     assert is_red(front) and not is_red(back)
@@ -83,7 +83,7 @@ def test_a_plane_receives_shadows_and_fades_to_white():
     np.testing.assert_array_equal(wide.at([3, 3, 0]), 255)
 
 
-def test_a_path_is_drawn_in_its_colour_and_hidden_by_what_is_before_it():
+def test_a_path_has_its_colour_and_is_hidden_by_cloth():
     path = Path(world([[-0.7, 0.1, 0.2], [0.7, 0.1, 0.2]]), '#00ff00')
 
     def greens(*surfaces):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scipy import sparse
-from sim.shapes import file_of
-from sim.small import DOWN, GRAVITY, hang, run, run_until_still, simulate
 
+from support.meshes import file_of
+from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, simulate
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.prediction.loads import sheets
@@ -90,7 +90,7 @@ def test_a_hanging_cloth_gives_about_as_predicted(modulus, substeps, iterations)
     assert row.effective / modulus == pytest.approx(measured(simulation, edges=warp)[0], rel=0.25)
 
 
-def test_each_edge_of_a_cloth_gives_what_later_ones_take_from_it():
+def test_effective_compliance_adds_that_of_later_edges():
     """The law itself, to rounding, with the tensions that the cloth has: K = 1, and K = 3."""
     for iterations in (1, 3):
         chosen = scene((5, 4), (0.4, 0.3), effects={

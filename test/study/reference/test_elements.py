@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scene.shipped import WITH_MESHIO
 from scipy.sparse.linalg import eigsh
 
+from support.shipped_scenes import WITH_MESHIO
 from xpbd_ros.study.reference import (
     elastic,
     equilibrium,
@@ -135,7 +135,7 @@ def test_both_methods_agree_on_every_effect(every):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.15)
 
 
-def test_the_simulation_converges_to_the_reference_on_a_membrane():
+def test_simulation_converges_to_the_reference_on_a_membrane():
     """As V29 has it for all of them."""
     exact, errors = None, []
     for substeps in (16, 32):

@@ -23,6 +23,7 @@ def test_case(case):
     assert not [(each.setting, each.why) for each in outcomes if not each.good]
 
 
+@pytest.mark.slow    # the textbook solver beside it compiles for long
 @pytest.mark.parametrize('case', [one for one in EVERY if one.id in QUICK],
                          ids=lambda one: one.id)
 def test_case_at_the_default_setting(case):
@@ -39,6 +40,7 @@ def test_every_number_of_the_list_has_a_case():
         assert any(one.family == family for one in EVERY), family
 
 
+@pytest.mark.slow
 def test_the_textbook_solver_fails_what_it_must():
     """A pin sent 10 m away takes the cloth with it at any speed; ours follows at 5 m/s."""
     case = next(one for one in EVERY if one.id == 'H13')
@@ -76,7 +78,7 @@ def test_a_run_is_judged_by_what_its_case_names(criterion, strain, fault):
         or fine.judge(track((0.0, 0.5, 0.02), (0.0, 1.0, 0.0)), 0.0)[0] == []
 
 
-def test_recovery_is_counted_from_the_end_of_the_cause_and_must_last():
+def test_recovery_counts_from_the_end_of_the_cause_and_lasts():
     run = track((0.0, 0.5, 0.1, 0.5, 0.1, 0.1), (0.0,) * 6)
     assert run.recovery_time(0.1, 0.2) == pytest.approx(0.3)
     assert run.recovery_time(0.1, 0.05) is None

@@ -1,4 +1,4 @@
-"""Scenes of a few particles, as many as a law needs."""
+"""Scenes of a few particles, and functions that run and measure them."""
 
 import atexit
 from functools import cache
@@ -7,8 +7,8 @@ import tempfile
 from typing import Any
 
 import numpy as np
-from sim.shapes import ball, box, disc, obj_text
 
+from support.meshes import ball, box, disc, obj_text
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -44,6 +44,8 @@ EXAMPLES = {
 """parameters for each effect there is, of a cloth of about 1 m"""
 USUAL = ('pin', 'damping', 'bend', 'shear', 'stretch', 'contact', 'friction')
 """what most scenes call for; with all effects there are, a scene compiles for a minute"""
+FEW = ('pin', 'stretch', 'contact')
+"""less to compile, where the method is what counts"""
 SHAPES = {'volume': lambda: box((2, 1, 1), 0.2), 'pressure': lambda: ball(1)}
 """vertices and cells for each effect of cloths that a grid cannot have"""
 OF_SHEETS = [name for name, scope in EFFECTS.items() if scope == 'cloth' and name not in SHAPES]

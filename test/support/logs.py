@@ -1,10 +1,11 @@
-"""A small log with known content, and messages as CDR without the help of ROS."""
+"""A small log with known content, states and inputs of a log, and messages as CDR."""
 
 from pathlib import Path
 import random
 import struct
 
 from xpbd_ros.log.qos import Qos
+from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
 
 
@@ -25,6 +26,24 @@ def sample_log(folder: Path, *, frames: int = 60, frame_ns: int = 16_666_667,
             text = noise.randbytes(filling).hex()
             log.write('/cloth/text', cdr_string(text), time_ns=time_ns, frame=frame)
     return folder
+
+
+def state_hashes(run) -> dict[int, int]:
+    """Return the hash of each frame of a log."""
+    reader = LogReader(run)
+    assert reader.whole
+    (topic,) = (topic for topic in reader.topics if topic.endswith('/state_hash'))
+    return {message.frame: struct.unpack_from('<Q', message.data, 4)[0]
+            for message in reader.messages({topic})}
+
+
+def recorded_inputs(run) -> list[tuple[int, str]]:
+    """Return the frames at which there was an input, and its topic."""
+    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'wind',
+             'parameter_events', 'resets')
+    return [(message.frame, message.topic.rsplit('/', 1)[-1])
+            for message in LogReader(run).messages()
+            if message.topic.rsplit('/', 1)[-1] in known]
 
 
 def cdr_uint64(value: int) -> bytes:

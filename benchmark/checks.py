@@ -3,8 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from native import BendBound, GridBound, LinesBound, Native, Textbook
 import numpy as np
+
+from native import BendBound, GridBound, LinesBound, Native, Textbook
 from works import FRAME_DT, Hinges, LineWork, SUBSTEPS, Work
 
 ROUNDING = {'float32': 2e-6, 'float64': 1e-13}

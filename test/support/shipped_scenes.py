@@ -1,4 +1,4 @@
-"""The scenes that come with the package, for tests of all of them."""
+"""The scenes that are installed with the package, as test parameters."""
 
 from importlib.util import find_spec
 

@@ -1,4 +1,4 @@
-"""Reads a log as strictly as any tool does."""
+"""Read logs with rosbags, which refuses any message that does not match its definition."""
 
 from collections import Counter
 from pathlib import Path

@@ -3,14 +3,14 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 import candidates
 from kernels import STRIP
 from native import GridBound, Native, Textbook
-import numpy as np
 from report import Report
 from timing import interleave, Timed
 from works import FRAME_DT, grid_work, scene_work, SUBSTEPS
-
 from xpbd_ros.study.reference import limit, problem_of
 
 STIFFNESSES = (5e3, 5e4)

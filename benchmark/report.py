@@ -4,9 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TextIO
 
+import numpy as np
+
 from checks import WrongResultError
 from native import Native, NotAvailableError
-import numpy as np
 from timing import interleave, Timed
 
 

@@ -1,7 +1,8 @@
 """
 Every effect with every method, hard cases and random scenes, with bounds checks; as a program.
 
-    NUMBA_BOUNDSCHECK=1 PYTHONPATH=test python -m sim.bounded effects|stress|random|fold [COUNT]
+    export NUMBA_BOUNDSCHECK=1 PYTHONPATH=.:test
+    python -m support.bounds_checks effects|stress|random|fold [COUNT]
 
 An access outside an array is an IndexError, so it ends the program. What was run is printed.
 """
@@ -13,10 +14,9 @@ import time
 
 from numba import config
 import numpy as np
-from sim.shapes import disc, file_of
-from sim.small import EXAMPLES, run, SETTINGS, SHAPES, simulate, with_effects
-from sim.test_field import box
 
+from support.meshes import box_surface, disc, file_of
+from support.scenes import EXAMPLES, run, SETTINGS, SHAPES, simulate, with_effects
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -97,7 +97,7 @@ def random_scene(noise: random.Random, how: tuple[str, ...]):
             noise.uniform(-size, size) for _ in range(3)]}, 'effects': {
                 'stretch': {'warp': 10.0**noise.uniform(0.0, 4.0), 'weft': 100.0},
                 'bend': {'stiffness': 1e-4}, 'strain_limit': {'max': 0.1}, 'tether': {}}}
-    vertices, faces = box(0.3 * size, 0.1 * size, 0.2 * size)
+    vertices, faces = box_surface(0.3 * size, 0.1 * size, 0.2 * size)
     colliders = {'plane': {'plane': {}, 'position': [0.0, 0.0, -size]},
                  'ball': {'sphere': {'radius': 0.3 * size}},
                  'mesh': {'mesh': {'file': file_of(vertices, faces), 'spacing': 0.05 * size}},

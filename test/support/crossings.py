@@ -1,4 +1,4 @@
-"""What tests of cloths that meet measure by brute force."""
+"""Crossings and distances of triangles and edges by brute force."""
 
 import numpy as np
 

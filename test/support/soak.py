@@ -1,7 +1,7 @@
 """
 Simulate for hours, as fast as it goes, under random commands; nothing may grow.
 
-    python test/soak.py [HOURS]
+    python test/support/soak.py [HOURS]
 
 Memory, file handles, energy and the time stamps are looked at; at the end the scene is reset and
 must do, bit for bit, what it does when it is new: nothing has added up. The exit code is 1 where

@@ -10,6 +10,7 @@ import tempfile
 import weakref
 
 import numpy as np
+
 from works import LineWork, Work
 
 HERE = Path(__file__).parent

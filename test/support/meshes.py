@@ -1,4 +1,4 @@
-"""Small meshes, and their texts and files."""
+"""Small meshes, as arrays, texts and files."""
 
 import atexit
 from pathlib import Path
@@ -7,6 +7,10 @@ import tempfile
 
 import numpy as np
 import pytest
+
+BOX_FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7],
+                  [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]])
+"""of ``box_surface``, outward"""
 
 
 def disc(rings: int = 4, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
@@ -86,6 +90,32 @@ def ball(splits: int = 1, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
         triangles = np.concatenate([np.stack(corners, 1) for corners in (
             (i, a, c), (a, j, b), (c, b, k), (a, b, c))])
     return radius * vertices, triangles
+
+
+def box_surface(a=0.3, b=0.5, c=0.2):
+    """Return the surface of a box of half extents a, b, c."""
+    return np.array([[x, y, z] for x in (-a, a) for y in (-b, b) for z in (-c, c)]), BOX_FACES
+
+
+def octahedral_ball(radius=0.3, rounds=5):
+    """Return the surface of a ball as an octahedron, divided a few times."""
+    points = [np.array(p, float) for p in ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1),
+                                           (0, 0, -1))]
+    faces = [(a, b, c) for a in (0, 1) for b in (2, 3) for c in (4, 5)]
+    for _ in range(rounds):
+        middle, found = {}, []
+        for f in faces:
+            m = []
+            for p, q in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0])):
+                key = min(p, q), max(p, q)
+                if key not in middle:
+                    middle[key] = len(points)
+                    points.append(points[p] + points[q])
+                    points[-1] /= np.linalg.norm(points[-1])
+                m.append(middle[key])
+            found += [(f[0], m[0], m[2]), (m[0], f[1], m[1]), (m[2], m[1], f[2]), tuple(m)]
+        faces = found
+    return radius * np.array(points), np.array(faces)
 
 
 def obj_text(vertices, triangles) -> str:

@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from native import NotAvailableError
 from numba import njit
 import numpy as np
-from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 
+from native import NotAvailableError
+from works import FAMILIES, FRAME_DT, LineWork, SUBSTEPS, Work
 from xpbd_ros.effects.bend import Curvature, Twist
 from xpbd_ros.effects.stretch import MeshStretch, Stretch
 from xpbd_ros.errors import InputError
