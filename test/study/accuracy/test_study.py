@@ -57,7 +57,6 @@ def errors_of(found, method, integrator, precision='float64', iterations=1) -> d
                                       precision)}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('integrator, order', [('backward_euler', 1.0), ('bdf2', 2.0)])
 def test_errors_fall_at_their_order(found, integrator, order):
     errors = errors_of(found, 'line', integrator)
@@ -66,7 +65,6 @@ def test_errors_fall_at_their_order(found, integrator, order):
     assert slope == pytest.approx(order, abs=0.3)
 
 
-@pytest.mark.slow
 def test_the_truth_is_independent_and_our_own_limit_agrees(found):
     truth = found.truth
     assert truth.kind == 'independent'
@@ -98,7 +96,6 @@ def test_effects_with_an_energy_are_compared_with_the_reference(effects, why, sc
     assert 'baselines' in refusal(chosen) or why in refusal(chosen)
 
 
-@pytest.mark.slow
 def test_every_setting_has_an_error_and_a_time_or_a_reason(found):
     for row in found.rows:
         if row.errors.finite:
@@ -115,7 +112,6 @@ def test_every_setting_has_an_error_and_a_time_or_a_reason(found):
                      ('ndf2', 'float32')}
 
 
-@pytest.mark.slow
 def test_baselines_are_there_and_never_on_the_front(found):
     by_method = {method: [row for row in found.rows if row.setting.method == method]
                  for method in BASELINES}
@@ -124,7 +120,6 @@ def test_baselines_are_there_and_never_on_the_front(found):
     assert not any(row.pareto for rows in by_method.values() for row in rows)
 
 
-@pytest.mark.slow
 def test_a_run_that_is_not_finite_is_listed_with_its_reason(found, folder):
     setting = Setting('mass_spring', 'symplectic_euler', 1)
     errors = Job(sheet(), 900, {}, folder).errors(setting)
@@ -134,7 +129,6 @@ def test_a_run_that_is_not_finite_is_listed_with_its_reason(found, folder):
     assert f'  left out: mass_spring symplectic_euler 1×1: {errors.note}' in listed
 
 
-@pytest.mark.slow
 def test_only_xpbd_converges_not_decayed_multipliers_or_pbd(found):
     decayed = errors_of(found, 'decayed_multiplier', 'backward_euler')
     ours = errors_of(found, 'line', 'backward_euler')
@@ -145,7 +139,6 @@ def test_only_xpbd_converges_not_decayed_multipliers_or_pbd(found):
     assert pbd[-1] != pytest.approx(textbook[-1], rel=0.01)
 
 
-@pytest.mark.slow
 def test_with_inputs_the_truth_is_our_own_limit(found, tmp_path):
     """A pin lets go: the independent solver takes no inputs, and baselines neither."""
     let_go = study(sheet(), FRAMES, tmp_path / 's', methods=('line',), baselines=True,
@@ -159,7 +152,6 @@ def test_with_inputs_the_truth_is_our_own_limit(found, tmp_path):
     assert errors[steps[-1]] < 0.05 * errors[steps[0]]
 
 
-@pytest.mark.slow
 def test_an_unloaded_cloth_is_judged_by_its_shape(found, tmp_path):
     assert found.by == 'position'
     assert found.truth.loaded == 1.0
@@ -171,7 +163,6 @@ def test_an_unloaded_cloth_is_judged_by_its_shape(found, tmp_path):
     assert lifted.what == 'heights of the particles, mean from 0.3 s on'
 
 
-@pytest.mark.slow
 def test_a_study_goes_on_where_it_was_interrupted(found, folder, tmp_path, monkeypatch):
     def interrupted(items, what):
         for k, item in enumerate(items):
@@ -198,7 +189,6 @@ def test_a_study_goes_on_where_it_was_interrupted(found, folder, tmp_path, monke
     assert all(row.errors == whole[row.setting.key] for row in again.rows), 'the same to the bit'
 
 
-@pytest.mark.slow
 def test_a_study_of_something_else_is_refused(found, folder, tmp_path):
     for scene, frames, what in ((sheet(gravity=[0, 0, -1.0]), FRAMES, 'scene'),
                                 (sheet(), FRAMES - 1, 'duration')):
@@ -209,7 +199,6 @@ def test_a_study_of_something_else_is_refused(found, folder, tmp_path):
         study(sheet(), FRAMES, tmp_path / 'mine')
 
 
-@pytest.mark.slow
 def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
     chosen = recommend(found.rows, found.by, budget=50.0, floor=found.floor)
     picture = draw(found, tmp_path / 'a.png', chosen=chosen, budget=50.0)
@@ -237,7 +226,6 @@ def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
                                                               chosen.setting.integrator)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('share', [0.99, 0.4])
 def test_a_busy_machine_is_said(found, share):
     rows = [replace(row, timing=replace(row.timing, cpu_share=share)) for row in found.rows
@@ -257,7 +245,6 @@ def test_what_a_scene_cannot_have_is_listed_with_the_reason():
     assert len({one.key for one in settings}) == len(settings)
 
 
-@pytest.mark.slow
 def test_a_target_for_the_error_is_no_part_of_a_setting(found):
     """It would change the substeps that a study varies; settings leave it its room."""
     chosen = recommend(found.rows, found.by, budget=50.0)
