@@ -142,7 +142,7 @@ def test_every_console_script_resolves(setup_arguments):
 
 ROOMS = ('commands', 'parameters', 'backend', 'particles', 'geometry', 'target_stream',
          'target_motion', 'constraints', 'contact', 'self_collision', 'stepping', 'effect',
-         'pin_states', 'measure', 'simulation')
+         'pins', 'measure', 'simulation')
 """of the simulation, from the bottom up"""
 
 
@@ -201,6 +201,15 @@ def test_rooms_of_the_simulation_import_only_what_is_below():
                 if ROOMS.index(other) > ROOMS.index(room):
                     wrong.append(f'{file.relative_to(ROOT)}: {name}')
     assert not wrong, '\n'.join(wrong)
+
+
+def test_files_and_functions_are_short():
+    for file in sources():
+        text = file.read_text()
+        assert text.count('\n') <= 450, file
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                assert node.end_lineno - node.lineno < 80, f'{file}: {node.name}'
 
 
 @pytest.mark.smoke

@@ -142,31 +142,32 @@ def run(arguments) -> int:
         numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
     if not quiet:
-        print(f"{scene.name}: {frames} frames, {numbers['real_time_factor']:.2f} × real time\n"
-              f"step     {numbers['step_ms']['p50']:.2f} ms p50, "
-              f"{numbers['step_ms']['p95']:.2f} ms p95\n"
-              f'solver   {simulation.solver.method}, {simulation.solver.integrator}, '
-              f'{simulation.solver.substeps} × {simulation.solver.iterations} '
-              f'({simulation.solver.reason})\n'
-              f'error    {monitor}\n'
-              f"state    {numbers['state_hash']}\n"
-              f'log      {folder.absolute()}')
-        for file in numbers.get('pictures', ()):
-            print(f'picture  {file}')
-        for text in notes:
-            print(f'note     {text}')
-        if refused:
-            print(f'refused  {refused} commands')
+        print(table(scene.name, numbers, monitor))
         if repeat and repeat.identical:
             print(f'commands as in {recording.path}: {repeat.compared} frames, bit for bit')
-        for name, text in GUARDS.items():
-            if numbers.get(name):
-                print(f'note     {numbers[name]} frames {text}')
     if repeat is None:
         return 0
     for text in repeat.problems:
         print(f'xpbd_ros run: {recording.path}: {text}', file=sys.stderr)
     return 0 if repeat.identical else 1
+
+
+def table(name: str, numbers: dict, monitor) -> str:
+    """Return what the run came to, as text."""
+    solver = numbers['solver']
+    return '\n'.join([
+        f"{name}: {numbers['frames']} frames, {numbers['real_time_factor']:.2f} × real time",
+        f"step     {numbers['step_ms']['p50']:.2f} ms p50, {numbers['step_ms']['p95']:.2f} ms p95",
+        f"solver   {solver['method']}, {solver['integrator']}, "
+        f"{solver['substeps']} × {solver['iterations']} ({solver['reason']})",
+        f'error    {monitor}',
+        f"state    {numbers['state_hash']}",
+        f"log      {numbers['run']}",
+        *(f'picture  {file}' for file in numbers.get('pictures', ())),
+        *(f'note     {text}' for text in numbers['notes']),
+        *(f'note     {numbers[guard]} frames {text}' for guard, text in GUARDS.items()
+          if numbers.get(guard)),
+        *([f"refused  {numbers['refused']} commands"] if numbers['refused'] else [])])
 
 
 def count_frames(scene) -> int:

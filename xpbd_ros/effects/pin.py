@@ -32,7 +32,6 @@ the springs of a compliant pin count as free: colliders push them, and tethers d
 Cloth does not slide within a pin: it is held or released.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,12 +43,14 @@ from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.geometry.quaternion import conjugate, interpolate, rotate
-from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
-from xpbd_ros.sim.pin_states import chosen, Held, PinStates
+from xpbd_ros.sim.pins.entry import Entry
+from xpbd_ros.sim.pins.states import chosen, Held, PinStates, rows
+from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
-from xpbd_ros.sim.target_motion import check_motion, delays, monotone_cubic, Motion
+from xpbd_ros.sim.target_motion import delays, monotone_cubic, Motion
 
 
 @dataclass(frozen=True)
@@ -59,32 +60,6 @@ class Parameters:
     max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='most pins at a time')
     compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='default compliance')
     slip: float | None = quantity(None, unit='N', above=0.0, doc='default release force')
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One entry of the scene's ``pins``: a pin that holds cloth from the start."""
-
-    cloth: str = quantity(doc='the cloth that it holds')
-    at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
-    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='point to hold around')
-    radius: float = quantity(0.01, unit='m', above=0.0, doc='radius around that point')
-    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
-    motion: tuple[tuple[float, ...], ...] | None = quantity(
-        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
-    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='largest speed of the pin')
-    compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
-                                        doc='compliance of the whole pin; 0 is rigid')
-    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it releases')
-
-    def __post_init__(self):
-        """Require one of ``at`` and ``near``, and at most one of ``target`` and ``motion``."""
-        if (self.at is None) == (self.near is None):
-            raise InputError("needs either 'at' or 'near', and only one of them")
-        check_place(self.at)
-        if self.target is not None and self.motion is not None:
-            raise InputError("needs either 'target' or 'motion', not both")
-        check_motion(self.motion)
 
 
 class Pin(NamedTuple):
@@ -204,39 +179,6 @@ def stretch_springs(spring, state, substep):
             deliver(pin, k, axis, f, part, a, b, share)
 
 
-@jit
-def weigh_pinned(pin, state, v_before, dt, wrench):
-    """Add Σ f + Σ m (g - a) and its torque to each pin's wrench, (max_pins, 6) [N, N m]."""
-    m, v, g = state.mass, state.v, state.gravity
-    for k in range(pin.count[0]):
-        i, f = pin.particle[k], pin.force[k]
-        add_wrench(pin, state.x, k, (
-            f[0] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
-            f[1] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
-            f[2] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
-
-
-@jit
-def weigh_springs(spring, state, wrench):
-    """Add the forces of the springs and their torque to each pin's wrench."""
-    for k in range(spring.pin.count[0]):
-        f = spring.pin.force[k]
-        add_wrench(spring.pin, state.x, k, (f[0], f[1], f[2]), wrench)
-
-
-@jit(inline=True)
-def add_wrench(pin, x, k, f, wrench):
-    """Add a force at a held particle, and its torque about the pin's pose at the frame's end."""
-    i, total, p = pin.particle[k], wrench[pin.slot[k]], pin.goal[pin.slot[k]]
-    rx, ry, rz = x[0, i] - p[0], x[1, i] - p[1], x[2, i] - p[2]
-    total[0] += f[0]
-    total[1] += f[1]
-    total[2] += f[2]
-    total[3] += ry * f[2] - rz * f[1]
-    total[4] += rz * f[0] - rx * f[2]
-    total[5] += rx * f[1] - ry * f[0]
-
-
 class BuiltPin(Built):
     """All pins of a scene, with room for more."""
 
@@ -269,11 +211,8 @@ class BuiltPin(Built):
         """pins that have slipped since the start"""
         self._v_before = np.zeros((3, 0))
         self._news: list[str] = []
-        self.commands = self._commands()
-
-    def _commands(self):
-        return {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
-                MovePin: self.move}
+        self.commands = {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
+                         MovePin: self.move}
 
     def reset(self, state, now_ns):
         for name in list(self.held):
@@ -473,9 +412,8 @@ class BuiltPin(Built):
         return news
 
     def adopt(self, old):
-        scale = self.scale
-        self.__dict__.update(old.__dict__)
-        self.commands, self.scale = self._commands(), scale
+        own = {'scale': self.scale, 'commands': self.commands}
+        self.__dict__.update({**old.__dict__, **own})
         self._changed()
 
     def reported(self, frame_dt):
@@ -486,11 +424,6 @@ class BuiltPin(Built):
         return {'pins': len(self.held), 'pins_slipped': self.slipped,
                 'pins_at_max_speed': sum(motion.limited for motion in motions),
                 **delays('pin_target', motions)}
-
-
-def rows(poses: Iterable[Pose]) -> list[tuple[float, ...]]:
-    """Return poses as x y z, qx qy qz qw."""
-    return [(*pose.position, *pose.orientation) for pose in poses]
 
 
 def _room(count: int, slots: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:

@@ -17,7 +17,7 @@ from std_msgs.msg import ColorRGBA, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.sim.effect import Cloth
-from xpbd_ros.sim.pin_states import PinStates
+from xpbd_ros.sim.pins.states import PinStates
 from xpbd_ros.sim.simulation import Frame
 
 COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))

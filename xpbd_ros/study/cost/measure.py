@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 import sys
 from time import perf_counter_ns
+from warnings import catch_warnings, simplefilter
 
+from numba import NumbaWarning
 import numpy as np
 
 from xpbd_ros.effects import EFFECTS
@@ -103,7 +105,9 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
     _watch(plain, plain._step)
     _watch(timed, clocked)
     plain.compile()
-    timed.compile()
+    with catch_warnings():    # code that reads a clock is not cached
+        simplefilter('ignore', NumbaWarning)
+        timed.compile()
     text = ''.join(kernel.inspect_asm().values())
     reading = lap_ns()
     whole, native = np.zeros((2, rounds, frames, 1))

@@ -1,6 +1,6 @@
 """Active pins and their states after a frame: pose, velocity, wrench."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -132,3 +132,8 @@ def chosen(name: str, entry, cloths: dict[str, Cloth], x: np.ndarray) -> np.ndar
                          f"'{cloth.name}' is a mesh; use near and radius (m), or a list "
                          'of particle numbers')
     return cloth.at(entry.at, f'pins.{name}.at')
+
+
+def rows(poses: Iterable[Pose]) -> list[tuple[float, ...]]:
+    """Return poses as x y z, qx qy qz qw."""
+    return [(*pose.position, *pose.orientation) for pose in poses]

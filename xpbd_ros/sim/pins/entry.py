@@ -1,0 +1,33 @@
+"""Keys of a scene's ``pins``."""
+
+from dataclasses import dataclass
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.target_motion import check_motion
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry of the scene's ``pins``: a pin that holds cloth from the start."""
+
+    cloth: str = quantity(doc='the cloth that it holds')
+    at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
+    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='point to hold around')
+    radius: float = quantity(0.01, unit='m', above=0.0, doc='radius around that point')
+    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
+    motion: tuple[tuple[float, ...], ...] | None = quantity(
+        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='largest speed of the pin')
+    compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
+                                        doc='compliance of the whole pin; 0 is rigid')
+    slip: float | None = quantity(None, unit='N', above=0.0, doc='force at which it releases')
+
+    def __post_init__(self):
+        """Require one of ``at`` and ``near``, and at most one of ``target`` and ``motion``."""
+        if (self.at is None) == (self.near is None):
+            raise InputError("needs either 'at' or 'near', and only one of them")
+        check_place(self.at)
+        if self.target is not None and self.motion is not None:
+            raise InputError("needs either 'target' or 'motion', not both")
+        check_motion(self.motion)
