@@ -12,6 +12,7 @@ other keys (--set included), a log that begins in the middle of a run, or refuse
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
@@ -118,7 +119,7 @@ def run(arguments) -> int:
         monitor.close()
         recorder.close()
     wall = time.perf_counter() - begin
-    numbers = {
+    numbers: dict[str, Any] = {
         'frames': frames,
         'real_time_factor': frames * simulation.frame_dt / wall,
         'step_ms': {'p50': percentile(step_ms, 0.5), 'p95': percentile(step_ms, 0.95),
@@ -153,12 +154,12 @@ def run(arguments) -> int:
             print(f'note     {text}')
         if refused:
             print(f'refused  {refused} commands')
-        if repeat and repeat.identical:
+        if repeat and recording and repeat.identical:
             print(f'commands as in {recording.path}: {repeat.compared} frames, bit for bit')
         for name, text in GUARDS.items():
             if numbers.get(name):
                 print(f'note     {numbers[name]} frames {text}')
-    if repeat is None:
+    if repeat is None or recording is None:
         return 0
     for text in repeat.problems:
         print(f'xpbd_ros run: {recording.path}: {text}', file=sys.stderr)

@@ -46,7 +46,8 @@ class Inlet:
     def _subscribe(self, **options):
         def take(raw, info):
             self._drain(subscription, raw, info)
-        subscription = self._node.create_subscription(self._kind, self._topic, take, self._qos,
+        callback: Callable[..., None] = take    # rclpy's type lacks the message info
+        subscription = self._node.create_subscription(self._kind, self._topic, callback, self._qos,
                                                       raw=True, **options)
         return subscription
 

@@ -1,11 +1,11 @@
 """A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 import hashlib
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -72,7 +72,7 @@ class Simulation:
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: Callable[[str, Any], 'Change'] | None = None,
+                 retune: 'Retune | None' = None,
                  notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
@@ -94,7 +94,7 @@ class Simulation:
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
         self._crew = ThreadPool(solver.threads)
-        self._tuple = ()
+        self._tuple: tuple[Any, ...] = ()
         self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
         self._last = FrameRollback(self)
         for built in effects.values():
@@ -114,7 +114,7 @@ class Simulation:
 
     def _hold(self) -> None:
         """Tell every effect which particles are pinned."""
-        pin = self.effects.get('pin')
+        pin: Any = self.effects.get('pin')
         if pin is None:
             return
         for built in self.effects.values():
@@ -141,7 +141,8 @@ class Simulation:
         """
         clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
                       self.frame_dt, self.solver.substeps)
-        applied, refused = [], []
+        applied: list[Command] = []
+        refused: list[tuple[Command, str]] = []
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
             reason = self._apply(group, clock)
@@ -153,7 +154,7 @@ class Simulation:
             clock = replace(clock, substeps=self.solver.substeps)
         for built in self.effects.values():
             built.begin(clock, self.state)
-        pin = self.effects.get('pin')
+        pin: Any = self.effects.get('pin')
         if pin is not None and pin.changed:
             self._hold()
         self.start = self._kept() if keep else None
@@ -182,7 +183,8 @@ class Simulation:
 
     def frame(self, applied=(), refused=(), news=()) -> Frame:
         """Return the present frame, with what led to it."""
-        pin, contact = self.effects.get('pin'), self.effects.get('contact')
+        pin: Any = self.effects.get('pin')
+        contact: Any = self.effects.get('contact')
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
@@ -202,7 +204,7 @@ class Simulation:
             return None
         if isinstance(group[0], SetKey):
             return self._set(group[0])
-        owners = {}
+        owners: dict[int, tuple[Built, list[Command]]] = {}
         for command in group:
             owner = next((built for built in self.effects.values()
                           if type(command) in built.commands), None)
@@ -254,7 +256,7 @@ class Simulation:
         state = self.state
         fresh = [] if state.history is None else [state.history.fresh]
         for array in (state.x, state.v, state.inv_mass, *history_arrays(state), *fresh):
-            digest.update(np.ascontiguousarray(array[..., self.slot]))
+            digest.update(np.ascontiguousarray(array[..., self.slot]).data)
         return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:
@@ -274,3 +276,13 @@ class Change:
     effects: dict[str, Built]
     solver: Solver | None = None
     gravity: tuple[float, float, float] | None = None
+
+
+class Retune(Protocol):
+    """Compute what a new value of a live key changes, as ``scene.compile.Retune`` does."""
+
+    def __call__(self, key: str, value: Any) -> Change:
+        """Return the change; raise InputError for a bad value."""
+
+    def check(self, changes: dict[str, Any]) -> object:
+        """Raise InputError for bad keys or values; change nothing."""

@@ -104,7 +104,8 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
 
     """
     lanes = lane_count(dtype)
-    found, first = [], 0
+    found: list[Block | Span] = []
+    first = 0
     for shape in shapes:
         if isinstance(shape, np.ndarray):
             found.append(Span(first, shape, _round_up(len(shape), lanes)))

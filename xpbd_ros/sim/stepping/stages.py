@@ -83,7 +83,7 @@ def accumulate_reactions(effects, state, substep):
     """
 
 
-_KERNELS: dict[tuple[Callable, type], Callable] = {}
+_KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: set[Callable] = set()
 
 

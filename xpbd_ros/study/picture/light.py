@@ -50,9 +50,9 @@ class DepthMap:
         self.texels = texels
         pixels = (local[:, :2] - self.low) / self.texel
         best, _ = rasterise(pixels, local[:, 2] - yields, triangles, texels, texels)
-        self.nearest = best.reshape(texels, texels)
-        self.nearest[[0, -1]] = self.nearest[:, [0, -1]] = -np.inf
-        self.nearest = self.nearest.ravel()
+        nearest = best.reshape(texels, texels)
+        nearest[[0, -1]] = nearest[:, [0, -1]] = -np.inf
+        self.nearest = nearest.ravel()
 
     def local(self, points: Array) -> tuple[Array, Array, Array]:
         """Return texel coordinates and nearness of points (n, 3)."""

@@ -42,6 +42,7 @@ def _placed(geometry: tuple, position: ArrayLike, turn: Array, colour: Colour, *
 def body_mesh(body: Body, coarseness: float = 0.0) -> Mesh:
     """Return a body that yields to cloth with triangles so coarse [m]."""
     size = body.size
+    assert isinstance(size, tuple) and body.colour is not None
     thin = min(size) / 2 if body.shape == 'box' else size[0]
     if body.shape == 'sphere':
         geometry = capsule(size[0], 0.0)

@@ -29,7 +29,8 @@ def _save(canvas: FigureCanvasAgg, file: FilePath, limit: int) -> None:
     picture = Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     for scale in (1.0, 0.8, 0.6, 0.4):
         small = picture if scale == 1 else picture.resize(
-            (round(picture.width * scale), round(picture.height * scale)), Image.LANCZOS)
+            (round(picture.width * scale), round(picture.height * scale)),
+            Image.Resampling.LANCZOS)
         for attempt in (small, small.point(lambda value: value | 1), small.quantize(256)):
             data = io.BytesIO()
             attempt.save(data, 'PNG', optimize=True)

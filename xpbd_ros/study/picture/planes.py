@@ -49,6 +49,7 @@ def shade_planes(bodies: Sequence[Body], view: View, lamps: Lamps, centre: Array
         ink = _grid_ink(place, shown, count, view.width, spacing)
         fade = np.clip((3.2 - far) / 2.0, 0, 1)
         fade = (fade * fade * (3 - 2 * fade))[:, None]
+        assert body.colour is not None
         tone = pressed(linear(body.colour) * (1 - 0.16 * ink[:, None]) * shade)
         light[shown] = light[shown] * (1 - fade) + tone * fade
     return light, nearness

@@ -87,6 +87,7 @@ def shade_meshes(meshes: Sequence[Mesh], view: View, lamps: Lamps, over: int,
         lit = np.zeros(len(tri), dtype=np.float32)
         day = np.flatnonzero(facing)
         phase = (right[part] % over + down[part] % over * over)[day]
+        assert lamps.sun is not None
         lit[day] = sun_share(lamps.sun, place[day], normal[day], phases[phase])
         halfway = unit(lamps.towards - unit(rays))
         shine = (gloss[tri] * lit * np.maximum((normal * halfway).sum(axis=1), 0) ** 36)
