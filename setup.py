@@ -47,7 +47,7 @@ setup(
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
-        'test': ['hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest',
+        'test': ['hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2', 'pytest',
                  'pytest-xdist', 'rosbags', 'ruff'],
     },
     entry_points={

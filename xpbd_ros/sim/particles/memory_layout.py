@@ -88,7 +88,7 @@ class Span:
         return self.first + self.rank
 
 
-def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Block | Span], int]:
+def blocks(shapes: list[tuple[int, ...] | np.ndarray], dtype) -> tuple[list[Block | Span], int]:
     """
     Lay out grids and meshes one after another.
 
