@@ -145,7 +145,7 @@ def join(runs: list[Runs]) -> Runs:
     phase = np.sum([r.phase for r in runs], axis=0)
     present = np.concatenate(
         [np.pad(r.present, ((0, 0), (0, places - r.present.shape[1]))) for r in runs])
-    return Runs(*(*columns, strip, phase, present))
+    return Runs._make((*columns, strip, phase, present))
 
 
 @jit(inline=True)

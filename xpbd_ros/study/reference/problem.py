@@ -20,7 +20,7 @@ Array = NDArray[Any]
 
 EPS = float(np.finfo(float).eps)
 NOT_GIVEN: Any = None
-"""``Problem`` replaces it by an array"""
+"""default of arrays that ``Problem`` then fills with zeros"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

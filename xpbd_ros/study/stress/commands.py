@@ -63,7 +63,7 @@ def on_and_off():
         yield Trial(setting, sheet(FIRM), 4.0, pins=blink, cause_end=1.5, speed=3.0 * MAX_SPEED,
                     recovery_strain=0.01)
     far: list[Command] = [Grasp('c', Pose((9.0, 9.0, 9.0)), 0.01), Release('nobody'),
-           MovePin('nobody', Pose())]
+                          MovePin('nobody', Pose())]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: far if k == 3 else [], textbook=False,
                 reports=('no free particle within', "pin 'nobody' holds nothing"),
                 label='nothing to grasp, unknown pins')
