@@ -50,7 +50,7 @@ setup(
         'mesh': ['meshio>=5.3'],
         # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
         'view': VIEW,
-        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'pytest',
+        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2', 'pytest',
                  'pytest-xdist', 'rosbags', 'ruff'],
     },
     entry_points={

@@ -154,8 +154,8 @@ def finish(arguments, found, folder: Path, commands: dict) -> int:
         rerun = again(found.scene, found.truth, found.frames, commands, keys)
         row = Row(chosen.setting, *rerun)
         recommended = {**numbers_of(chosen, found.by), 'file': file,
-                       'rerun': {'error_m': row.error(found.by), 'ms_p50': row.timing.ms_p50,
-                                 'ms_p95': row.timing.ms_p95}}
+                       'rerun': {'error_m': row.error(found.by), 'ms_p50': row.timed.ms_p50,
+                                 'ms_p95': row.timed.ms_p95}}
     picture = draw(found, folder / 'accuracy.png', chosen=chosen, budget=drawn)
     said = facts(found, chosen, asked, arguments.max_error, rerun)
     table = write_csv(found, folder / 'accuracy.csv')
@@ -200,7 +200,7 @@ def lines(found, chosen, budget: float) -> list[str]:
     best = list(within(found.rows, found.by, budget).values())
     shown = [row for row in found.rows if row.timing is not None and (
         row.pareto or row.scene or row is chosen or row in best)]
-    shown.sort(key=lambda row: row.timing.ms_p50)
+    shown.sort(key=lambda row: row.timed.ms_p50)
     widths = (44, 7, 7, 12, 7, 9, 8, 8, 10, 12, 12, 0)
 
     def line(mark: str, row) -> str:

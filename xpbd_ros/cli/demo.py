@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
 from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
 from xpbd_ros.cli.ros import need_ros
@@ -50,6 +51,7 @@ def run(arguments) -> int:
         print(text, file=sys.stderr if arguments.json == '-' else sys.stdout, flush=True)
 
     with new_folder(arguments.output or fresh_folder('demo')) as folder:
+        assert folder is not None
         play(folder, arguments.duration, say)
     say('drawing …')
     from xpbd_ros.demo import report
@@ -65,14 +67,14 @@ def play(folder: Path, duration: float, say) -> None:
     environment = private_environment()
     node_log = (folder / 'node.log').open('w')
 
-    def start(*command: str, **streams) -> subprocess.Popen:
+    def start(*command: str, **streams) -> Any:
         processes.append(subprocess.Popen([sys.executable, '-m', *command], env=environment,
                                           **streams))
         return processes[-1]
 
     say(f"ROS domain {environment['ROS_DOMAIN_ID']}, loopback only; starting the node "
         '(compiling takes up to a minute the first time) …')
-    processes = []
+    processes: list[Any] = []
     try:
         node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
                      '-p', f'record.path:={folder / "run"}',

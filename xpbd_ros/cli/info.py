@@ -7,6 +7,7 @@ writes its readable part to a new log.
 Exit code: 0, or 1 for a log that is damaged or was cut short.
 """
 
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 import shlex
@@ -60,7 +61,7 @@ def lines(log: LogReader, run: str) -> list[str]:
         found.append(f"'xpbd_ros recover {shlex.quote(str(run))}' writes a whole log of the "
                      'readable part')
     rows = [('size', f'{log.path.stat().st_size * 1e-6:.3f} MB')]
-    if log.start_ns is not None:
+    if log.start_ns is not None and log.end_ns is not None:
         start = datetime.fromtimestamp(log.start_ns * 1e-9, timezone.utc)
         rows += [('start', f'{start:%Y-%m-%d %H:%M:%S.%f} UTC ({log.start_ns} ns)'),
                  ('duration', f'{(log.end_ns - log.start_ns) * 1e-9:.3f} s')]
@@ -73,7 +74,7 @@ def lines(log: LogReader, run: str) -> list[str]:
     return found
 
 
-def table(rows: list[tuple[str, ...]]) -> list[str]:
+def table(rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Return rows of text with aligned columns."""
     widths = [max(map(len, column)) for column in zip(*rows)]
     return ['  ' + '  '.join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip()

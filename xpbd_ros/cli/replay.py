@@ -59,6 +59,7 @@ def run(arguments) -> int:
     say = functools.partial(print, flush=True) if arguments.json != '-' else lambda text: None
     for text in log.damage:
         print(f'xpbd_ros replay: damaged log: {text}', file=sys.stderr)
+    assert log.start_ns is not None and log.end_ns is not None
     duration = (log.end_ns - log.start_ns) * 1e-9
     say(f'{log.path}: {log.count} messages, {duration:.3f} s')
     if left_out:
@@ -77,7 +78,7 @@ def run(arguments) -> int:
 
 def check(log: LogReader, arguments: argparse.Namespace) -> None:
     """Raise InputError if the log lacks messages, a requested topic, or the start offset."""
-    if log.start_ns is None:
+    if log.start_ns is None or log.end_ns is None:
         raise InputError(f'{log.path}: holds no readable message')
     for topic in arguments.topics or ():
         if topic not in log.topics:

@@ -12,6 +12,7 @@ other keys (--set included), a log that begins in the middle of a run, or refuse
 from pathlib import Path
 import sys
 import time
+from typing import Any
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
@@ -57,36 +58,23 @@ def run(arguments) -> int:
     from xpbd_ros.ros.error_monitor import ErrorMonitor
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.recorder import Recorder
+    from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
-    from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.scene.save import scene_text
 
-    overrides = settings_overrides(arguments.settings) if arguments.settings else {}
-    overrides.update(parse_keys(arguments.keys))
-    if arguments.duration is not None:
-        overrides['duration'] = arguments.duration
-    for output in (arguments.json, arguments.picture):
-        check_output(output)
-    if arguments.picture:
-        from xpbd_ros.study.picture import need_view
-        need_view('--picture')
-    scene = load_scene(arguments.scene, overrides)
+    check_outputs(arguments)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
-    if recording is not None:
-        if recording.not_repeatable:
-            print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
-            return 1
-        if arguments.duration is None:
-            overrides['duration'] = recording.last / scene.top.frame_rate
-            scene = load_scene(arguments.scene, overrides)
+    if recording is not None and recording.not_repeatable:
+        print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
+        return 1
+    scene = scene_of(arguments, recording)
     frames = count_frames(scene)
     simulation = compile_scene(scene)
     quiet = arguments.json == '-'
     outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
     repeat = None
     if recording is not None:
-        from xpbd_ros.ros.repeat import Repeat
         repeat = Repeat(recording, scene, simulation, frames)
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
@@ -98,7 +86,7 @@ def run(arguments) -> int:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
     monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
-                  most=scene.top.solver.max_substeps)
+                           most=scene.top.solver.max_substeps)
     try:
         simulation.compile()
         begin = time.perf_counter()
@@ -122,7 +110,7 @@ def run(arguments) -> int:
         monitor.close()
         recorder.close()
     wall = time.perf_counter() - begin
-    numbers = {
+    numbers: dict[str, Any] = {
         'frames': frames,
         'real_time_factor': frames * simulation.frame_dt / wall,
         'step_ms': {'p50': percentile(step_ms, 0.5), 'p95': percentile(step_ms, 0.95),
@@ -143,12 +131,39 @@ def run(arguments) -> int:
     write_json(arguments.json, numbers)
     if not quiet:
         print(table(scene.name, numbers, monitor))
-        if repeat and repeat.identical:
-            print(f'commands as in {recording.path}: {repeat.compared} frames, bit for bit')
-    if repeat is None:
-        return 0
+    return 0 if repeat is None else verdict(repeat, quiet)
+
+
+def check_outputs(arguments) -> None:
+    """Refuse outputs that exist, and a picture that cannot be drawn."""
+    for output in (arguments.json, arguments.picture):
+        check_output(output)
+    if arguments.picture:
+        from xpbd_ros.study.picture import need_view
+        need_view('--picture')
+
+
+def scene_of(arguments, recording):
+    """Return the scene with the overrides; with a log, as long as it."""
+    from xpbd_ros.scene.load import load_scene, settings_overrides
+
+    overrides = settings_overrides(arguments.settings) if arguments.settings else {}
+    overrides.update(parse_keys(arguments.keys))
+    if arguments.duration is not None:
+        overrides['duration'] = arguments.duration
+    scene = load_scene(arguments.scene, overrides)
+    if recording is None or arguments.duration is not None:
+        return scene
+    return load_scene(arguments.scene, {
+        **overrides, 'duration': recording.last / scene.top.frame_rate})
+
+
+def verdict(repeat, quiet: bool) -> int:
+    """Print whether the run was as recorded, and return the exit code."""
+    if repeat.identical and not quiet:
+        print(f'commands as in {repeat.path}: {repeat.compared} frames, bit for bit')
     for text in repeat.problems:
-        print(f'xpbd_ros run: {recording.path}: {text}', file=sys.stderr)
+        print(f'xpbd_ros run: {repeat.path}: {text}', file=sys.stderr)
     return 0 if repeat.identical else 1
 
 

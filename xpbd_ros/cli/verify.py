@@ -9,6 +9,7 @@ Exit code: 0, or 1 if a case fails or a control passes.
 """
 
 from dataclasses import replace
+from typing import Any
 
 from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
 from xpbd_ros.cli.progress import progress
@@ -82,7 +83,7 @@ def table(answers, wrong) -> list[str]:
 
 def merged(answers) -> list:
     """Return one answer per case, with the rows of all its answers."""
-    found = {}
+    found: dict[str, Any] = {}
     for answer in answers:
         known = found.get(answer.id)
         found[answer.id] = answer if known is None else replace(

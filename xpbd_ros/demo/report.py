@@ -42,13 +42,13 @@ def make(folder: Path, scene_name: str) -> dict:
         'checks': checks(stamps, clouds, pins, begins, diary, hold, forces, load, said, sent),
         'run': (folder / 'run').absolute(),
     }
-    numbers['pictures'], numbers['notes'] = [], []
+    pictures, notes = [], []
     try:
-        numbers['pictures'].append(
+        pictures.append(
             draw(folder / 'demo.png', simulation, stamps, clouds, begins, diary, forces))
     except InputError as error:    # there is no PyVista, or no OpenGL
-        numbers['notes'].append(str(error))
-    return numbers
+        notes.append(str(error))
+    return {**numbers, 'pictures': pictures, 'notes': notes}
 
 
 def frames_by_stamp(run: Path) -> dict[float, int]:

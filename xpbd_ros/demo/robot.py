@@ -43,12 +43,19 @@ class Robot(Node):
         self.pins = self.create_publisher(MarkerArray, '/cloth/pins', 10)
         self.targets = self.create_publisher(MultiDOFJointState, '/cloth/pin_targets', 10)
         self.ball = self.create_publisher(PoseStamped, '/cloth/collider/sphere/pose', 10)
-        self.start = self.phase = None
-        self.corners, self.notes, self.path = {}, [], []
-        self.holding, self.done = set(), False
-        self.create_subscription(MultiDOFJointState, '/cloth/pin_states',
-                                 lambda m: setattr(self, 'holding', set(m.joint_names)), 5)
+        self.start: float | None = None
+        self.phase: str | None = None
+        self.corners: dict[str, np.ndarray] = {}
+        self.notes: list[dict] = []
+        self.path: list[list] = []
+        self.holding: set[str] = set()
+        self.done = False
+        self.create_subscription(MultiDOFJointState, '/cloth/pin_states', self.on_pins, 5)
         self.create_subscription(PointCloud2, '/cloth/particles', self.on_cloud, 5)
+
+    def on_pins(self, pins: MultiDOFJointState) -> None:
+        """Remember the names of the pins that hold cloth."""
+        self.holding = set(pins.joint_names)
 
     def on_cloud(self, cloud: PointCloud2) -> None:
         """Send the commands that are due at the stamp of a cloud."""
@@ -75,8 +82,8 @@ class Robot(Node):
     @staticmethod
     def after(phase: str | None) -> str:
         """Return the next phase; None comes before the first."""
-        order = [None, *PHASES, 'end']
-        return order[order.index(phase) + 1]
+        order = [*PHASES, 'end']
+        return order[0 if phase is None else order.index(phase) + 1]
 
     def enter(self, phase: str, now: float, cloud: PointCloud2) -> None:
         """Begin a phase: record it, and grasp or release where it asks for that."""

@@ -32,7 +32,7 @@ rigidities they give.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -77,7 +77,9 @@ class Parameters:
     @property
     def rigidity(self) -> tuple[float, float]:
         """B along warp and weft [N m]."""
-        return (self.warp or self.stiffness, self.weft or self.stiffness)
+        warp, weft = self.warp or self.stiffness, self.weft or self.stiffness
+        assert warp is not None and weft is not None
+        return warp, weft
 
 
 class Held(NamedTuple):
@@ -341,7 +343,7 @@ class BuiltBend(Built):
         on_grids, on_meshes = ([(cloth, chosen) for cloth, chosen in parameters.items()
                                 if (cloth.mesh.grid is not None) == of_kind]
                                for of_kind in (True, False))
-        parts = _on_grids(on_grids, world) if on_grids else []
+        parts: list[Any] = _on_grids(on_grids, world) if on_grids else []
         if on_meshes:
             more, self.notes = _on_meshes(on_meshes, world)
             parts += more

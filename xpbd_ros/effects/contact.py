@@ -48,7 +48,14 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
-from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES, table
+from xpbd_ros.sim.contact.collider_entries import (
+    Body,
+    Entry,
+    shape_of,
+    shape_size,
+    SHAPES,
+    table,
+)
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     new_colliders,
@@ -213,13 +220,13 @@ class BuiltContact(Built):
 
     def _shapes(self, world) -> dict[str, Field | np.ndarray]:
         """Return the distance fields and heights of the scene's entries, by name."""
-        found = {}
+        found: dict[str, Field | np.ndarray] = {}
         for name, entry in self.entries.items():
             keys = entry.mesh or entry.heights
             if keys is None:
                 continue
             try:
-                if entry.mesh is not None:
+                if isinstance(keys, Body):
                     vertices, triangles = world.read_mesh(keys.file)
                     found[name] = distance_field(vertices * keys.scale, triangles,
                                                  gap=self.thickness, spacing=keys.spacing)
@@ -241,7 +248,7 @@ class BuiltContact(Built):
             shape = self.shapes.get(name)
             self.placed[name] = placed = Placed(entry, motion_of(entry, now_ns * 1e-9))
             placed.field = shape if isinstance(shape, Field) else None
-            placed.heights = shape if placed.field is None else None
+            placed.heights = shape if isinstance(shape, np.ndarray) else None
             placed.motion.lever = max(placed.reach, 0.0) or 1.0
         self._changed()
 
@@ -260,9 +267,11 @@ class BuiltContact(Built):
             colliders.size[c] = shape_size(placed.entry)
             colliders.reach[c], colliders.inner[c] = placed.reach, placed.inner
             if placed.field is not None:
+                assert colliders.grids is not None
                 write_grid(colliders.grids, c, placed.field, nodes)
                 nodes += placed.field.values.size
             if placed.heights is not None:
+                assert colliders.heights is not None and placed.entry.heights is not None
                 write_heights(colliders.heights, c, placed.heights, places)
                 colliders.size[c, 2] = steepness(placed.heights, placed.entry.heights.size)
                 places += placed.heights.size

@@ -159,7 +159,8 @@ class BuiltFriction(Built):
         given = self.pairs.get(cloth.name, {}).get(name)
         if given is not None:
             return both_of(given if isinstance(given, Pair) else Pair(given))
-        return tuple(sqrt(a * b) for a, b in zip(both_of(cloth), both_of(entry)))
+        kinetic, static = (sqrt(a * b) for a, b in zip(both_of(cloth), both_of(entry)))
+        return kinetic, static
 
 
 def both_of(surface) -> tuple[float, float]:

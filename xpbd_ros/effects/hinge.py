@@ -80,7 +80,10 @@ class Parameters:
     @property
     def rigidities(self) -> tuple[float, float]:
         """B along warp and along weft [N m]."""
-        return (self.warp, self.weft) if self.stiffness is None else (self.stiffness,) * 2
+        if self.stiffness is not None:
+            return self.stiffness, self.stiffness
+        assert self.warp is not None and self.weft is not None
+        return self.warp, self.weft
 
 
 class Hinge(NamedTuple):

@@ -98,9 +98,10 @@ class Parameters:
     @property
     def moduli(self) -> tuple[float, float, float]:
         """Y1, Y2 and G [N/m]."""
-        if self.young is None:
-            return self.warp, self.weft, self.shear
-        return self.young, self.young, 0.5 * self.young / (1.0 + self.poisson)
+        if self.young is not None:
+            return self.young, self.young, 0.5 * self.young / (1.0 + self.poisson)
+        assert self.warp is not None and self.weft is not None and self.shear is not None
+        return self.warp, self.weft, self.shear
 
     @property
     def compliance(self) -> np.ndarray:

@@ -245,10 +245,10 @@ class BuiltPin(Built):
     def _hold(self, name, particles, pose, state, keyframes=None) -> Held:
         entry = self.entries.get(name)
         max_speed = (entry or Entry).max_speed
-        compliance, slip = (
-            usual if entry is None or own is None else own for usual, own in (
-                (self.usual.compliance, getattr(entry, 'compliance', None)),
-                (self.usual.slip, getattr(entry, 'slip', None))))
+        compliance, slip = self.usual.compliance, self.usual.slip
+        if entry is not None:
+            compliance = compliance if entry.compliance is None else entry.compliance
+            slip = slip if entry.slip is None else entry.slip
         offset = places(state.x, particles) - pose.position
         inverse = conjugate(pose.orientation)
         offset = np.array([rotate.py_func(*inverse, *q) for q in offset.tolist()])
@@ -303,6 +303,7 @@ class BuiltPin(Built):
                     continue
                 if len(holds) == len(self.data.start):
                     return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
+                assert taken is not None
                 near, nearest = self._near(command, taken, state)
                 if not len(near):
                     return (f"pin '{command.pin}': no free particle within {command.radius:g} m "

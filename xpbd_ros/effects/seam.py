@@ -159,8 +159,8 @@ class BuiltSeam(Built):
         self.names = tuple(world.sections.get('seams', {}))
         self.data = None
         if first:
-            self.data = Seam(*map(np.concatenate, (first, second, compliance)),
-                             np.zeros((sum(map(len, first)), 3)))
+            self.data = Seam(np.concatenate(first), np.concatenate(second),
+                             np.concatenate(compliance), np.zeros((sum(map(len, first)), 3)))
             if 'strain_limit' in world.built:
                 world.built['strain_limit'].take_turns()
 

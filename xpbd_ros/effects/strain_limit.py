@@ -289,7 +289,8 @@ def _on_meshes(cloths, world) -> MeshStrainLimit:
         new_records(world.slots, dtype), zeros(len(order), dtype),
         Pulled(particles[order[index]].T.astype(np.int64), index, longest[order[index]]),
         packs_for(room(len(order))) if world.pins else None,
-        *(zeros((3, world.slots), dtype) if world.pins else None for _ in range(2)), None)
+        zeros((3, world.slots), dtype) if world.pins else None,
+        zeros((3, world.slots), dtype) if world.pins else None, None)
 
 
 def stops_of(count: int) -> Stops:
@@ -335,6 +336,7 @@ class BuiltStrainLimit(Built):
         for part in self.parts:
             edges = Listed(part.pulled.particles.T, part.pulled.index)
             if isinstance(part, StrainLimit):
+                assert part.stops is not None
                 hold(part.stops.held, edges, inv_mass)
             else:
                 hold_packs(part.packs, edges, inv_mass, len(part.force))

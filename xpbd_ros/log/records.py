@@ -62,7 +62,7 @@ class Summary:
 
 def parse(record: type[Parsed], body: bytes | memoryview) -> Parsed:
     """Parse the body of a record of a given type."""
-    return record.read(ReadDataStream(BytesIO(body)))
+    return record.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
 
 
 def walk(file: BinaryIO, starts: list[int], lost: Callable[[int, int], None]) -> Iterator[Record]:

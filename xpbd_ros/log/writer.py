@@ -13,7 +13,7 @@ from contextlib import suppress
 import os
 from pathlib import Path
 import time
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from mcap.writer import CompressionType, Writer
 
@@ -30,6 +30,8 @@ CHUNK_SIZE = 256 * 1024
 METADATA = 'xpbd_ros'
 SCENE = 'scene.yaml'
 MEDIA_TYPES = {'.json': 'application/json', '.obj': 'model/obj', '.yaml': 'application/yaml'}
+
+Answer = TypeVar('Answer')
 
 
 class LogWriter:
@@ -171,7 +173,7 @@ class LogWriter:
         """Number of messages and topics so far, which only grows."""
         return len(self._topics) + sum(topic.count for topic in self._topics.values())
 
-    def _put(self, write: Callable[..., int | None], *arguments: object) -> int | None:
+    def _put(self, write: Callable[..., Answer], *arguments: object) -> Answer:
         """
         Call ``write(*arguments)``; if it fails, truncate the file to whole records and close it.
 

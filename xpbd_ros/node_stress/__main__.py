@@ -20,7 +20,8 @@ def main() -> int:
     found = {}
     with tempfile.TemporaryDirectory(prefix='xpbd_ros_stress_') as folder:
         for id_ in sys.argv[1:]:
-            start, rows = time.perf_counter(), []
+            start = time.perf_counter()
+            rows: list[Outcome] = []
             try:
                 rows += CASES[id_](Path(folder) / id_)
             except LostError as error:

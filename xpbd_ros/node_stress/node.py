@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -64,11 +65,12 @@ class NodeUnderTest:
                 [sys.executable, '-m', 'xpbd_ros', 'node', '--ros-args', *words], stdout=file,
                 stderr=subprocess.STDOUT)
         self.node = Node('hard_case')
-        self.clouds, self.status = [], {}
-        self.warned = []
+        self.clouds: list[PointCloud2] = []
+        self.status: dict[str, str] = {}
+        self.warned: list[str] = []
         self.node.create_subscription(PointCloud2, '/cloth/particles', self.clouds.append, 50)
         self.node.create_subscription(DiagnosticArray, '/diagnostics', self._diagnosed, 10)
-        self._publishers = {}
+        self._publishers: dict[str, Any] = {}
 
     def _diagnosed(self, array) -> None:
         for status in array.status:

@@ -9,6 +9,7 @@ the elements of an empty sequence to 8 bytes and CDR does not, so a message with
 import functools
 import importlib
 import struct
+from typing import Any
 
 from rosidl_parser.definition import (
     AbstractGenericString,
@@ -35,7 +36,7 @@ def trimmed(data: bytes, kind: type) -> bytes:
 
 
 @functools.cache
-def overestimated(kind: type) -> bool:
+def overestimated(kind: Any) -> bool:
     """Return whether rmw_fastrtps may estimate too large a size for messages of this type."""
     return any(_aligns_when_empty(slot) for slot in kind.SLOT_TYPES)
 
@@ -53,7 +54,7 @@ def _class(namespaces: tuple[str, ...], name: str) -> type:
     return getattr(importlib.import_module('.'.join(namespaces)), name)
 
 
-def _end(data: memoryview, at: int, kind: type, count: struct.Struct) -> int:
+def _end(data: memoryview, at: int, kind: Any, count: struct.Struct) -> int:
     """Return the offset behind a message of type ``kind`` that begins at ``at`` [bytes]."""
     for slot in kind.SLOT_TYPES:
         at = _skip(data, at, slot, count)

@@ -38,6 +38,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.simulation import Simulation
 
 POLL = 0.002
 """period at which a node that follows /clock reads it [s]"""
@@ -50,7 +51,7 @@ class ClothNode(LifecycleNode):
 
     def __init__(self):
         super().__init__('cloth')
-        self.simulation = None
+        self.simulation: Simulation | None = None
         self.stepper: Stepper | None = None
         self.recorder: Recorder | None = None
         self._recorded: set[Path] = set()
@@ -160,6 +161,7 @@ class ClothNode(LifecycleNode):
                 self.get_logger().error(str(error))
                 super().on_deactivate(state)
                 return TransitionCallbackReturn.FAILURE
+        assert self.simulation is not None
         now_ns, poll = self.pace()
         self.stepper = Stepper(
             self.step, self._idle, self._failed, self._jumped, now_ns=now_ns,
@@ -193,6 +195,7 @@ class ClothNode(LifecycleNode):
 
     def _publish_initial_state(self) -> None:
         """Open the log and publish the initial state, once there is a time to stamp it with."""
+        assert self.simulation is not None and self.topics is not None
         frame = self.simulation.frame()
         self.stamps.begin(frame.time_ns, self.now_ns())
         if self.value('record.path'):
@@ -243,6 +246,7 @@ class ClothNode(LifecycleNode):
         """Return the stamp of the frame just computed [ns]; it is at most one frame old."""
         if self.makes_clock:
             return self.stamps.even(frame.time_ns)
+        assert self.simulation is not None
         late = None
         for _ in range(READINGS):    # until nothing delays the process between the two readings
             begin = time.monotonic_ns()
@@ -261,6 +265,8 @@ class ClothNode(LifecycleNode):
         """Compute, publish and record one frame; ``late_ns()`` is how long ago it was due."""
         if not self._begun:
             self._publish_initial_state()
+        assert self.simulation is not None and self.topics is not None
+        assert self.error_monitor is not None
         substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
         frame = self.simulation.step([*self.command_queue.drain(), *self.error_monitor.commands()],
@@ -299,6 +305,7 @@ class ClothNode(LifecycleNode):
 
         Where ``auto`` chose other substeps for it, the parameter is set to them.
         """
+        assert self.simulation is not None
         solver = self.simulation.solver
         self.scene = scene_from_mapping(self.scene.raw, where=self.scene.where,
                                         name=self.scene.name, overrides=keys)
@@ -316,6 +323,7 @@ class ClothNode(LifecycleNode):
 
     def _publish_on_wall_time(self, frame) -> None:
         """Publish markers and diagnostics, whose rates are in wall time."""
+        assert self.topics is not None
         now = time.monotonic()
         rate = self.value('marker_rate')
         if frame is not None and rate > 0.0 and now >= self._next_markers:
@@ -328,6 +336,7 @@ class ClothNode(LifecycleNode):
             self.topics.publish('/diagnostics', self.status.message())
 
     def _publish(self, encoded: dict[str, bytes]) -> None:
+        assert self.topics is not None
         for topic, data in encoded.items():
             self.topics.publish(topic, data)
 

@@ -37,8 +37,8 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
     Consecutive commands of one kind share a message.
     """
     found = []
-    for key, group in groupby(commands, _batch):
-        group = list(group)
+    for key, batch in groupby(commands, _batch):
+        group = list(batch)
         kind = key[0]
         if kind in (Grasp, Release, ReleaseAll):
             found.append(('pins', MarkerArray(

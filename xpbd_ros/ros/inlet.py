@@ -9,6 +9,7 @@ reliability, there is only the subscription that it asks for.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode
@@ -37,7 +38,8 @@ class Inlet:
         self._node, self._topic, self._kind, self._take = node, topic, kind, take
         self._qos = QoSProfile(depth=DEPTH)
         self._seen: dict[tuple, None] = {}    # latest messages: source time, sequence number
-        self._reliable = self._best_effort = None
+        self._reliable: Any = None
+        self._best_effort: Any = None
         self._reliable = self._subscribe(
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             event_callbacks=SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible_qos,
@@ -46,7 +48,8 @@ class Inlet:
     def _subscribe(self, **options):
         def take(raw, info):
             self._drain(subscription, raw, info)
-        subscription = self._node.create_subscription(self._kind, self._topic, take, self._qos,
+        callback: Callable[..., None] = take    # rclpy's type lacks the message info
+        subscription = self._node.create_subscription(self._kind, self._topic, callback, self._qos,
                                                       raw=True, **options)
         return subscription
 

@@ -57,7 +57,7 @@ class Cloud:
     """
 
     def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32):
-        names = names.split()
+        columns = names.split()
         message = PointCloud2()
         message.header.frame_id = frame_id
         grid = cloth.mesh.grid
@@ -65,8 +65,8 @@ class Cloud:
         size = np.dtype(dtype).itemsize
         kind = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
         message.fields = [PointField(name=name, offset=size * k, datatype=kind, count=1)
-                          for k, name in enumerate(names)]
-        message.point_step = size * len(names)
+                          for k, name in enumerate(columns)]
+        message.point_step = size * len(columns)
         message.row_step = message.point_step * message.width
         message.is_dense = True
         length = message.row_step * message.height
@@ -75,7 +75,7 @@ class Cloud:
         self._buffer = bytearray(serialize_message(message))
         at = self._buffer.find(MARK * (length // len(MARK)))
         self._points = np.frombuffer(self._buffer, dtype, length // size, at).reshape(
-            -1, len(names))
+            -1, len(columns))
 
     def bytes(self, values: np.ndarray, time_ns: int) -> bytes:
         """Return the serialized message; ``values`` has shape (particles of the cloth, fields)."""

@@ -18,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages
 from xpbd_ros.sim.particles.state import history_arrays
+from xpbd_ros.sim.pins.states import PinStates
 from xpbd_ros.sim.simulation import Frame, Simulation
 
 LATCHED = Qos(durability='transient_local', depth=1)
@@ -99,6 +100,7 @@ class Outputs:
         found = {topic: cloud.bytes(frame.x[cloud.cloth.particles], time_ns)
                  for topic, cloud in self._clouds.items()}
         if 'pin_states' in self.topics:
+            assert isinstance(frame.pins, PinStates)
             found['pin_states'] = self._pins.bytes(frame.pins, time_ns)
         return found
 

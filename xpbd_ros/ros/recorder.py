@@ -53,7 +53,7 @@ class Recorder:
                                      output.qos)
         self._later: set[str] = set()
         """channels that were added with their first message"""
-        self._counts: dict[str, int] = {}
+        self._counts: dict[str, float] = {}
         self._moved_ns, self._told_ns = 0, -SECOND    # shift of stamps as last written, when
         frame = outputs.simulation.frame()
         self._write_all(outputs.start(), frame)

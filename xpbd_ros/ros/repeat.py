@@ -25,6 +25,7 @@ class Repeat:
 
     def __init__(self, recording: Recording, scene: Scene, simulation: Simulation, frames: int):
         self._recording = recording
+        self.path = recording.path
         self._simulation = simulation
         self.differences = differences(with_solver(scene, simulation.solver), recording.scene)
         self.compared = 0

@@ -229,6 +229,7 @@ class Replay:
 
     def _publish_next(self) -> None:
         """Publish the next message, and read the one after it."""
+        assert self._next is not None
         self._publish(self._next)
         self._advance()
 

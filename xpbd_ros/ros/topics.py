@@ -1,6 +1,7 @@
 """The topics of a configured node: all outputs, and the inputs that its scene's effects need."""
 
 from collections.abc import Callable
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
@@ -34,7 +35,8 @@ class Topics:
                  clock: bool):
         self._node, self._scene, self._outputs, self._take = node, scene, outputs, take
         self._clock = clock
-        self._publishers, self._inlets = {}, []
+        self._publishers: dict[str, Any] = {}
+        self._inlets: list[Inlet] = []
 
     def open(self) -> None:
         """Create publishers and subscriptions; if that fails, ``close`` removes those created."""

@@ -1,6 +1,7 @@
 """Resolve ``solver.method: auto``: a pure function of the scene, which reads no clock."""
 
 from math import ceil, inf, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -99,8 +100,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     if method == 'explicit' and keys.iterations > 1:
         raise InputError('solver.iterations: must be 1 with method explicit (got '
                          f'{keys.iterations}); increase substeps instead')
-    chosen = {'method': method, 'integrator': integrator, 'iterations': keys.iterations,
-              'precision': keys.precision, 'threads': keys.threads}
+    chosen: dict[str, Any] = {
+        'method': method, 'integrator': integrator, 'iterations': keys.iterations,
+        'precision': keys.precision, 'threads': keys.threads}
     if method == 'explicit':
         needed = frame_dt * stability_limit(effects, state)
         chosen['rough_substeps'] = _bounded(LINE['backward_euler'] * needed, max(1, int(
@@ -194,8 +196,9 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
                     swept += rate
         elif size < 4 or hasattr(built.constraints, 'stretch'):
             swept += stability_limit({name: built}, state)**2
-    return tuple(frame_dt * sqrt(rate) if rate < 1e20 else inf
-                 for rate in (on_lines + swept, swept))
+    for_all, for_swept = (frame_dt * sqrt(rate) if rate < 1e20 else inf
+                          for rate in (on_lines + swept, swept))
+    return for_all, for_swept
 
 
 def largest_rate(edges, mass) -> float:

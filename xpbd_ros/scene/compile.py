@@ -32,8 +32,7 @@ COARSE = 1e-3
 def compile_scene(scene: Scene) -> Simulation:
     """Return a simulation at the scene's start; ``Simulation.compile`` compiles its kernels."""
     cloths, x, mass = [], [], []
-    solver = scene.top.solver
-    dtype = np.dtype(solver.precision)
+    dtype = np.dtype(scene.top.solver.precision)
     try:
         meshes = [_mesh(name, keys) for name, keys in scene.cloths.items()]
     except InputError as error:
@@ -86,6 +85,7 @@ def _mesh(name: str, keys: ClothKeys) -> Mesh:
     """Return the rest shape of one cloth."""
     if keys.grid is not None:
         return grid_mesh(keys.grid.size, keys.grid.resolution)
+    assert keys.mesh is not None
     try:
         vertices, triangles, tetrahedra = read_mesh_file(Path(keys.mesh.file))
     except InputError as error:

@@ -201,6 +201,7 @@ def _scene(raw: dict, where: str, name: str) -> Scene:
         if raw.get(section) is None:
             continue
         entry = load_effect(effect).entry
+        assert entry is not None
         sections[section] = {key: read(entry, value, f'{section}.{key}')
                              for key, value in names(raw[section], section).items()}
         if effect not in effects:

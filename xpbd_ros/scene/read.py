@@ -83,7 +83,7 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
         fits = [k for k in kinds if (get_origin(k) is tuple and isinstance(value, list))
                 or (is_dataclass(k) and isinstance(value, dict))]
         kind = fits[0] if fits else kinds[0]
-    if is_dataclass(kind):
+    if isinstance(kind, type) and is_dataclass(kind):
         return read(kind, value, path)
     if get_origin(kind) is tuple:
         return _tuple(get_args(kind), value, path, metadata)

@@ -116,10 +116,10 @@ class Built:
     that applies it, once ``refusal`` has nothing against it.
     """
 
-    data: tuple | None
+    data: Any
     incompatible_with: tuple[str, ...] = ()
     """methods and integrators that do without it"""
-    also: tuple[tuple, ...] = ()
+    also: Sequence[Any] = ()
     ns_per_particle: float = 0.0
     """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
     pulls_taut: bool = False
@@ -144,7 +144,7 @@ class Built:
         self.commands: dict[type, Callable[[Command, Clock, State], None]] = {}
 
     @property
-    def parts(self) -> tuple[tuple, ...]:
+    def parts(self) -> tuple[Any, ...]:
         """All that the kernels get, in their order."""
         return (self.data, *self.also) if self.data is not None else ()
 

@@ -1,12 +1,12 @@
 """A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import copy
 from dataclasses import dataclass, replace
 from fractions import Fraction
 import hashlib
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -74,7 +74,7 @@ class Simulation:
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: Callable[[str, Any], 'Change'] | None = None,
+                 retune: 'Retune | None' = None,
                  notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
@@ -96,7 +96,7 @@ class Simulation:
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
         self._crew = ThreadPool(solver.threads)
-        self._tuple = ()
+        self._tuple: tuple[Any, ...] = ()
         self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
         self._last = FrameRollback(self)
         for built in effects.values():
@@ -142,7 +142,8 @@ class Simulation:
         """
         clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
                       self.frame_dt, self.solver.substeps)
-        applied, refused = [], []
+        applied: list[Command] = []
+        refused: list[tuple[Command, str]] = []
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
             reason = self._apply(group, clock)
@@ -185,7 +186,8 @@ class Simulation:
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
-        reported = {'pins': MappingProxyType({}), 'colliders': MappingProxyType({})}
+        reported: dict[str, Any] = {'pins': MappingProxyType({}),
+                                    'colliders': MappingProxyType({})}
         for built in self.effects.values():
             reported.update(built.reported(self.frame_dt))
         return Frame(self.index, self.time_ns(self.index), x, v, inv_mass, **reported,
@@ -202,7 +204,7 @@ class Simulation:
             return None
         if isinstance(group[0], SetKey):
             return self._set(group[0])
-        owners = {}
+        owners: dict[int, tuple[Built, list[Command]]] = {}
         for command in group:
             owner = next((built for built in self.effects.values()
                           if type(command) in built.commands), None)
@@ -288,7 +290,7 @@ class Simulation:
         state = self.state
         fresh = [] if state.history is None else [state.history.fresh]
         for array in (state.x, state.v, state.inv_mass, *history_arrays(state), *fresh):
-            digest.update(np.ascontiguousarray(array[..., self.slot]))
+            digest.update(np.ascontiguousarray(array[..., self.slot]).data)
         return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:
@@ -324,3 +326,13 @@ class Change:
     effects: dict[str, Built]
     solver: Solver | None = None
     gravity: tuple[float, float, float] | None = None
+
+
+class Retune(Protocol):
+    """Compute what a new value of a live key changes, as ``scene.compile.Retune`` does."""
+
+    def __call__(self, key: str, value: Any) -> Change:
+        """Return the change; raise InputError for a bad value."""
+
+    def check(self, changes: dict[str, Any]) -> object:
+        """Raise InputError for bad keys or values; change nothing."""

@@ -44,7 +44,9 @@ class Motion:
         self.stream: Stream | None = None
         """targets with stamps; None without"""
         self._left = 0.0
-        self._arrived_ns = self._stamp_ns = self._latest = None
+        self._arrived_ns: int | None = None
+        self._stamp_ns: int | None = None
+        self._latest: Pose | None = None
 
     def aim(self, pose: Pose, twist: Twist | None, stamp_ns: int, now_ns: int) -> None:
         """
@@ -59,6 +61,7 @@ class Motion:
             return
         if 0 < since <= GAP_NS:
             if self.stream is None:
+                assert self._stamp_ns is not None and self._arrived_ns is not None
                 self.stream = Stream(self._stamp_ns, self.target, self._arrived_ns)
             self.stream.push(stamp_ns, pose, twist, now_ns, self.pose)
         elif not (self.stream is not None and stamp_ns == self._stamp_ns
@@ -101,9 +104,9 @@ class Motion:
         if s * slower == 1.0 and s * turn_slower == 1.0:
             self.pose = self.target
             return
-        position = tuple(a + s * slower * (b - a)
-                         for a, b in zip(self.pose.position, self.target.position))
-        self.pose = Pose(position, interpolate.py_func(
+        x, y, z = (a + s * slower * (b - a)
+                   for a, b in zip(self.pose.position, self.target.position))
+        self.pose = Pose((x, y, z), interpolate.py_func(
             self.pose.orientation, self.target.orientation, s * turn_slower))
 
 

@@ -64,7 +64,8 @@ class Stream:
         """number of poses that arrived after the curve's end was reached"""
         self._knots = [_rest(stamp_ns, pose)]
         self._at = 0    # index of the knot that was played last
-        self._slopes: tuple | None = None    # at both ends of the segment that begins there
+        # at both ends of the segment that begins there
+        self._slopes: tuple[tuple, tuple] | None = None
         self._lag_ns = arrived_ns - stamp_ns    # simulation time of arrival less stamp
         self._period_ns = 0
         self._given = [False, False]
@@ -115,7 +116,7 @@ class Stream:
         A zero linear or angular velocity counts as "not given" until a nonzero one has arrived:
         senders leave twists empty.
         """
-        given = [None, None]
+        given: list[tuple[float, ...] | None] = [None, None]
         values = _near(last.values, pose)
         if twist is not None:
             for k, part in enumerate((twist.linear, twist.angular)):
@@ -155,7 +156,7 @@ class Stream:
             return knot.pose
         return _between(knot, knots[self._at + 1], *self._segment(), played)
 
-    def _segment(self) -> tuple:
+    def _segment(self) -> tuple[tuple, tuple]:
         """Return the slopes at both ends of the current segment, computed once per segment."""
         if self._slopes is None:
             self._slopes = self._slope(self._at), self._slope(self._at + 1)

@@ -50,12 +50,13 @@ def written_out(stub):
     def register(write):
         def typer(*kinds):
             return types.none
-        typer.pysig = signature(stub)
+        known = signature(stub)
+        typer.pysig = known  # type: ignore[attr-defined]
 
         def lower(context, builder, signature_, arguments):
             write(Writer(context, builder), *zip(signature_.args, arguments))
             return context.get_dummy_value()
         type_callable(stub)(lambda typing: typer)
-        lower_builtin(stub, *[types.Any] * len(typer.pysig.parameters))(lower)
+        lower_builtin(stub, *[types.Any] * len(known.parameters))(lower)
         return write
     return register

@@ -49,7 +49,7 @@ if not WHY_PLAIN:
 try:
     from xpbd_ros.sim.backend.locked_cache import LockedCache
 except (AttributeError, ImportError):
-    LockedCache = None
+    LockedCache = None  # type: ignore[assignment,misc]
 
 
 @contextmanager
@@ -95,7 +95,8 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
 
     """
     def compile_(function):
-        folder = cache_name and CACHE_FOLDER / ('plain' if WHY_PLAIN else 'linked') / cache_name
+        folder = None if cache_name is None else (
+            CACHE_FOLDER / ('plain' if WHY_PLAIN else 'linked') / cache_name)
         flags = {'forceinline': inline, '_nrt': allocates}
         kernel = _dispatcher(function, LockedCache, folder, **{**FLAGS, **flags})
         if WHY_PLAIN:

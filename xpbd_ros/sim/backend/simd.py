@@ -111,7 +111,8 @@ def load(typing, array, index):
     vector = vector_of(array)
 
     def generate(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, signature.args[0], *arguments, vector.llvm)
+        array_, index_ = arguments
+        pointer = _pointer(context, builder, signature.args[0], array_, index_, vector.llvm)
         return builder.load(pointer, align=vector.lane.bitwidth // 8)
     return vector(array, types.intp), generate
 

@@ -283,8 +283,10 @@ def hold_edges(edges: 'GridEdges | MeshEdges', listed_: Edges, inv_mass: np.ndar
 
     """
     if isinstance(edges, MeshEdges):
+        assert edges.packs is not None
         hold_packs(edges.packs, listed_, inv_mass, edges.particles.shape[1])
     else:
+        assert edges.stops is not None
         found = hold(edges.stops.held, listed_, inv_mass)
         edges.stops.first[:] = np.searchsorted(found, first_of_runs(edges.runs))
 

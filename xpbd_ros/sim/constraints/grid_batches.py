@@ -99,8 +99,9 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
         phase.append(len(strip) - 1)
     width = len(shapes[0].particles) if shapes else 0
     table = np.array(table, np.int64).reshape(-1, 7 + width)
-    return Runs(*(np.ascontiguousarray(table[:, k]) for k in range(4)),
-                np.ascontiguousarray(table[:, 4:-3]), *(table[:, k].copy() for k in (-3, -2, -1)),
+    start, count, rows, stride = (np.ascontiguousarray(table[:, k]) for k in range(4))
+    return Runs(start, count, rows, stride, np.ascontiguousarray(table[:, 4:-3]),
+                table[:, -3].copy(), table[:, -2].copy(), table[:, -1].copy(),
                 np.array(strip), np.array(phase), present)
 
 
@@ -117,7 +118,8 @@ def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]
     since each vector would wait for the stores of the one before; they are swept down their rows.
     """
     waits = block.short and len({j for j, _ in shape.particles}) == 1
-    found, last_part = [], block.parts
+    found: list[tuple[int, int, tuple]] = []
+    last_part = block.parts
     for part in range(block.parts):
         columns = [c for c in shape.columns if c % block.parts == part]
         if not columns:
@@ -141,8 +143,9 @@ def join(runs: list[Runs]) -> Runs:
     columns = [np.concatenate([r[k][these] for r, these in taken]) for k in range(COLUMNS)]
     strip = np.cumsum([0, *(these.stop - these.start for _, these in taken)])
     phase = np.sum([r.phase for r in runs], axis=0)
-    return Runs(*columns, strip, phase, np.concatenate(
-        [np.pad(r.present, ((0, 0), (0, places - r.present.shape[1]))) for r in runs]))
+    present = np.concatenate(
+        [np.pad(r.present, ((0, 0), (0, places - r.present.shape[1]))) for r in runs])
+    return Runs._make((*columns, strip, phase, present))
 
 
 @jit(inline=True)
@@ -185,4 +188,5 @@ def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
                 np.full(len(anchor), runs.shape[r]),
                 np.tile(runs.place[r] + along, runs.rows[r]))):
             column.append(numbers)
-    return tuple(np.concatenate(column) for column in found)
+    particles, index, shape, place = (np.concatenate(column) for column in found)
+    return particles, index, shape, place

@@ -42,6 +42,7 @@ def _mirrored(mesh: Mesh) -> np.ndarray:
 
 
 def _is_diagonal(mesh: Mesh, particles: np.ndarray) -> np.ndarray:
+    assert mesh.grid is not None
     columns = mesh.grid.shape[1]
     row, column = np.divmod(particles[:, :2], columns)
     return (row[:, 0] != row[:, 1]) & (column[:, 0] != column[:, 1])

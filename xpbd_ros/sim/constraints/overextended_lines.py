@@ -46,7 +46,7 @@ def hold(taut: Taut, blocks: list[Block], inv_mass: np.ndarray) -> None:
                 if (np.diff(np.flatnonzero(lines[number])) > 1).any():
                     found.append((g, along, number))
     taut.count[0] = len(found)
-    taut.line[:len(found)] = np.reshape(found, (-1, 3))
+    taut.line[:len(found)] = np.array(found, np.int64).reshape(-1, 3)
 
 
 @jit

@@ -36,7 +36,7 @@ class Held(NamedTuple):
 class Packs(NamedTuple):
     """Segments of a sweep over packs, and the record of one pack."""
 
-    held: NamedTuple
+    held: Any
     """constraints at pinned particles, in sweep order"""
     segments: np.ndarray
     """number of segments, shape (1,)"""
@@ -54,14 +54,14 @@ def room_for(count: int, width: int) -> Held:
                 np.zeros(count, np.int64))
 
 
-def packs_for(held: NamedTuple, multipliers: int = 1) -> Packs:
+def packs_for(held: Any, multipliers: int = 1) -> Packs:
     """Return the segments of a sweep over packs, for constraints with so many multipliers each."""
     count, width = held.particles.shape
     return Packs(held, np.zeros(1, np.int64), np.zeros((2 * (count // PACK) + 1, 4), np.int64),
                  np.zeros((PACK, multipliers, width, 3)), np.zeros((PACK, multipliers)))
 
 
-def hold(held: NamedTuple, constraints: Any, inv_mass: np.ndarray) -> np.ndarray:
+def hold(held: Any, constraints: Any, inv_mass: np.ndarray) -> np.ndarray:
     """
     Update a list of constraints at pinned particles.
 

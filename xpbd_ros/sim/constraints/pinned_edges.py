@@ -5,7 +5,7 @@ As in ``constraints.pinned``, for edges on grids: a sweep over runs records the 
 multiplier of each edge at a pinned particle before its projection, and adds n Δf afterwards.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Held(NamedTuple):
 class Stops(NamedTuple):
     """Edges at pinned particles by run, and the record of their directions and multipliers."""
 
-    held: Held
+    held: Any
     """the edges, in sweep order"""
     first: np.ndarray
     """position in ``held`` of each run's first edge, and their number; shape (runs + 1,)"""

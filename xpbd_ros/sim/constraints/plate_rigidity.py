@@ -113,8 +113,8 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
         density = b[:, None] * _rolled(c) / share[:, None]
         weighted = density * (counted / counted.sum())[:, None]
         now = weighted.sum(0)
-        ratio = now[:2] / asked[:2]
-        worst = max(ratio.max(), (1.0 / ratio).max(), 1.0 + np.abs(now - asked)[2:].max())
+        off = now[:2] / asked[:2]
+        worst = max(off.max(), (1.0 / off).max(), 1.0 + np.abs(now - asked)[2:].max())
         if worst < best:
             best, chosen, energy = worst, b, (b * (counted > 0.0))[:, None, None] * (
                 c[:, :, None] * c[:, None, :]) / counted.sum()
@@ -137,7 +137,7 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
 
 def shortfall(found: Plate, along_warp: float, along_weft: float) -> str | None:
     """Return a note on the errors of the fit, for the user; None if they are small."""
-    if found.rolled is None:
+    if found.rolled is None or found.strip is None:
         return None if along_warp == along_weft else (
             'the mesh is not flat, or has no particle inside, so its hinges are not fitted to '
             'warp and weft; they may be several times as stiff along the softer one as asked')

@@ -16,7 +16,7 @@ The four particles are distinct, so W has no mixed terms. Coincident ends of a d
 along a fixed axis, as those of edges do (``constraints.distance``).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -108,7 +108,7 @@ class Slants:
         return Slants(particles, index, batch.compliance[shape, place])
 
     @staticmethod
-    def joined(lists: 'list[Slants | Edges]') -> 'Slants | Edges':
+    def joined(lists: list[Any]) -> 'Slants | Edges':
         """Return the constraints of several batches; ``index`` refers to each one's own batch."""
         if all(isinstance(these, Edges) for these in lists):
             return Edges.joined(lists)

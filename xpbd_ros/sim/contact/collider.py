@@ -47,6 +47,7 @@ class Placed:
         if self.field is not None:
             return 0.5 * self.field.spacing
         if self.heights is not None:
+            assert self.entry.heights is not None
             across, along = self.entry.heights.size
             rows, columns = self.heights.shape
             return 0.5 * min(across / (columns - 1), along / (rows - 1))

@@ -138,7 +138,8 @@ class Entry:
     def pose(self) -> Pose:
         """Initial pose; the z axis of a plane's pose is its normal."""
         n = sqrt(sum(c * c for c in self.orientation))
-        orientation = tuple(c / n for c in self.orientation)
+        x, y, z, w = (c / n for c in self.orientation)
+        orientation = x, y, z, w
         if self.plane is not None:
             orientation = multiply(orientation, from_z_axis(self.plane.normal))
         return Pose(self.position, orientation)
@@ -153,19 +154,23 @@ def shape_size(entry: Entry) -> tuple[float, float, float]:
     if entry.sphere is not None:
         return entry.sphere.radius, 0.0, 0.0
     if entry.box is not None:
-        return tuple(0.5 * c for c in entry.box.size)
+        x, y, z = entry.box.size
+        return 0.5 * x, 0.5 * y, 0.5 * z
     if entry.heights is not None:
-        return (*(0.5 * c for c in entry.heights.size), 0.0)
+        x, y = entry.heights.size
+        return 0.5 * x, 0.5 * y, 0.0
     if entry.plane is not None or entry.mesh is not None:
         return 0.0, 0.0, 0.0
     tube = entry.capsule or entry.cylinder
+    assert tube is not None
     return tube.radius, 0.5 * tube.length, 0.0
 
 
 def shape_of(name: str, size: tuple[float, ...]):
     """Return a shape of the name and size of a ``PlaceCollider`` command."""
     if name == 'box':
-        return Box(size)
+        x, y, z = size
+        return Box((x, y, z))
     if name == 'mesh':
         return Body(f'{len(size) // 9} triangles, {hash(size):x}')
     return Sphere(*size) if name == 'sphere' else Cylinder(*size)

@@ -77,7 +77,8 @@ class Contacts(NamedTuple):
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) -> Contacts:
     """Return an empty list with the capacity of ``room`` candidates."""
     capacity = len(colliders.shape)
-    return Contacts(colliders, *(np.zeros_like(colliders.start) for _ in range(3)),
+    return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
+                    np.zeros_like(colliders.start),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
                     np.zeros((capacity, 3)),
                     np.zeros(5, np.int64), np.array([thickness]), np.zeros(1),

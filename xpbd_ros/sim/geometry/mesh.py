@@ -91,7 +91,8 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
 
 def grid_spacing(size: tuple[float, float], resolution: tuple[int, int]) -> tuple[float, float]:
     """Return the distance of neighbours along warp and weft [m]; the extent if there are none."""
-    return tuple(s / (n - 1) if n > 1 else s for s, n in zip(size, resolution))
+    along_warp, along_weft = (s / (n - 1) if n > 1 else s for s, n in zip(size, resolution))
+    return along_warp, along_weft
 
 
 def is_square(spacing: tuple[float, float]) -> bool:
@@ -125,7 +126,8 @@ def cuthill_mckee(edges: np.ndarray, count: int) -> np.ndarray:
     both = both[np.lexsort((both[:, 1], degree[both[:, 1]], both[:, 0]))]
     start = np.concatenate([[0], np.cumsum(degree)]).tolist()
     neighbours = both[:, 1].tolist()
-    order, seen = [], [False] * count
+    order: list[int] = []
+    seen = [False] * count
     for root in np.argsort(degree, kind='stable').tolist():
         if seen[root]:
             continue

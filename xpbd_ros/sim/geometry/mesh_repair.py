@@ -184,7 +184,7 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     at = np.flatnonzero((key[order][:-1] == key[order][1:]).all(1))
     one, other = order[at], order[at + 1]
     against = (directed[one] == directed[other]).all(1)    # same direction: opposite orientation
-    neighbours = [[] for _ in triangles]
+    neighbours: list[list[tuple[int, bool]]] = [[] for _ in triangles]
     for s, t, disagree in zip(owner[one].tolist(), owner[other].tolist(), against.tolist()):
         neighbours[s].append((t, disagree))
         neighbours[t].append((s, disagree))

@@ -64,8 +64,8 @@ def new_history(integrator: str, slots: int, dtype) -> History | None:
     steps = STEPS[integrator]
     if steps == 0:
         return None
-    x, v, older_x, older_v = (zeros((3, slots), dtype) if k < 2 * steps else None
-                              for k in range(4))
+    x, v = zeros((3, slots), dtype), zeros((3, slots), dtype)
+    older_x, older_v = (zeros((3, slots), dtype) if steps == 2 else None for _ in range(2))
     return History(x, v, older_x, older_v, np.full_like(zeros(slots, dtype), NONE))
 
 

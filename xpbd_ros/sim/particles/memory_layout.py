@@ -88,7 +88,7 @@ class Span:
         return self.first + self.rank
 
 
-def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Block | Span], int]:
+def blocks(shapes: list[tuple[int, ...] | np.ndarray], dtype) -> tuple[list[Block | Span], int]:
     """
     Lay out grids and meshes one after another.
 
@@ -104,7 +104,8 @@ def blocks(shapes: list[tuple[int, int] | np.ndarray], dtype) -> tuple[list[Bloc
 
     """
     lanes = lane_count(dtype)
-    found, first = [], 0
+    found: list[Block | Span] = []
+    first = 0
     for shape in shapes:
         if isinstance(shape, np.ndarray):
             found.append(Span(first, shape, _round_up(len(shape), lanes)))

@@ -104,8 +104,9 @@ def with_solver_storage(state: State, *, integrator: str, apart: type | None, co
 
     state = state._replace(history=new_history(integrator, slots, dtype))
     if integrator == 'ndf2':
-        state = state._replace(gap=zeros(slots, dtype))
-        state.gap[:] = gap
+        distance = zeros(slots, dtype)
+        distance[:] = gap
+        state = state._replace(gap=distance)
     if apart is not None:
         state = state._replace(apart=apart(
             zeros((3, slots), dtype), zeros((slots, 4), dtype),

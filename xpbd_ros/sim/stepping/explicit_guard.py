@@ -10,6 +10,7 @@ stiffness. So the strain of one that is softer than others at its particles coun
 diagonals may well be pressed together while warp and weft keep their length.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -46,7 +47,7 @@ class EdgeProbe(NamedTuple):
     """as of edges, shape (cells,)"""
 
 
-def probed_edges(lists: list, cells: list = ()) -> EdgeProbe:
+def probed_edges(lists: Sequence, cells: Sequence = ()) -> EdgeProbe:
     """Return lists of edges (``distance.Edges``) and cells (``shear_cells.Slants``) to look at."""
     def of(lists, name, empty):
         return np.concatenate([empty, *(getattr(edges, name) for edges in lists)])

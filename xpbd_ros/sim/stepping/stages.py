@@ -91,7 +91,7 @@ def lap_integration(effects, state):
     """Do so for the row after those of the effects; nothing where there is no clock."""
 
 
-_KERNELS: dict[tuple[Callable, type], Callable] = {}
+_KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: set[Callable] = set()
 
 

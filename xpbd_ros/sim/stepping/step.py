@@ -5,6 +5,8 @@ M. Macklin, M. Müller, N. Chentanez, "XPBD", 2016, algorithm 1, with the subste
 Macklin et al., "Small steps in physics simulation", 2019.
 """
 
+from collections.abc import Callable
+
 from xpbd_ros.sim.backend.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import wait
@@ -84,7 +86,7 @@ def advance(effects, state, method, frame_dt, substeps):
     restore_mode(mode)
 
 
-_COMPILED = {}
+_COMPILED: dict[tuple[str, ...], Callable] = {}
 
 
 def compiled(names: tuple[str, ...]):

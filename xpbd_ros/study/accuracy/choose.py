@@ -22,6 +22,12 @@ class Row:
     scene: bool = False
     """whether it is the setting of the scene itself"""
 
+    @property
+    def timed(self) -> Timing:
+        """The timing of a row that has one."""
+        assert self.timing is not None
+        return self.timing
+
     def error(self, by: str) -> float:
         """Return the error by POSITION (at the last time) or SHAPE [m]; NaN if there is none."""
         if by == SHAPE:
@@ -48,7 +54,7 @@ def on_front(points: Sequence[tuple[float, float]]) -> list[bool]:
 def mark_front(rows: Sequence[Row], by: str) -> None:
     """Mark the rows on the Pareto front of time and error."""
     known = judged(rows, by)
-    for row, on in zip(known, on_front([(row.timing.ms_p50, row.error(by)) for row in known])):
+    for row, on in zip(known, on_front([(row.timed.ms_p50, row.error(by)) for row in known])):
         row.pareto = on
 
 
@@ -70,11 +76,11 @@ def recommend(rows: Sequence[Row], by: str, *, budget: float | None = None,
 
     """
     known = [row for row in judged(rows, by)
-             if (budget is None or row.timing.ms_p95 <= budget)
+             if (budget is None or row.timed.ms_p95 <= budget)
              and (max_error is None or row.error(by) <= max_error)]
     if not known:
         return None
     if max_error is None:
         best = min(row.error(by) for row in known)
         known = [row for row in known if row.error(by) <= max(best, floor)]
-    return min(known, key=lambda row: row.timing.ms_p50)
+    return min(known, key=lambda row: row.timed.ms_p50)

@@ -48,7 +48,7 @@ class Errors:
 def errors(track: Trajectory, truth: Truth, edges: Edges, dt: float) -> Errors:
     """Compare a run with the true solution; ``dt`` is the frame period [s]."""
     kinetic = truth.most_kinetic or 1.0
-    found = [[], [], [], []]
+    found: list[list[float]] = [[], [], [], []]
     for k, frame in enumerate(truth.frames):
         if frame not in track.x:
             for column in found:
@@ -65,9 +65,10 @@ def errors(track: Trajectory, truth: Truth, edges: Edges, dt: float) -> Errors:
         note = f'not finite after {max(0, track.ended - 1) * dt:.3g} s'
         means = (NAN, NAN, NAN)
     else:
-        means = differences(settled(track), (truth.heights, truth.strain, truth.mean_energy))
-        means = (float(means[0]), float(means[1]), float(means[2] / kinetic))
+        off = differences(settled(track), (truth.heights, truth.strain, truth.mean_energy))
+        means = (float(off[0]), float(off[1]), float(off[2] / kinetic))
     if track.redone:
         note = f'{track.redone} of {len(track.kinetic) - 1} frames computed again with line'
     residual = track.residual.get(int(truth.frames[-1])) if len(truth.frames) else None
-    return Errors(*map(tuple, found), residual, *means, note)
+    rms_m, max_m, strains, energies = (tuple(column) for column in found)
+    return Errors(rms_m, max_m, strains, energies, residual, *means, note)

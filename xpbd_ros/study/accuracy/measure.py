@@ -132,7 +132,7 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
         settings, left = _without_baselines(settings, scene, commands)
         refused += left
     missing = _in_order([one for one in settings if one.key not in store.errors])
-    tasks = [('errors', (setting,), {}) for setting in missing]
+    tasks: list[tuple[str, tuple, dict]] = [('errors', (setting,), {}) for setting in missing]
     for k, found in run_tasks(job, tasks, processes, 'settings', progress):
         store.add_errors(missing[k].key, found)
     for setting in progress([one for one in settings if one.key not in store.timings
@@ -154,7 +154,8 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
 def find_truth(job: Job, times: Sequence[int], processes: int, progress) -> Truth:
     """Run the simulation's own ladder, the perturbed run and, if it can, the reference solver."""
     rungs = own_rungs(job.scene)
-    tasks = [('play', (setting, None), {}) for setting in reversed(rungs)]
+    tasks: list[tuple[str, tuple, dict]] = [
+        ('play', (setting, None), {}) for setting in reversed(rungs)]
     tasks.append(('play', (rungs[0], None), {'pushed': True}))
     tracks = dict(run_tasks(job, tasks, processes, 'runs towards the limit', progress))
     for k, (_, (setting, _), _) in enumerate(tasks):

@@ -35,7 +35,7 @@ def curves(rows: Sequence[Row], by: str) -> dict[str, list[Row]]:
     for row in rows:
         if row.timing is not None and math.isfinite(row.error(by)):
             found.setdefault(curve_of(row.setting), []).append(row)
-    return {name: sorted(these, key=lambda row: row.timing.ms_p50)
+    return {name: sorted(these, key=lambda row: row.timed.ms_p50)
             for name, these in found.items()}
 
 
@@ -43,7 +43,7 @@ def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
     """Return the most accurate row of each curve whose p95 is within a time [ms]."""
     found = {}
     for name, these in curves(rows, by).items():
-        fast = [row for row in these if row.timing.ms_p95 <= ms]
+        fast = [row for row in these if row.timed.ms_p95 <= ms]
         if fast:
             found[name] = min(fast, key=lambda row: row.error(by))
     return dict(sorted(found.items(), key=lambda item: item[1].error(by)))
@@ -64,12 +64,12 @@ def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
     for name, these in known.items():
         setting = these[0].setting
         several = setting.iterations > 1
-        axis.loglog([row.timing.ms_p50 for row in these], [row.error(by) for row in these],
+        axis.loglog([row.timed.ms_p50 for row in these], [row.error(by) for row in these],
                     color=COLOUR[setting.method], linestyle=DASHES[setting.integrator],
                     linewidth=1.0, markersize=4, markerfacecolor='white' if several else None,
                     marker='x' if setting.precision != 'float64' else 's' if several else 'o',
                     label=name)
-    front = sorted((row.timing.ms_p50, row.error(by)) for row in study.rows if row.pareto)
+    front = sorted((row.timed.ms_p50, row.error(by)) for row in study.rows if row.pareto)
     if front:
         axis.plot(*zip(*front), color='#f2c14e', linewidth=6, alpha=0.45, zorder=0,
                   solid_capstyle='round', label='Pareto front')
@@ -90,7 +90,7 @@ def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
         axis.set_ylim(min(low, max(study.floor, low / 30.0)) / 2.0,
                       min(max(errors), study.truth.size) * 1.5)
     if chosen is not None:
-        axis.plot([chosen.timing.ms_p50], [chosen.error(by)], marker='o', markersize=11,
+        axis.plot([chosen.timed.ms_p50], [chosen.error(by)], marker='o', markersize=11,
                   markerfacecolor='none', markeredgecolor=INK, markeredgewidth=1.6,
                   linestyle='none', label='recommended')
     axis.set_xlabel('CPU time of a frame, median [ms]', fontsize=8)

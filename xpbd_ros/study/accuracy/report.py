@@ -56,7 +56,7 @@ def numbers_of(row: Row, by: str) -> dict:
 def settings_text(study: Study, row: Row) -> str:
     """Return a settings file, for ``run --settings`` and the node's parameter ``settings``."""
     note = (f'# {study.scene.name}: {study.what} {row.error(study.by):.3g} m, '
-            f'{row.timing.ms_p50:.3g} ms per frame ({row.timing.ms_p95:.3g} ms p95)\n'
+            f'{row.timed.ms_p50:.3g} ms per frame ({row.timed.ms_p95:.3g} ms p95)\n'
             f'# on {describe(study.machine)}; found by xpbd_ros accuracy {__version__}\n')
     keys, scene = row.setting.block(), study.scene.top.solver
     if scene.error_target is not None:
@@ -140,8 +140,8 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
         said.append(('found', 'no setting meets this'))
         return said
     said.append(('found', f'{name_of(chosen.setting)}: {study.what} '
-                 f'{chosen.error(study.by):.3g} m, {chosen.timing.ms_p50:.3g} ms per frame, '
-                 f'{chosen.timing.ms_p95:.3g} ms p95'))
+                 f'{chosen.error(study.by):.3g} m, {chosen.timed.ms_p50:.3g} ms per frame, '
+                 f'{chosen.timed.ms_p95:.3g} ms p95'))
     if again is not None:
         errors, timing = again
         error = Row(chosen.setting, errors).error(study.by)

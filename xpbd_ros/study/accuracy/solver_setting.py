@@ -100,7 +100,8 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
     with one substep and many iterations, with several of both, in single precision, and that of
     the scene itself.
     """
-    found, refused = {}, []
+    found: dict[str, Setting] = {}
+    refused = []
 
     def add(setting: Setting) -> None:
         found.setdefault(setting.key, setting)

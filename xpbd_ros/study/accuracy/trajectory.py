@@ -70,7 +70,8 @@ class Recorder:
     def __init__(self, edges: Edges, frames: int, particles: int, kept: Sequence[int] | None):
         count = frames + 1
         self._edges, self._kept = edges, None if kept is None else set(kept)
-        self.track = Trajectory({}, *np.full((3, count), np.nan),
+        kinetic, energy, strain = np.full((3, count), np.nan)
+        self.track = Trajectory({}, kinetic, energy, strain,
                                 np.full((count, particles), np.nan), {})
 
     def add(self, frame: int, x: np.ndarray, kinetic: float, energy: float,

@@ -182,7 +182,7 @@ def differences(a, b) -> np.ndarray:
 
 
 def make(simulation: Simulation, rungs: Sequence[Trajectory], pushed: Trajectory,
-         frames: Sequence[int], references: dict[int, Reference], horizon: int,
+         frames: Sequence[int] | np.ndarray, references: dict[int, Reference], horizon: int,
          why_not: str | None) -> Truth:
     """
     Return the true solution.

@@ -12,7 +12,6 @@ from typing import Any
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.accuracy.errors import Errors, errors
 from xpbd_ros.study.accuracy.solver_setting import default_solver, Setting, with_solver
@@ -41,8 +40,8 @@ class Job:
         """The true solution, read from the folder."""
         return Truth.load(self.folder / TRUTH)
 
-    def simulation(self, setting: Setting) -> Simulation | Baseline:
-        """Return the scene at its start, compiled with a setting."""
+    def simulation(self, setting: Setting) -> Any:
+        """Return the scene at its start, a Simulation or a Baseline, compiled with a setting."""
         if setting.is_baseline:
             usual = with_solver(self.scene, default_solver(self.scene).block())
             return Baseline(compile_scene(usual), setting)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 import sys
 from time import perf_counter_ns
+from typing import Any
 from warnings import catch_warnings, simplefilter
 
 from numba import NumbaWarning
@@ -58,7 +59,8 @@ class Row:
 
     def flops_in_time(self, gflop_s: float) -> float | None:
         """Return how many operations by constraint would fit into its time, at this rate."""
-        return self.ns_per_constraint * gflop_s if self.constraints else None
+        taken = self.ns_per_constraint
+        return None if taken is None else taken * gflop_s
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
     """
     commands = commands or {}
     scene = replace(scene, top=replace(scene.top, solver=replace(scene.top.solver, threads=1)))
-    plain, timed = compile_scene(scene), compile_scene(scene)
+    plain: Any = compile_scene(scene)
+    timed: Any = compile_scene(scene)
     count = len(timed._tuple)
     clock = new_clock(count + 1)
     kernel = jit(advance, cache_name=None)    # of its own: a cache would name the clock's type
@@ -132,7 +135,7 @@ def parts_of(built) -> tuple:
     return tuple(getattr(built, 'parts', (built.data,)))
 
 
-def _watch(simulation: Simulation, kernel: Callable) -> None:
+def _watch(simulation: Any, kernel: Callable) -> None:
     """Let a simulation step by this kernel, and keep in ``taken`` what it took [ns]."""
     def step(*arguments):
         start = perf_counter_ns()
@@ -141,7 +144,7 @@ def _watch(simulation: Simulation, kernel: Callable) -> None:
     simulation._step, simulation.kernel = step, kernel
 
 
-def _fresh(scene: Scene, simulation: Simulation) -> Simulation:
+def _fresh(scene: Scene, simulation: Any) -> Any:
     again = compile_scene(scene)
     _watch(again, simulation.kernel)
     return again
@@ -156,7 +159,8 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
         return Row(name, True, us_per_substep=1e-3 * time, us_spread=1e-3 * spread,
                    share=time / total, **about)
 
-    effects, seen = [], set()
+    effects = []
+    seen: set[int] = set()
     owner = [name for name, built in simulation.effects.items() for _ in parts_of(built)]
     for name in EFFECTS:
         if name not in simulation.effects:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 SHAPES = ('plane', 'sphere', 'capsule', 'cylinder', 'box')
@@ -12,9 +13,9 @@ SHAPES = ('plane', 'sphere', 'capsule', 'cylinder', 'box')
 class Surface:
     """A cloth at one instant; its back is paler than its front."""
 
-    points: ArrayLike
+    points: np.ndarray
     """(n, 3) [m]"""
-    triangles: ArrayLike
+    triangles: np.ndarray
     """(m, 3) indices of points; the front is the side from which they run counterclockwise"""
     colour: str = '#2a78b5'
 
@@ -37,7 +38,7 @@ class Body:
 class Path:
     """Where a gripper has been; it is drawn at the last point."""
 
-    points: ArrayLike
+    points: np.ndarray
     """(k, 3) [m]"""
     colour: str = '#d1495b'
     label: str = ''

@@ -63,8 +63,9 @@ def cloth(one: Surface) -> list[Part]:
                                  consistent_normals=False)
     back = front.copy()
     back['Normals'] *= -1
-    paler = tuple(0.35 * value + 0.55 for value in to_rgb(one.colour))
-    return [Part(front, one.colour, gloss=0.05), Part(back, paler, 'front', gloss=0.05)]
+    red, green, blue = (0.35 * value + 0.55 for value in to_rgb(one.colour))
+    return [Part(front, one.colour, gloss=0.05),
+            Part(back, (red, green, blue), 'front', gloss=0.05)]
 
 
 def gripper(path: Path, size: float) -> list[Part]:

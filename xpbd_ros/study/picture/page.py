@@ -77,7 +77,8 @@ def draw(instants: Sequence[Instant], file: FilePath | str, *, title: str = '', 
 def save(picture: Image.Image, file: FilePath, limit: int) -> None:
     """Write a PNG, with fewer colours or pixels if it would be too large."""
     for scale in (1.0, 0.8, 0.6, 0.4):
-        small = picture.resize([round(scale * side) for side in picture.size], Image.LANCZOS)
+        small = picture.resize([round(scale * side) for side in picture.size],
+                               Image.Resampling.LANCZOS)
         for colours in (None, 256, 192, 128):
             data = io.BytesIO()
             attempt = small.quantize(colours, kmeans=1) if colours else small

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from math import ceil, inf
+from typing import Any
 
 import numpy as np
 
@@ -139,8 +140,9 @@ def _thin(scene: Scene, simulation: Simulation) -> list[str]:
     """Return warnings about colliders that fit between particles."""
     found = []
     spacing = max((cloth.mesh.gap for cloth in simulation.cloths), default=0.0)
+    contact: Any = simulation.effects.get('contact')
     for name, entry in scene.sections.get('colliders', {}).items():
-        size = _width(entry, simulation.effects['contact'].shapes.get(name))
+        size = _width(entry, contact.shapes.get(name))
         if size < spacing:
             found.append(f'colliders.{name}: {size:g} m across, and particles are {spacing:.3g} m '
                          'apart: it can pass between them; use a finer cloth')
@@ -151,10 +153,13 @@ def _width(entry: Entry, shape: Field | np.ndarray | None) -> float:
     """Return the largest spacing of particles that a collider cannot pass between [m]."""
     if entry.plane is not None or entry.heights is not None:
         return inf
-    if entry.box is not None or entry.mesh is not None:
-        size = entry.box.size if entry.mesh is None else shape.size
-        return sorted(size)[1]    # particles hit a thin plate too
-    return 2.0 * (entry.sphere or entry.capsule or entry.cylinder).radius
+    if isinstance(shape, Field):
+        return sorted(shape.size)[1]    # particles hit a thin plate too
+    if entry.box is not None:
+        return sorted(entry.box.size)[1]
+    tube = entry.sphere or entry.capsule or entry.cylinder
+    assert tube is not None
+    return 2.0 * tube.radius
 
 
 def _coarse(scene: Scene, simulation: Simulation) -> list[str]:

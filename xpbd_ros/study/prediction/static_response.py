@@ -67,6 +67,7 @@ class StaticResponse:
         alpha, A = self.compliance, self.coupling
         if not self.passes:
             return alpha @ tension
+        assert self.block is not None
         if self.iterations == 1 and len(self.passes) == 1 and self.passes[0][0] == FORWARD:
             return alpha @ tension - (A - _solved_part(A, self.block, FORWARD)) @ tension
         system = (A + alpha).tocsr()

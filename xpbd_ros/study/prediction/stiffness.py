@@ -69,7 +69,7 @@ def step_length(solver: Solver, frame_dt: float) -> float:
 
 
 def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float, *,
-                held: np.ndarray = (), damping: float = 0.0) -> StaticResponse:
+                held: np.ndarray | tuple[int, ...] = (), damping: float = 0.0) -> StaticResponse:
     """
     Return the static response of effects of a sheet.
 

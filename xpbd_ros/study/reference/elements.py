@@ -12,6 +12,7 @@ No code is shared with the simulation, which is tested against this.
 
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 class Elements:
     """Elements of one kind; arrays are checked, copied and made read-only; all in SI units."""
 
-    particles: Array
+    particles: NDArray[np.int64]
     """indices of the k particles of each element, shape (m, k)"""
 
     def __post_init__(self):
@@ -77,7 +78,7 @@ class Elements:
         corners = x[self.particles]
         return self.weights @ (corners[:, 1:] - corners[:, :1])
 
-    def evaluated(self, x: Array, order: int) -> Array | Jet:
+    def evaluated(self, x: Array, order: int) -> Any:
         """Return ``energies`` at positions x, with derivatives by z up to an order."""
         columns = variables(self.vectors(x).reshape(len(self.particles), -1), order)
         return self.energies([columns[k:k + 3] for k in range(0, len(columns), 3)])

@@ -6,6 +6,7 @@ are tested. A position is x + low, where ``low`` is the rounding error of x. Eac
 -∇E [N] to ``f``.
 """
 
+from collections.abc import Callable
 from math import atan2, pi, sqrt
 
 from numba import njit
@@ -199,7 +200,7 @@ def gas_forces(x, low, f, particles, rest_volume, compliance):
             f[k, m] += push * ab[m]
 
 
-FORCE_KERNELS = {
+FORCE_KERNELS: dict[type, Callable[..., None]] = {
     Edges: edge_forces, Slants: slant_forces, LinearSums: sum_forces, Membranes: membrane_forces,
     Hinges: hinge_forces, Areas: area_forces, Tetrahedra: tetrahedron_forces, Gas: gas_forces}
 """kernel(x, low, f, particles, *parameters) by kind of element"""

@@ -19,6 +19,8 @@ from xpbd_ros.study.reference.elements import Elements
 Array = NDArray[Any]
 
 EPS = float(np.finfo(float).eps)
+NOT_GIVEN: Any = None
+"""default of arrays that ``Problem`` then fills with zeros"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,22 +33,22 @@ class Problem:
 
     x: Array
     """positions at the start [m], shape (n, 3)"""
-    v: Array | None = None
+    v: Array = NOT_GIVEN
     """velocities at the start [m/s], shape (n, 3); None for rest; unused for pinned particles"""
     mass: Array
     """masses [kg], shape (n,), > 0"""
-    pinned: Array | None = None
+    pinned: Array = NOT_GIVEN
     """whether a particle is pinned, shape (n,); None if none is"""
     motion: Callable[[float], ArrayLike] | None = None
     """time since the start [s] -> positions of the pinned particles in the order of their indices
     [m], shape (p, 3); None if they do not move"""
     interval: float | None = None
     """length of the intervals in which motion is smooth [s]; its velocity may jump between them"""
-    gravity: Array = (0.0, 0.0, 0.0)
+    gravity: ArrayLike = (0.0, 0.0, 0.0)
     """[m/s²], shape (3,)"""
     damping: float = 0.0
     """rate c at which velocities decay [1/s]"""
-    force: Array | None = None
+    force: Array = NOT_GIVEN
     """constant force on each particle [N], shape (n, 3); None for none"""
     elements: tuple[Elements, ...] = ()
     """elastic elements"""

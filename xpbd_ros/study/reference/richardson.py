@@ -195,9 +195,9 @@ def _key(problem: Problem, method: str, time: float, first: int) -> str:
         arrays += [part.particles, *part.parameters]
     for array in arrays:
         digest.update(f'{array.shape}'.encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     if problem.motion is not None:
         count = 8 * round(time / problem.interval) if problem.interval else 4096
         for t in np.linspace(0.0, time, count + 1):
-            digest.update(np.ascontiguousarray(problem.at(t)))
+            digest.update(np.ascontiguousarray(problem.at(t)).data)
     return digest.hexdigest()

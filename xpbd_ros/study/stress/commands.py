@@ -2,8 +2,9 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey, SetWind
+from xpbd_ros.sim.commands import Command, Grasp, MovePin, Pose, Release, SetKey, SetWind
 from xpbd_ros.study.stress.case import hard
 from xpbd_ros.study.stress.refusals import Refusal
 from xpbd_ros.study.stress.scenes import FEW, FIRM, LINE, sheet, SIZE, USUAL
@@ -61,8 +62,8 @@ def on_and_off():
     for setting in USUAL:
         yield Trial(setting, sheet(FIRM), 4.0, pins=blink, cause_end=1.5, speed=3.0 * MAX_SPEED,
                     recovery_strain=0.01)
-    far = [Grasp('c', Pose((9.0, 9.0, 9.0)), 0.01), Release('nobody'),
-           MovePin('nobody', Pose())]
+    far: list[Command] = [Grasp('c', Pose((9.0, 9.0, 9.0)), 0.01), Release('nobody'),
+                          MovePin('nobody', Pose())]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: far if k == 3 else [], textbook=False,
                 reports=('no free particle within', "pin 'nobody' holds nothing"),
                 label='nothing to grasp, unknown pins')
@@ -86,8 +87,8 @@ def gust():
     free = sheet(density=0.05, pins={}, gravity=0.0, colliders={},
                  scene_effects=scene['effects'], pose={'orientation': [0.0, 0.0, 0.0, 1.0]})
     for setting in (*FEW, replace(LINE, substeps=1), replace(LINE, substeps=32)):
-        wind = {'commands': blow, 'air': lambda t: (0.0, 30.0 if t > 0.51 else 0.0, 0.0),
-                'drag': 1.2}
+        wind: dict[str, Any] = {
+            'commands': blow, 'air': lambda t: (0.0, 30.0 if t > 0.51 else 0.0, 0.0), 'drag': 1.2}
         yield Trial(setting, scene, 2.0, speed=1.1 * 50.0, label='held', **wind)
         yield Trial(setting, free, 2.0, speed=30.0 * (1.0 + 1e-9), label='free', **wind)
 

@@ -9,6 +9,7 @@ the cause within two seconds after the cause, and for messages to the user.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 import json
+from typing import Any
 
 import numpy as np
 
@@ -183,7 +184,7 @@ class Trial:
         simulation = self.build()
         start = frame = simulation.frame()
         track = _track(simulation, start.x)
-        pin = simulation.effects.get('pin')
+        pin: Any = simulation.effects.get('pin')
         places = {name: held.motion.pose.position
                   for name, held in (pin.held if pin else {}).items()}
         holding = set(places)

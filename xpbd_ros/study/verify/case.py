@@ -35,6 +35,7 @@ class Row:
         """Whether error and order are within their tolerances."""
         right = self.error <= self.tolerance
         if self.order_expected is not None:
+            assert self.order is not None
             right = right and abs(self.order - self.order_expected) <= ORDER_WITHIN
         return bool(right)
 
@@ -71,8 +72,9 @@ def value(name: str, expected: float, got: float, unit: str, tolerance: float, *
                'absolute' if absolute else 'relative' if scale is None else f'of {scale:.3g}')
 
 
-def order(name: str, expected: float, steps: Sequence[float], got: Sequence[float], unit: str,
-          order_expected: float, tolerance: float, *, step: str) -> Row:
+def order(name: str, expected: float, steps: Sequence[float],
+          got: Sequence[float] | np.ndarray, unit: str, order_expected: float, tolerance: float,
+          *, step: str) -> Row:
     """
     Return a row for values that converge with a step; the last value counts.
 

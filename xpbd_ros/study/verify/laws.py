@@ -46,7 +46,7 @@ def spun(substeps: int, **solver) -> float:
     before = (mass * np.cross(x, v)).sum(0)
     frame = run(simulation, 30)
     after = (mass * np.cross(frame.x, frame.v)).sum(0)
-    return 1.0 - np.linalg.norm(after - before) / np.linalg.norm(before)
+    return float(1.0 - np.linalg.norm(after - before) / np.linalg.norm(before))
 
 
 def sheet(*, turn=0.0, shift=(0.0, 0.0, 0.0), units=(1.0, 1.0), frames=30, **solver):
