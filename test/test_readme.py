@@ -41,7 +41,7 @@ def block(language: str, page: str = 'README') -> str:
 
 
 def effects_table() -> str:
-    """Return the rows of the README's table of effects."""
+    """Return the rows of the table of effects in doc/effects.md."""
     rows = []
     for name, scope in EFFECTS.items():
         effect = load(name)

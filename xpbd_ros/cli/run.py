@@ -80,8 +80,7 @@ def run(arguments) -> int:
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
-    step_ms, refused, notes = [], 0, [*simulation.notes]
-    shots = None
+    step_ms, refused, notes, shots = [], 0, [*simulation.notes], None
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
@@ -131,7 +130,7 @@ def run(arguments) -> int:
     write_json(arguments.json, numbers)
     if not quiet:
         print(table(scene.name, numbers, monitor))
-    return 0 if repeat is None else verdict(repeat, quiet)
+    return verdict(repeat, quiet) if repeat else 0
 
 
 def check_outputs(arguments) -> None:

@@ -14,6 +14,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.effect import Built
 from xpbd_ros.study.reference import (
     Edges,
     elastic,
@@ -666,3 +667,11 @@ def test_a_time_between_kinks_of_the_motion_is_refused():
     problem = problem_of(sheet(3, motion=SWAY))
     with pytest.raises(ValueError, match='must be a multiple of 0.0166667 s'):
         limit(problem, 0.11, 1e-3)
+
+
+def test_an_effect_without_an_energy_is_refused():
+    """Also one that the reference solver does not know and that has no constraints."""
+    simulation = sheet(3)
+    simulation.effects['zone'] = Built()
+    with pytest.raises(InputError, match='effects.zone: the reference solver does not have it'):
+        problem_of(simulation)

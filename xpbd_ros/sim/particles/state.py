@@ -17,7 +17,7 @@ class State(NamedTuple):
     x: np.ndarray
     """positions [m], shape (3, slots)"""
     x_prev: np.ndarray
-    """positions at the last substep's start [m], shape (3, slots)"""
+    """positions at this substep's start [m], shape (3, slots)"""
     v: np.ndarray
     """velocities [m/s], shape (3, slots)"""
     mass: np.ndarray

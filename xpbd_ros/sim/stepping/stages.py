@@ -19,7 +19,7 @@ from xpbd_ros.sim.backend.threads import alone, wait
 
 
 def force(effects, state, substep):
-    """Change predicted velocities v, and mobilities; x = x̄ + H v is recomputed after it."""
+    """Change predicted velocities v and mobilities; then x = x̄ + H v is predicted again."""
 
 
 def has_force(effects):
@@ -35,7 +35,7 @@ def project(effects, state, substep):
 
 
 def project_back(effects, state, substep):
-    """Do the same pass in exactly the reverse order."""
+    """Do the same pass in exactly reverse order."""
 
 
 def solve_lines(effects, state, substep):
@@ -43,19 +43,19 @@ def solve_lines(effects, state, substep):
 
 
 def project_inequalities(effects, state, substep):
-    """Contact and friction, after everything else of an iteration."""
+    """Project contact, friction, seams and limits, after an iteration's elastic constraints."""
 
 
 def limit_motion(effects, state, substep):
-    """Last in an iteration: how far particles may get."""
+    """Limit how far particles may move; last in an iteration."""
 
 
 def are_inequalities_unmet(effects, state, turn):
-    """Tell whether a touch must be repeated, since what came after an effect has undone it."""
+    """Tell whether a later effect undid an earlier one, so that they must be projected again."""
 
 
 def may_repeat_inequalities(effects):
-    """Tell whether an effect takes part in ``unmet``."""
+    """Tell whether an effect takes part in ``are_inequalities_unmet``."""
 
 
 def finish(effects, state, substep):

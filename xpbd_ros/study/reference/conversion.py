@@ -96,7 +96,9 @@ def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
                 for data in built.parts]
     if name in ('pin', 'damping', 'force'):
         return []
-    found = built.constraints
+    unknown, found = f'effects.{name}: the reference solver does not have it', built.constraints
+    if found is None:
+        raise InputError(unknown)
     if name == 'pressure':
         return [Gas(particles=numbers[triangles], rest_volume=volume, compliance=alpha)
                 for triangles, volume, alpha in zip(found.triangles, found.rest_volume,
@@ -126,7 +128,7 @@ def _elements(name: str, built: Any, numbers: Array) -> list[Elements]:
     if name == 'volume':
         shear, bulk = (1.0 / found.compliance).T
         return [Tetrahedra(particles=particles, inverse=found.inverse, shear=shear, bulk=bulk)]
-    raise InputError(f'effects.{name}: the reference solver does not have it')
+    raise InputError(unknown)
 
 
 def _springs(one: Array, other: Array, compliance: Array) -> LinearSums:
