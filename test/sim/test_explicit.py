@@ -191,10 +191,25 @@ def test_without_its_guard_it_explodes(monkeypatch):
         assert not np.abs(run(wild, 40).x).max() < 1e3
 
 
+@pytest.mark.parametrize('force', [{'per_mass': [0.5, -1.0, 2.0]}, {
+    'total': [0.0, 0.0, 0.02], 'cloth': 'c', 'at': 'corner_00'}])
+def test_the_work_of_a_force_is_not_taken_for_instability(force):
+    """From rest, without gravity or pins."""
+    simulation = simulate((4, 3), (0.3, 0.2), gravity=(0.0, 0.0, 0.0), method='explicit',
+                          integrator='leapfrog', scene_effects={'force': force})
+    frame = run(simulation, 30)
+    assert simulation.stats()['explicit_redone'] == 0
+    assert simulation.stats()['frames_taken_back'] == 0
+    if 'per_mass' in force:
+        start = simulation.natural(simulation._start)
+        np.testing.assert_allclose(frame.x - start, np.tile(0.125 * np.array(force['per_mass']),
+                                                            (12, 1)), rtol=1e-9)
+
+
 @pytest.mark.parametrize('after', [(0.3, 1.0, 0.0), (0.0, 10.0, 0.0),
                                    (np.nan, 1.0, 0.0), (0.0, np.nan, 0.0), (0.0, np.inf, 0.0)])
 def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
-    kept = {'mass': 0.1, 'gravity': GRAVITY, 'dt': 1.0 / 60.0}
+    kept = {'mass': 0.1, 'load': 0.1 * GRAVITY, 'acceleration': GRAVITY, 'dt': 1.0 / 60.0}
     assert explicit_guard.is_stable((0.0, 1.0, 0.0), (0.2, 1.0, 0.0), **kept)
     assert not explicit_guard.is_stable((0.0, 1.0, 0.0), after, **kept)
 

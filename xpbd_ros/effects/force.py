@@ -116,6 +116,7 @@ class BuiltForce(Built):
             force_, share = parameters.total, mass / mass.sum()
         self.data = Force(zeros((3, world.slots), state.x.dtype))
         self.data.f[:, slots] = np.outer(force_, share)
+        self.force = self.data.f
 
 
 EFFECT = Effect('force', Parameters, BuiltForce)

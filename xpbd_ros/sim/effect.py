@@ -135,6 +135,8 @@ class Built:
     """constraints on both diagonals of grid cells, which ``explicit_guard`` watches"""
     loaded_edges: Sequence[tuple[np.ndarray, Any]] = ()
     """multipliers and ``distance.Edges`` of elastic edges, for ``measure.stiffness_given``"""
+    force: np.ndarray | None = None
+    """external force on each particle [N], shape (3, slots), for ``explicit_guard``"""
     pinned_changed: bool = False
     """whether this effect has changed the set of pinned particles since ``hold``"""
 

@@ -3,7 +3,7 @@ Whether a frame was calm: what an explicit step must show before it counts.
 
 Beyond its stability limit a leapfrog grows by a factor in every substep, so one frame is enough to
 tell: an edge is strained by far more than before or than is safe, or there is more energy than
-there was and than gravity and the pins can have given.
+there was and than gravity, given forces and the pins can have added.
 
 What an edge adds to the stiffness that the substeps reckon with goes by its strain and its own
 stiffness. So the strain of one that is softer than others at its particles counts for less: soft
@@ -99,10 +99,16 @@ def look(calm, x, v, mass, inv_mass):
     return strain, energy, pinned
 
 
-def is_stable(before, after, *, mass: float, gravity: float, dt: float) -> bool:
-    """Tell whether what ``look`` saw after a frame can come of what it saw before it."""
-    speed = np.sqrt(2.0 * before[1] / mass) + gravity * dt
-    given = mass * gravity * dt * speed + max(before[2], after[2])
+def is_stable(before, after, *, mass: float, load: float, acceleration: float,
+              dt: float) -> bool:
+    """
+    Tell whether a frame is stable, by ``look`` before and after it.
+
+    ``load`` is the sum of all external forces [N], ``acceleration`` the largest of a particle by
+    them [m/s²].
+    """
+    speed = np.sqrt(2.0 * before[1] / mass) + acceleration * dt
+    given = load * dt * speed + max(before[2], after[2])
     return bool(after[0] <= min(before[0] + STRAIN, LARGEST)
                 and after[1] <= GROWTH * (before[1] + given))
 
@@ -129,7 +135,11 @@ class ExplicitGuard:
 
     def collect(self) -> None:
         """Learn the edges as they stand now."""
-        effects = self._simulation.effects
+        effects, mass = self._simulation.effects, self._simulation.state.mass
+        forces = np.sum([np.linalg.norm(built.force, axis=0) for built in effects.values()
+                         if built.force is not None] or [np.zeros(len(mass))], axis=0)
+        self._load = float(forces.sum())
+        self._acceleration = float((forces[mass > 0.0] / mass[mass > 0.0]).max())
         self._edges = probed_edges(
             [these for built in effects.values() for these in built.by_part
              if these.particles.shape[1] == 2],
@@ -141,8 +151,10 @@ class ExplicitGuard:
         self._x[:], self._v[:] = state.x, state.v
         before = self._look()
         simulation._advance(simulation.solver.substeps)
+        gravity = float(np.linalg.norm(state.gravity))
         if is_stable(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
-                    gravity=float(np.linalg.norm(state.gravity))):
+                     load=self._mass * gravity + self._load,
+                     acceleration=gravity + self._acceleration):
             return
         state.x[:], state.v[:] = self._x, self._v
         if state.reaction is not None:
