@@ -151,14 +151,15 @@ class Peer:
             self.spin(0.1)    # or the server may not know yet where to send its answer
         client = self._clients[kind, service]
         self.until(client.service_is_ready, service)
-        future = client.call_async(kind.Request() if request is None else request)
+        request = kind.Request() if request is None else request
+        futures = [client.call_async(request)]
         late = time.monotonic() + SECOND_CALL
-        self.until(lambda: future.done() or not known and time.monotonic() > late,
+        self.until(lambda: futures[0].done() or not known and time.monotonic() > late,
                    f'an answer of {service}')
-        if not future.done():    # the server still did not know
-            future = client.call_async(kind.Request() if request is None else request)
-            self.until(future.done, f'an answer of {service}')
-        return future.result()
+        if not futures[0].done():    # the server still did not know, or is busy
+            futures.append(client.call_async(request))
+            self.until(lambda: any(future.done() for future in futures), f'an answer of {service}')
+        return next(future for future in futures if future.done()).result()
 
     def forget(self) -> None:
         """Drop all subscriptions, publishers and clients."""
