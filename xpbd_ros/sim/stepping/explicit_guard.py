@@ -1,13 +1,13 @@
 """
-Whether a frame was calm: what an explicit step must show before it counts.
+Stability check of explicit frames; an unstable frame is computed again with ``line``.
 
 Beyond its stability limit a leapfrog grows by a factor in every substep, so one frame is enough to
-tell: an edge is strained by far more than before or than is safe, or there is more energy than
-there was and than gravity, given forces and the pins can have added.
+detect it: an edge is strained by far more than before or than is safe, or there is more energy
+than there was and than gravity, given forces and the pins can have added.
 
-What an edge adds to the stiffness that the substeps reckon with goes by its strain and its own
-stiffness. So the strain of one that is softer than others at its particles counts for less: soft
-diagonals may well be pressed together while warp and weft keep their length.
+An edge adds to the effective stiffness by its strain and its own stiffness. So the strain of an
+edge that is softer than others at its particles is scaled by the ratio: soft diagonals may be
+compressed while warp and weft keep their length.
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.stepping.methods import METHODS
 
 STRAIN = 0.25
-"""by which an edge may be strained further in a frame"""
+"""largest increase of an edge's strain in a frame"""
 LARGEST = 0.5
 """to which it may be strained at all: one that is pressed to half its length is stiffer across
 than along, which the number of substeps does not reckon with"""
 GROWTH = 2.0
-"""by which the energy may be more than can be told"""
+"""largest ratio of the energy after a frame to the energy accounted for"""
 
 
 class EdgeProbe(NamedTuple):
-    """The edges to look at, and the oblong cells."""
+    """The edges and the oblong cells that are checked."""
 
     particles: np.ndarray
     """slots, shape (edges, 2)"""
@@ -114,11 +114,11 @@ def is_stable(before, after, *, mass: float, load: float, acceleration: float,
 
 
 class ExplicitGuard:
-    """Looks at each frame of ``explicit``, and does it again with ``line`` if it was not calm."""
+    """Checks each frame of ``explicit``, and computes unstable ones again with ``line``."""
 
     def __init__(self, simulation):
         self.redone = 0
-        """frames done again"""
+        """frames computed again"""
         self._simulation = simulation
         state = simulation.state
         self._x, self._v = state.x.copy(), state.v.copy()
@@ -129,12 +129,12 @@ class ExplicitGuard:
         return look(self._edges, state.x, state.v, state.mass, state.inv_mass)
 
     def compile(self) -> None:
-        """Compile the look at a frame, and ``line``."""
+        """Compile the check and ``line``."""
         self._look()
         self.redo(0)
 
     def collect(self) -> None:
-        """Learn the edges as they stand now."""
+        """Read edges, cells and external forces from the effects."""
         effects, mass = self._simulation.effects, self._simulation.state.mass
         forces = np.sum([np.linalg.norm(built.force, axis=0) for built in effects.values()
                          if built.force is not None] or [np.zeros(len(mass))], axis=0)

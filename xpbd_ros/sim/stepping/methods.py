@@ -1,5 +1,5 @@
 """
-How a substep's constraints are swept: each method is a few walks over the scene's effects.
+Solver methods: each sweeps a substep's constraints in a few walks over the effects.
 
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
 reverse order, which BDF2 needs to stay stable. ``line`` (doc/numerics.md 3.2) solves the effects
@@ -9,8 +9,8 @@ single edges whose directions turned while the lines were solved. ``jacobi`` mov
 once, by a part of what each constraint asks for. ``explicit`` is the leapfrog (Störmer 1907,
 Verlet 1967): in the loop v lags by half a substep, and the forces are those where the substep
 starts.
-Where a frame begins and ends, v is moved by half of what acts there (``kick`` has what no
-projection is of); of the medium (``damping``, ``drag``) and of ``strain_limit`` and ``tether``
+Where a frame begins and ends, v is moved by half of what acts there (``add_explicit_forces`` adds
+forces without a projection); of the medium (``damping``, ``drag``) and of ``strain_limit`` and ``tether``
 that half is left out.
 """
 
@@ -72,15 +72,15 @@ METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'li
 
 
 def forth(effects, state, substep):
-    """Sweep on: whole lines where an effect has them."""
+    """Sweep forward: by whole lines where an effect has them."""
 
 
 def back(effects, state, substep):
-    """Sweep back over what has no lines."""
+    """Sweep backward over effects without lines."""
 
 
 def close(effects, state, substep):
-    """Pass once more over the edges of the lines."""
+    """Do one Gauss-Seidel pass over the edges of the lines."""
 
 
 def _has_lines(effect) -> bool:
@@ -94,7 +94,7 @@ walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effec
 
 
 WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back), Line: (forth, back, close)}
-"""of the methods that move particles one after another"""
+"""walks of the methods that update positions in place"""
 
 
 def sweep(method, effects, state, substep):

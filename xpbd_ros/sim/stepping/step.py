@@ -40,7 +40,7 @@ def advance(effects, state, method, frame_dt, substeps):
     Advance all particles by one frame.
 
     ``effects`` is a tuple of NamedTuples, one per effect that the scene calls for; ``method`` says
-    how they are swept (``sweeps``).
+    how they are swept (``stepping.methods``).
     """
     if substeps == 0:    # to compile
         return
