@@ -10,8 +10,8 @@ once, by a part of what each constraint asks for. ``explicit`` is the leapfrog (
 Verlet 1967): in the loop v lags by half a substep, and the forces are those where the substep
 starts.
 Where a frame begins and ends, v is moved by half of what acts there (``add_explicit_forces`` adds
-forces without a projection); of the medium (``damping``, ``drag``) and of ``strain_limit`` and ``tether``
-that half is left out.
+forces without a projection); that half is left out for the medium (``damping``, ``drag``), for
+``strain_limit`` and for ``tether``.
 """
 
 from typing import NamedTuple
