@@ -196,7 +196,7 @@ def test_sections_of_numerics_are_in_order_and_refer_to_others():
 
 
 def test_the_page_of_the_node_has_its_topics_and_parameters():
-    pytest.importorskip('rclpy', reason='ROS is not installed')
+    pytest.importorskip('rclpy', reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
     from xpbd_ros.ros.inputs import INPUTS
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.ros.parameters import TABLE
@@ -216,7 +216,7 @@ def test_the_page_of_the_node_has_its_topics_and_parameters():
 @pytest.fixture(scope='module')
 def node():
     """Return the environment of a node that runs the demo's scene."""
-    pytest.importorskip('rclpy', reason='ROS is not installed')
+    pytest.importorskip('rclpy', reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
     environment = private_environment()
     process = subprocess.Popen(
         [sys.executable, '-m', 'xpbd_ros', 'node', '--ros-args', '-p', 'scene:=demo'],

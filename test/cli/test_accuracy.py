@@ -64,7 +64,7 @@ def test_json_holds_what_is_promised(done):
 
 
 def test_the_settings_file_gives_that_solver(done, scene, tmp_path):
-    pytest.importorskip('rclpy', reason='ROS is not installed')
+    pytest.importorskip('rclpy', reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
     _, folder = done
     chosen = json.loads((folder / 'accuracy.json').read_text())['recommended']
     assert main(['run', str(scene), '--settings', str(folder / 'settings.yaml'), '-o',

@@ -7,7 +7,8 @@ import pytest
 
 from xpbd_ros.cli.main import main
 
-pytestmark = pytest.mark.skipif(find_spec('rclpy') is None, reason='ROS is not installed')
+pytestmark = pytest.mark.skipif(
+    find_spec('rclpy') is None, reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ def halves(numbers, flush):
         restore_mode(mode)
 
 
-@pytest.mark.skipif(not ON_X86, reason='an x86 has the mode')
+@pytest.mark.skipif(not ON_X86, reason='only x86 has a flush-to-zero mode (MXCSR)')
 def test_they_are_flushed_within_and_not_after():
     for flush, kept in ((True, 0.0), (False, TINY)):
         numbers = np.full(100, TINY)
@@ -32,7 +32,7 @@ def test_they_are_flushed_within_and_not_after():
     assert (np.array([TINY]) * 0.5)[0] > 0.0
 
 
-@pytest.mark.skipif(not ON_X86, reason='an x86 has the mode')
+@pytest.mark.skipif(not ON_X86, reason='only x86 has a flush-to-zero mode (MXCSR)')
 def test_a_sway_that_has_died_away_is_gone_from_the_state():
     simulation = with_effects(gravity=(0, 0, 0))
     simulation.state.x[2, simulation.slot] = TINY * np.arange(30)

@@ -134,7 +134,7 @@ def run(arguments) -> int:
 
 
 def check_outputs(arguments) -> None:
-    """Refuse outputs that exist, and a picture that cannot be drawn."""
+    """Raise InputError if an output file exists or the picture cannot be rendered."""
     for output in (arguments.json, arguments.picture):
         check_output(output)
     if arguments.picture:

@@ -30,7 +30,7 @@ class Qos:
 
     @property
     def latched(self) -> bool:
-        """Whether a late subscriber receives the last messages."""
+        """True if a late subscriber receives the last messages (transient local)."""
         return self.durability == 'transient_local'
 
     def offered_profiles(self) -> str:

@@ -106,7 +106,7 @@ class LogReader:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is missing and all checksums are right."""
+        """True if the log is complete and all checksums match."""
         return not self.damage
 
     @property

@@ -95,7 +95,7 @@ class LogWriter:
 
     @property
     def closed(self) -> bool:
-        """Whether the log was closed, by ``close`` or by a failed write."""
+        """True after ``close`` or a failed write."""
         return bool(self._ended)
 
     def add_channel(self, topic: str, type_name: str, qos: Qos, *,

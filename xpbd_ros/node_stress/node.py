@@ -124,7 +124,7 @@ class NodeUnderTest:
 
     @property
     def finite(self) -> bool:
-        """Whether all positions in all clouds so far are finite."""
+        """True if all positions of all received clouds are finite."""
         return all(np.isfinite(self.points(cloud)).all() for cloud in self.clouds)
 
     def rising(self, since: int = 0) -> bool:

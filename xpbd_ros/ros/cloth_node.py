@@ -57,7 +57,7 @@ class ClothNode(LifecycleNode):
         self._recorded: set[Path] = set()
         self.error_monitor: ErrorMonitor | None = None
         self.failed = False
-        """whether the stepper's thread ended on an error"""
+        """True if the stepper's thread ended on an error"""
         self.stamps = Stamps()
         self.topics: Topics | None = None
         self.node_services: Services | None = None
@@ -176,17 +176,17 @@ class ClothNode(LifecycleNode):
 
     @property
     def makes_clock(self) -> bool:
-        """Whether the node is the source of /clock."""
+        """True if the node publishes /clock."""
         return self.value('publish_clock')
 
     @property
     def follows_clock(self) -> bool:
-        """Whether the node steps by /clock; a node that publishes /clock cannot wait for it."""
+        """True if /clock drives the steps; never if this node publishes /clock."""
         return self.value('use_sim_time') and not self.makes_clock
 
     @property
     def waits(self) -> bool:
-        """Whether the node waits for the first message on /clock."""
+        """True until the first message on /clock arrives."""
         return self.follows_clock and self.now_ns() == 0
 
     def pace(self):

@@ -21,7 +21,7 @@ class Row:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
-    """whether it may change at any time; otherwise only before the node is configured"""
+    """True if it can be set at any time; otherwise only while the node is unconfigured"""
 
 
 TABLE = (

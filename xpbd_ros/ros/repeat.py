@@ -100,7 +100,7 @@ class Repeat:
 
     @property
     def identical(self) -> bool:
-        """Whether scene, inputs and states are all as recorded."""
+        """True if scene, inputs and states equal the recorded ones."""
         return not self.problems
 
     @property

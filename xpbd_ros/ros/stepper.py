@@ -60,7 +60,7 @@ class Stepper(threading.Thread):
 
     @property
     def free_running(self) -> bool:
-        """Whether frames are computed without a request."""
+        """True while playing in mode ``realtime`` or ``fast``: frames need no request."""
         return self.playing and self.mode != 'lockstep'
 
     def ask(self, action: Callable) -> Future:

@@ -53,7 +53,8 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
 
     Raises
     ------
-    InputError : for settings that cannot be combined, or that exceed the budget
+    InputError : if settings are incompatible, or need more substeps than ``budget_ms`` or
+        ``max_substeps`` allows
 
     """
     solver = _choose(keys, effects, state, frame_dt)

@@ -80,7 +80,7 @@ class BuildContext:
     built: dict[str, 'Built']
     """the effects built so far, in projection order"""
     pins: bool
-    """whether pins require reaction forces"""
+    """True if pins require reaction forces"""
     compliance_scale: float = 1.0
     before: dict[str, 'Built'] = field(default_factory=dict)
     """the effects that this one takes over from, where a live key changed"""
@@ -89,7 +89,7 @@ class BuildContext:
     read_table: Callable[[str], np.ndarray] | None = None
     """rows of numbers in a file"""
     forces: bool = True
-    """whether multipliers are kept: for reaction forces, or since there are several passes"""
+    """True if multipliers are stored: for reaction forces, or for several passes"""
 
     iterations: int = 1
     """of the solver"""
@@ -123,8 +123,8 @@ class Built:
     ns_per_particle: float = 0.0
     """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
     pulls_taut: bool = False
-    """whether it may pull cloth taut, or lets particles take steps of backward Euler for long, so
-    that lines need more substeps to lie straight (``scene.auto.TAUT``)"""
+    """True if it may pull cloth taut or keep particles in steps of backward Euler: lines then need
+    more substeps to straighten (``scene.auto.TAUT``)"""
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""
@@ -138,7 +138,7 @@ class Built:
     force: np.ndarray | None = None
     """external force on each particle [N], shape (3, slots), for ``explicit_guard``"""
     pinned_changed: bool = False
-    """whether this effect has changed the set of pinned particles since ``hold``"""
+    """True if this effect has changed the set of pinned particles since ``hold``"""
 
     def __init__(self):
         self.notes: list[str] = []

@@ -1,4 +1,4 @@
-"""Where the camera stands."""
+"""Camera position and framing."""
 
 import numpy as np
 import pytest

@@ -63,7 +63,7 @@ class Estimate:
     largest: float
     """of one particle [m]"""
     resolved: bool
-    """whether the estimate holds; else it is only a lower bound"""
+    """True if the estimate holds; else it is only a lower bound"""
     frames: int
     """how many frames' worth of work it took"""
 

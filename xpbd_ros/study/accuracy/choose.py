@@ -20,7 +20,7 @@ class Row:
     timing: Timing | None = None
     pareto: bool = False
     scene: bool = False
-    """whether it is the setting of the scene itself"""
+    """True if it is the setting of the scene itself"""
 
     @property
     def timed(self) -> Timing:

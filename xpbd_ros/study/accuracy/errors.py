@@ -41,7 +41,7 @@ class Errors:
 
     @property
     def finite(self) -> bool:
-        """Whether the run reached its end with finite numbers."""
+        """True if the run reached its end with finite numbers."""
         return math.isfinite(self.height_m)
 
 

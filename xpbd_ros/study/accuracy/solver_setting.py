@@ -47,7 +47,7 @@ class Setting:
 
     @property
     def is_baseline(self) -> bool:
-        """Whether it is one of BASELINES."""
+        """True if it is one of BASELINES."""
         return self.method in BASELINES
 
     def block(self) -> dict:

@@ -44,7 +44,7 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """Whether there are no warnings."""
+        """True if there are no warnings."""
         return not self.warnings
 
 

@@ -38,7 +38,7 @@ class Problem:
     mass: Array
     """masses [kg], shape (n,), > 0"""
     pinned: Array = NOT_GIVEN
-    """whether a particle is pinned, shape (n,); None if none is"""
+    """True if a particle is pinned, shape (n,); None if none is"""
     motion: Callable[[float], ArrayLike] | None = None
     """time since the start [s] -> positions of the pinned particles in the order of their indices
     [m], shape (p, 3); None if they do not move"""

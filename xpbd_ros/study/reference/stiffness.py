@@ -132,7 +132,7 @@ class Factor:
 
     @property
     def positive(self) -> bool:
-        """Whether the matrix is positive definite (Sylvester, Haynsworth)."""
+        """True if the matrix is positive definite (Sylvester, Haynsworth)."""
         lu = self._lu
         if not np.array_equal(lu.perm_r, lu.perm_c):
             return False

@@ -33,15 +33,15 @@ class Outcome:
     setting: str
     """name of the attempt: its setting and its label"""
     good: bool
-    """whether it met all criteria"""
+    """True if the attempt met all criteria"""
     finite: bool | None = None
-    """whether all numbers stayed finite; None for a refused scene"""
+    """True if all numbers stayed finite; None for a refused scene"""
     strain_max: float | None = None
     """largest strain of an edge"""
     energy_rise: float | None = None
     """largest rise of the total energy over that at the start, over the energy scale"""
     recovered: bool | None = None
-    """whether the strain recovered; None if the case does not ask for that"""
+    """True if the strain recovered; None if the case does not ask for that"""
     recovery_s: float | None = None
     """time from the end of the cause to recovery [s]"""
     reported: str = ''
@@ -49,11 +49,11 @@ class Outcome:
     why: str = ''
     """criteria that it missed; empty if it passed"""
     textbook: bool | None = None
-    """whether the textbook solver meets the criteria; None if it lacks an effect of the case"""
+    """True if the textbook solver meets the criteria; None if it lacks an effect of the case"""
     textbook_why: str = ''
     """criteria that the textbook solver missed"""
     skipped: bool = False
-    """whether it was not run"""
+    """True if the case was not run"""
 
 
 class Attempt(Protocol):

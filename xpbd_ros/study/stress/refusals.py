@@ -17,7 +17,7 @@ class Refusal:
     says: tuple[str, ...]
     """texts that the error must contain"""
     mended: bool = False
-    """whether the scene is repaired instead, with these texts in a note"""
+    """True if the scene is repaired instead, with these texts in a note"""
 
     def outcome(self) -> Outcome:
         """Try to compile the scene, and return the result."""

@@ -19,7 +19,7 @@ class Trajectory:
     rest: np.ndarray
     """rest lengths [m], shape (edges,)"""
     free: np.ndarray
-    """whether a particle is free at the end, shape (particles,)"""
+    """True if a particle is free at the end, shape (particles,)"""
     triangles: np.ndarray
     """indices of particles, shape (triangles, 3)"""
     tetrahedra: tuple[np.ndarray, np.ndarray]
@@ -45,7 +45,7 @@ class Trajectory:
 
     @property
     def finite(self) -> bool:
-        """Whether all positions and the last velocities are finite."""
+        """True if all positions and the last velocities are finite."""
         return bool(np.isfinite(self.x[-1]).all() and np.isfinite(self.v[-1]).all()
                     and all(np.isfinite(x).all() for x in self.x))
 

@@ -82,7 +82,7 @@ class Trial:
     note: str = ''
     """where else the user is informed"""
     textbook: bool = True
-    """whether the textbook solver can run the case"""
+    """True if the textbook solver can run the case"""
     label: str = ''
     """part of the name that tells attempts with the same setting apart"""
 

@@ -32,7 +32,7 @@ class Row:
 
     @property
     def good(self) -> bool:
-        """Whether error and order are within their tolerances."""
+        """True if error and order are within their tolerances."""
         right = self.error <= self.tolerance
         if self.order_expected is not None:
             assert self.order is not None

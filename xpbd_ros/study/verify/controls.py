@@ -21,7 +21,7 @@ class Control:
 
     @property
     def fails(self) -> bool:
-        """Whether the scheme fails the case, as it must."""
+        """True if the scheme fails the case, as it must."""
         return bool(self.error > self.tolerance)
 
 
