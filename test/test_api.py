@@ -147,7 +147,7 @@ HOME = Pose((0.0, 0.0, 0.0))
     (PlaceCollider('q', 'mesh', (), HOME), 'corners of the triangles must be 9 numbers'),
     (PlaceCollider('q', 'mesh', 9 * (NAN,), HOME), 'a corner is further than'),
     (SetWind((NAN, 0.0, 0.0)), 'SetWind: velocity is not finite'),
-    (SetWind((1.0, 2.0)), 'SetWind: velocity must be 3 numbers'),
+    (SetWind((1.0, 2.0)), 'SetWind: velocity: vector must be 3 numbers'),
     (None, 'None is not a command such as MovePin')])
 def test_a_bad_command_is_refused_with_the_reason(command, reason):
     """At the door: the frame of the other commands is computed, to the same bits as without."""

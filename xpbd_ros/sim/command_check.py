@@ -60,29 +60,29 @@ def _name(command: Command) -> str:
 
 
 def _move(command: MovePin | MoveCollider, what: str) -> dict[str, Any]:
-    _check_time(command.stamp_ns, f'{what}: stamp_ns')
+    _check_time(command.stamp_ns, what, 'stamp_ns')
     return {'pose': checked_pose(command.pose, what),
             'twist': command.twist and checked_twist(command.twist, what)}
 
 
 def _grasp(command: Grasp, what: str) -> dict[str, Any]:
-    _check_time(command.lifetime_ns, f'{what}: lifetime_ns')
+    _check_time(command.lifetime_ns, what, 'lifetime_ns')
     if not 0.0 < command.radius < inf:
         raise InputError(f'{what}: radius must be > 0 m (got {command.radius})')
     return {'pose': checked_pose(command.pose, what)}
 
 
 def _place(command: PlaceCollider, what: str) -> dict[str, Any]:
-    _check_time(command.lifetime_ns, f'{what}: lifetime_ns')
+    _check_time(command.lifetime_ns, what, 'lifetime_ns')
     size, shape = command.size, command.shape
     if shape == 'mesh':
-        size = numbers(size, len(size) // 9 * 9 or 9, f'{what}: corners of the triangles')
+        size = numbers(size, len(size) // 9 * 9 or 9, what, 'corners of the triangles')
         if not all(-FAR <= c <= FAR for c in size):
             raise InputError(f'{what}: a corner is further than {FAR:g} m away, or not finite')
     elif shape not in SIZES:
         raise InputError(f'{what}: unknown shape {shape!r} (known: {", ".join(SIZES)}, mesh)')
     else:
-        size = numbers(size, SIZES[shape], f'{what}: size of a {shape}')
+        size = numbers(size, SIZES[shape], what, f'size of a {shape}')
         if not all(0.0 < c <= 2.0 * FAR for c in size):
             raise InputError(f'{what}: size {list(size)} must be > 0 m and no more than '
                              f'{2.0 * FAR:g}')
@@ -99,17 +99,17 @@ CHECKS: dict[type, Callable[[Any, str], dict[str, Any]]] = {
 """check of each kind of command: returns its fields as they are to be used"""
 
 
-def _check_time(time: int, what: str) -> None:
+def _check_time(time: int, what: str, key: str) -> None:
     if not isinstance(time, int) or time < 0:
-        raise InputError(f'{what} must be an integer >= 0 ns (got {time!r})')
+        raise InputError(f'{what}: {key} must be an integer >= 0 ns (got {time!r})')
 
 
 def checked_pose(pose: Pose, what: str) -> Pose:
     """Return a pose with a normalized quaternion; raise InputError for a bad one."""
     if not isinstance(pose, Pose):
         raise InputError(f'{what}: {pose!r} is not a Pose')
-    p = numbers(pose.position, 3, f'{what}: position')
-    q = numbers(pose.orientation, 4, f'{what}: orientation')
+    p = numbers(pose.position, 3, what, 'position')
+    q = numbers(pose.orientation, 4, what, 'orientation')
     if not isfinite(sum(p) + sum(q)):
         raise InputError(f'{what}: position or orientation is not finite')
     if max(map(abs, p)) > FAR:
@@ -126,8 +126,8 @@ def checked_twist(twist: Twist, what: str) -> Twist:
     """Return a twist; raise InputError if it is not finite or faster than ``FAR``."""
     if not isinstance(twist, Twist):
         raise InputError(f'{what}: {twist!r} is not a Twist')
-    linear = numbers(twist.linear, 3, f'{what}: linear')
-    angular = numbers(twist.angular, 3, f'{what}: angular')
+    linear = numbers(twist.linear, 3, what, 'linear')
+    angular = numbers(twist.angular, 3, what, 'angular')
     if not isfinite(sum(linear) + sum(angular)):
         raise InputError(f'{what}: twist is not finite')
     if max(map(abs, linear + angular)) > FAR:
@@ -138,7 +138,7 @@ def checked_twist(twist: Twist, what: str) -> Twist:
 
 def checked_velocity(velocity: Iterable[float], what: str) -> Vector:
     """Return a velocity [m/s]; raise InputError if it is not finite or faster than ``FAR``."""
-    vector: Vector = numbers(velocity, 3, what)
+    vector: Vector = numbers(velocity, 3, what, 'vector')
     if not isfinite(sum(vector)):
         raise InputError(f'{what} is not finite')
     if max(map(abs, vector)) > FAR:
@@ -146,9 +146,9 @@ def checked_velocity(velocity: Iterable[float], what: str) -> Vector:
     return vector
 
 
-def numbers(values: Iterable[float], count: int, what: str) -> Any:
+def numbers(values: Iterable[float], count: int, what: str, key: str) -> Any:
     """Return values as a tuple of ``count`` items; raise InputError for another count."""
     found = values if isinstance(values, tuple) else tuple(map(float, values))
     if len(found) != count:
-        raise InputError(f'{what} must be {count} numbers (got {values!r})')
+        raise InputError(f'{what}: {key} must be {count} numbers (got {values!r})')
     return found
