@@ -14,7 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.closest_points import dot, minus, on_edges, on_triangle
+from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.spatial_hash import Cells, fill, in_order, look_up, new_cells
 
 REST_SHARE = 0.5
@@ -23,6 +25,12 @@ POINTS, TRIANGLES, EDGES = range(3)
 """kinds of pairs: two particles, particle and triangle, two edges"""
 CELL = 0.5
 """size of a hash cell, relative to the longest edge plus the search distance"""
+TRAVEL = INV_MASS = 3
+"""last column of the records of particles"""
+UP = 1.0 + 1e-6
+"""for bounds that are rounded to float32"""
+UNKNOWN = -1.0
+"""distance to be kept that is not computed yet"""
 HALVINGS = 8
 """most halvings of a margin that yields more pairs than the capacity"""
 
@@ -54,7 +62,25 @@ class NeighbourList(NamedTuple):
     reach: float
     """largest margin, unless two substeps' motion needs more [m]"""
     x: np.ndarray
-    """positions at the substep's start [m], shape (particles, 3)"""
+    """
+    records x, y, z, travel [m], shape (particles + 1, 4): positions at the substep's start, and a
+    bound of each particle's distance from x + step in this substep; the last one is a dummy
+    """
+    start: np.ndarray
+    """the same records in float32, relative to ``origin``"""
+    move: np.ndarray
+    """
+    records in float32, shape (particles + 1, 4): displacement in this substep less ``step`` [m],
+    inverse mass times ``unit``
+    """
+    precise_move: np.ndarray
+    """the same records in float64: what pairs add conserves momentum to its rounding"""
+    loaded: np.ndarray
+    """``precise_move`` before pair contacts changed it"""
+    origin: np.ndarray
+    """[m], shape (3,)"""
+    unit: float
+    """mean mass of a particle [kg]"""
     seen: np.ndarray
     """y: positions at the build [m], shape (particles, 3)"""
     drift: np.ndarray
@@ -62,25 +88,19 @@ class NeighbourList(NamedTuple):
     step: np.ndarray
     """common displacement in this substep: mean of the pinned particles, or of all without pinned
     ones [m], shape (3,)"""
-    drift_since_build: np.ndarray
-    """s at the substep's start [m], shape (particles,)"""
-    travel: np.ndarray
-    """bound of each particle's distance from x + step in this substep [m], shape (particles,)"""
     margin: np.ndarray
     """[m]; 0: the list is not built; shape (1,)"""
     count: np.ndarray
     """in this frame: builds; pairs beyond the capacity; particles held back; particles and pairs
     that penetrate nevertheless; shape (4,)"""
+    kind_begin: np.ndarray
+    """begin of the pairs of each kind in the list, a multiple of PACK, shape (3,)"""
     kind_end: np.ndarray
-    """end of the pairs of each kind in the list, shape (3,)"""
-    first: np.ndarray
-    """particle or edge, shape (capacity,)"""
-    second: np.ndarray
-    """particle, triangle or edge, shape (capacity,)"""
-    distance: np.ndarray
-    """distance at the build [m], shape (capacity,)"""
+    """end of the pairs of each kind, shape (3,)"""
+    corners: np.ndarray
+    """particles of each pair, one side first, unused ones the dummy, shape (4, capacity)"""
     keep: np.ndarray
-    """distance to be kept [m], -1: not computed yet; shape (capacity,)"""
+    """distance to be kept [m], or UNKNOWN; shape (capacity,)"""
     cells: Cells
     """spatial hash of the particles"""
     surface: Surface | None
@@ -89,7 +109,7 @@ class NeighbourList(NamedTuple):
     """weld group: equal for particles that a seam joins, shape (particles,); None without seams"""
 
 
-def new_neighbour_list(cloths, room: int, surface: bool,
+def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
                        kin: np.ndarray | None = None) -> NeighbourList:
     """
     Return an empty list.
@@ -99,6 +119,7 @@ def new_neighbour_list(cloths, room: int, surface: bool,
     cloths : all cloths
     room : capacity in pairs
     surface : True for pairs of triangles and edges, False for pairs of particles
+    unit : mean mass of a particle [kg]
     kin : weld groups, shape (particles,), or None
 
     """
@@ -114,14 +135,17 @@ def new_neighbour_list(cloths, room: int, surface: bool,
         span = Surface(triangles, sides, outer, np.zeros((len(sides), 3)), new_cells(len(sides)))
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
+    room = (room + 3 * PACK - 1) // PACK * PACK
     return NeighbourList(
         np.concatenate([cloth.slots for cloth in cloths]),
         np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths]),
-        rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count, 3)), np.zeros((count, 3)),
-        np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(count), np.zeros(1),
-        np.zeros(4, np.int64), np.zeros(3, np.int64), np.zeros(room, np.int64),
-        np.zeros(room, np.int64), np.zeros(room), np.zeros(room), new_cells(count), span,
-        kin)
+        rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
+        np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
+        np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
+        np.zeros((count, 3)),
+        np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(4, np.int64), np.zeros(3, np.int64),
+        np.zeros(3, np.int64), np.zeros((4, room), np.int32), np.zeros(room, np.float32),
+        new_cells(count), span, kin)
 
 
 @jit(inline=True)
@@ -137,18 +161,6 @@ def are_welded(kin, a, b):
         return a == b
     else:    # Numba prunes the branch that is not taken
         return kin[a] == kin[b]
-
-
-@jit(inline=True)
-def corners(surface, kind, a, b):
-    """Return the four particles of a pair, one side first; (a, b, b, b) for two particles."""
-    if surface is None:
-        return a, b, b, b
-    else:    # Numba prunes the branch that is not taken
-        t, e = surface.triangles, surface.edges
-        if kind == TRIANGLES:
-            return a, t[b, 0], t[b, 1], t[b, 2]
-        return e[a, 0], e[a, 1], e[b, 0], e[b, 1]
 
 
 @jit
@@ -167,13 +179,6 @@ def weights(kind, p, q, r, s):
 def closest_vector(kind, x, i, j, k, l):
     """Return the vector between a pair's closest points [m] and its weights; x: (particles, 3)."""
     return between(kind, at(x, i), at(x, j), at(x, k), at(x, l))
-
-
-@jit(inline=True)
-def closest_vector_of_slots(kind, x, i, j, k, l):
-    """Return the same for particles by slot; x: positions [m], shape (3, slots)."""
-    return between(kind, (x[0, i], x[1, i], x[2, i]), (x[0, j], x[1, j], x[2, j]),
-                   (x[0, k], x[1, k], x[2, k]), (x[0, l], x[1, l], x[2, l]))
 
 
 @jit(inline=True)
@@ -215,7 +220,7 @@ def common_step(near, state):
 @jit
 def track_motion(near, x, slack):
     """
-    Update the bounds of the particles' motion, ``travel`` and ``drift_since_build``.
+    Update the bounds of the particles' motion in this substep, the travel in ``near.x``.
 
     Parameters
     ----------
@@ -230,12 +235,9 @@ def track_motion(near, x, slack):
     most, side = 0.0, 0.0
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
-        near.travel[i] = moved + max(moved, slack)
-        near.drift_since_build[i] = length((near.x[i, 0] - near.seen[i, 0] - near.drift[0],
-                                            near.x[i, 1] - near.seen[i, 1] - near.drift[1],
-                                            near.x[i, 2] - near.seen[i, 2] - near.drift[2]))
-        most = max(most, near.travel[i])
-        side = max(side, near.travel[i] + near.drift_since_build[i])
+        near.x[i, TRAVEL] = moved + max(moved, slack)
+        most = max(most, near.x[i, TRAVEL])
+        side = max(side, near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i))
     return most, side
 
 
@@ -246,16 +248,61 @@ def gone(x, start, step, j, i):
                    x[2, j] - start[i, 2] - step[2]))
 
 
+@jit(inline=True)
+def gone_since(x, seen, drift, i):
+    """Return |x_i - seen_i - drift|: the same since a list was built [m]."""
+    return length((x[i, 0] - seen[i, 0] - drift[0], x[i, 1] - seen[i, 1] - drift[1],
+                   x[i, 2] - seen[i, 2] - drift[2]))
+
+
+@jit
+def load_starts(near):
+    """Copy the positions at the substep's start and the travels to the float32 records."""
+    start, x, origin = near.start, near.x, near.origin
+    for i in range(len(near.slot)):
+        for a in range(3):
+            start[i, a] = x[i, a] - origin[a]
+        start[i, TRAVEL] = UP * x[i, TRAVEL]
+
+
+@jit
+def load_moves(near, state):
+    """Copy the displacements in this substep to the records."""
+    move, x, w, start, step = (near.precise_move, state.x, state.inv_mass, near.x,
+                               near.step)
+    for i in range(len(near.slot)):
+        j = near.slot[i]
+        for a in range(3):
+            move[i, a] = near.move[i, a] = near.loaded[i, a] = x[a, j] - start[i, a] - step[a]
+        move[i, INV_MASS] = near.move[i, INV_MASS] = near.unit * w[j]
+
+
+@jit
+def store_moves(near, state):
+    """Add what pair contacts have added to the displacements to the positions."""
+    move, loaded, x = near.precise_move, near.loaded, state.x
+    for i in range(len(near.slot)):
+        dx, dy, dz = (move[i, 0] - loaded[i, 0], move[i, 1] - loaded[i, 1],
+                      move[i, 2] - loaded[i, 2])
+        if dx != 0.0 or dy != 0.0 or dz != 0.0:
+            j = near.slot[i]
+            x[0, j] += dx
+            x[1, j] += dy
+            x[2, j] += dz
+            invalidate_history(state.history, j)
+
+
 @jit
 def seek(near, thickness, left):
     """Build the list, with a margin for ``left`` substeps of the present motion."""
     top = 0.0
     for i in range(len(near.slot)):
-        top = max(top, near.travel[i])
-        near.drift_since_build[i] = 0.0
+        top = max(top, near.x[i, TRAVEL])
         for a in range(3):
             near.seen[i, a] = near.x[i, a]
     near.drift[:] = 0.0
+    for a in range(3):
+        near.origin[a] = near.x[0, a]
     near.count[0] += 1
     margin = 2.0 * top * min(left, max(2.0, near.reach / (2.0 * top)))
     lost = list_pairs(near, near.surface, thickness, margin, False)
@@ -267,7 +314,7 @@ def seek(near, thickness, left):
     near.count[1] += lost
     near.margin[0] = margin
     for i in range(len(near.slot)):
-        near.travel[i] = min(near.travel[i], 0.5 * margin)
+        near.x[i, TRAVEL] = min(near.x[i, TRAVEL], 0.5 * margin)
 
 
 @jit
@@ -284,30 +331,43 @@ def list_pairs(near, surface, thickness, margin, to_the_end):
 
 
 @jit(inline=True)
-def append_pair(near, end, first, second, distance, keep):
+def append_pair(near, end, i, j, k, l):
     """Append a pair if the capacity allows; return the new end of the list."""
-    if end < len(near.first):
-        near.first[end], near.second[end] = first, second
-        near.distance[end], near.keep[end] = distance, keep
+    if end < len(near.keep):
+        corners = near.corners
+        corners[0, end], corners[1, end], corners[2, end], corners[3, end] = i, j, k, l
+        near.keep[end] = UNKNOWN
     return end + 1
 
 
 @jit
-def end_kind(near, end, kind):
-    """Store the end of a kind's pairs; return the number of pairs beyond the capacity."""
-    room = len(near.first)
-    for k in range(kind, 3):
-        near.kind_end[k] = min(end, room)
+def begin_kind(near, kind, end):
+    """Begin the pairs of a kind where the others end, at a multiple of PACK; return it."""
+    near.kind_begin[kind] = near.kind_end[kind] = min(
+        (end + PACK - 1) // PACK * PACK, len(near.keep))
+    return near.kind_begin[kind]
+
+
+@jit
+def end_kind(near, kind, end):
+    """End the pairs of a kind, fill up the last pack; return the number beyond the capacity."""
+    room, dummy = len(near.keep), len(near.slot)
+    near.kind_end[kind] = min(end, room)
+    for c in range(min(end, room), min((end + PACK - 1) // PACK * PACK, room)):
+        for p in range(4):
+            near.corners[p, c] = dummy
     return max(0, end - room)
 
 
 @jit
 def list_particles(near, thickness, margin, to_the_end):
     """List pairs of particles (see ``list_pairs``)."""
-    x, size, end = near.x, thickness + margin, 0
+    x, size, dummy = near.x, thickness + margin, len(near.slot)
+    near.kind_begin[:] = near.kind_end[:] = 0
+    end = begin_kind(near, POINTS, 0)
     fill(near.cells, x, size)
-    for i in range(len(x)):
-        if end > len(near.first) and not to_the_end:
+    for i in range(dummy):
+        if end > len(near.keep) and not to_the_end:
             break
         low = x[i, 0] - size, x[i, 1] - size, x[i, 2] - size
         high = x[i, 0] + size, x[i, 1] + size, x[i, 2] + size
@@ -321,10 +381,9 @@ def list_particles(near, thickness, margin, to_the_end):
         for f in range(close):
             j = found[f]
             keep = required_distance(near.cloth, near.rest, POINTS, thickness, i, j, j, j)
-            distance = length(minus(at(x, i), at(x, j)))
-            if distance < keep + margin:
-                end = append_pair(near, end, i, j, distance, keep)
-    return end_kind(near, end, POINTS)
+            if length(minus(at(x, i), at(x, j))) < keep + margin:
+                end = append_pair(near, end, i, j, dummy, dummy)
+    return end_kind(near, POINTS, end)
 
 
 @jit
@@ -352,9 +411,10 @@ def list_surface(near, surface, thickness, margin, to_the_end):
     cell = CELL * (size + longest)
     fill(near.cells, x, cell)
     fill(surface.cells, middle, cell)
-    end = 0
+    near.kind_begin[:] = near.kind_end[:] = 0
+    end = begin_kind(near, TRIANGLES, 0)
     for t in range(len(triangles)):
-        if end > len(near.first) and not to_the_end:
+        if end > len(near.keep) and not to_the_end:
             break
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         p, q, r = at(x, i), at(x, j), at(x, k)
@@ -372,12 +432,11 @@ def list_surface(near, surface, thickness, margin, to_the_end):
                 close += 1
         in_order(found, close)
         for f in range(close):
-            distance = length(closest_vector(TRIANGLES, x, found[f], i, j, k)[0])
-            end = append_pair(near, end, found[f], t, distance, -1.0)
-    end_kind(near, end, TRIANGLES)
-    near.kind_end[POINTS] = 0
+            end = append_pair(near, end, found[f], i, j, k)
+    lost = end_kind(near, TRIANGLES, end)
+    end = begin_kind(near, EDGES, end)
     for e in range(len(edges)):
-        if end > len(near.first) and not to_the_end:
+        if end > len(near.keep) and not to_the_end:
             break
         i, j = edges[e, 0], edges[e, 1]
         p, q, half = at(x, i), at(x, j), size + 0.5 * longest
@@ -396,11 +455,8 @@ def list_surface(near, surface, thickness, margin, to_the_end):
                 close += 1
         in_order(found, close)
         for f in range(close):
-            other = found[f]
-            k, l = edges[other, 0], edges[other, 1]
-            distance = length(closest_vector(EDGES, x, i, j, k, l)[0])
-            end = append_pair(near, end, e, other, distance, -1.0)
-    return end_kind(near, end, EDGES)
+            end = append_pair(near, end, i, j, edges[found[f], 0], edges[found[f], 1])
+    return lost + end_kind(near, EDGES, end)
 
 
 @jit(inline=True)

@@ -52,10 +52,10 @@ def cell_coordinate(x):
 
 @jit
 def fill(cells, points, size):
-    """Sort points [m], shape (points, 3), into cells of this size [m]."""
+    """Sort points [m], the first columns of an array, into cells of this size [m]."""
     start, cell, places = cells.start, cells.cell, len(cells.start) - 1
     start[:] = 0
-    for i in range(len(points)):
+    for i in range(len(cell)):
         for k in range(3):
             cell[i, k] = cell_coordinate(points[i, k] / size)
         start[table_entry(cell[i, 0], cell[i, 1], cell[i, 2], places)] += 1
@@ -63,7 +63,7 @@ def fill(cells, points, size):
     for p in range(places + 1):
         total += start[p]
         start[p] = total
-    for i in range(len(points) - 1, -1, -1):
+    for i in range(len(cell) - 1, -1, -1):
         p = table_entry(cell[i, 0], cell[i, 1], cell[i, 2], places)
         start[p] -= 1
         cells.point[start[p]] = i
@@ -91,7 +91,7 @@ def look_up(cells, points, size, low, high, least):
             cell_coordinate(high[2] / size))
     spans = last[0] - first[0] + 1, last[1] - first[1] + 1, last[2] - first[2] + 1
     if min(spans) <= 0 or float(spans[0]) * float(spans[1]) * float(spans[2]) > places:
-        for i in range(least, len(points)):
+        for i in range(least, len(cell)):
             if is_in_box(points, i, low, high):
                 found[count] = i
                 count += 1
