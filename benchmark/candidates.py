@@ -21,8 +21,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
-from xpbd_ros.sim.constraints.distance import by_place, grid_edges, mesh_edges
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, Shape
+from xpbd_ros.sim.constraints.distance import grid_edges, mesh_edges
+from xpbd_ros.sim.constraints.grid_batches import by_place, grid_runs, Shape
 from xpbd_ros.sim.constraints.line_solver import grid_lines, solve_warp, solve_weft
 from xpbd_ros.sim.geometry.mesh import cuthill_mckee
 from xpbd_ros.sim.particles.memory_layout import blocks, zeros
@@ -68,8 +68,8 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
                        order=work.edges.particles)
         if threads > 1:
             raise NotAvailableError('threads share out grids only')
-        effects = (MeshStretch(mesh_edges(sheet.slot[work.edges.particles],
-                                          work.edges.rest_length, work.edges.compliance,
+        effects = (MeshStretch(mesh_edges([sheet.slot[work.edges.particles]],
+                                          [work.edges.rest_length], [work.edges.compliance],
                                           world=sheet)),)
     step, how, crew = compiled(('stretch',)), METHODS[method](1), ThreadPool(threads)
 

@@ -22,22 +22,14 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, shear_cells
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.pinned_edges import react_edges
-from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.constraints.shear_cells import Slant
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import is_square
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import constraint, elastic_edges
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, stage
 
 
 @dataclass(frozen=True)
@@ -47,66 +39,15 @@ class Parameters:
     stiffness: float = quantity(unit='N/m', above=0.0, live=True, doc='shear modulus C66')
 
 
+@elastic_edges
 class Shear(NamedTuple):
     """Data of the kernels for square cells."""
 
     edges: distance.GridEdges
 
 
-@stage(prepare, Shear)
-@jit
-def prepare_shear(shear, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, shear.edges.force)
-
-
-@stage(project, Shear, shared=True)
-@jit
-def project_shear(shear, state, substep):
-    """One pass over all diagonals."""
-    distance.project_edges(shear.edges, state, substep, False)
-
-
-@stage(project_back, Shear, shared=True)
-@jit
-def project_shear_back(shear, state, substep):
-    """The same pass in reverse order."""
-    distance.project_edges(shear.edges, state, substep, True)
-
-
-@stage(accumulate_reactions, Shear)
-@jit
-def react_shear(shear, state, substep):
-    """Forces between pinned particles."""
-    react_edges(shear.edges.stops.held, shear.edges.force, state, substep)
-
-
-@stage(prepare, Slant)
-@jit
-def prepare_slant(slants, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, slants.force)
-
-
-@stage(project, Slant, shared=True)
-@jit
-def project_slant(slants, state, substep):
-    """One pass over all oblong cells."""
-    shear_cells.project_slants(slants, state, substep, False)
-
-
-@stage(project_back, Slant, shared=True)
-@jit
-def project_slant_back(slants, state, substep):
-    """The same pass in reverse order."""
-    shear_cells.project_slants(slants, state, substep, True)
-
-
-@stage(accumulate_reactions, Slant)
-@jit
-def react_slant(slants, state, substep):
-    """Forces between pinned particles."""
-    shear_cells.react_slants(slants, state, substep)
+constraint(Slant, particles=4)(shear_cells.solve_slants)
+stage(accumulate_reactions, Slant)(shear_cells.react_slants)
 
 
 def _on_square_cells(cloths, world) -> Shear:
@@ -164,9 +105,6 @@ class BuiltShear(Built):
         self.constraints = shear_cells.Slants.joined(self.lists)
         self.cells = [these for these in self.lists if isinstance(these, shear_cells.Slants)]
 
-    def hold(self, inv_mass):
-        for part, these in zip(self.parts, self.lists):
-            distance.hold_edges(getattr(part, 'edges', part), these, inv_mass)
 
 
 EFFECT = Effect('shear', Parameters, BuiltShear)

@@ -26,19 +26,12 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.pinned_edges import react_edges
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import edge_areas
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    solve_lines,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import elastic_edges
+from xpbd_ros.sim.stepping.stages import prepare, solve_lines, stage
 
 
 @dataclass(frozen=True)
@@ -58,6 +51,7 @@ class Parameters:
                         either='warp and weft (N/m) or compliance (m/N)')
 
 
+@elastic_edges
 class Stretch(NamedTuple):
     """Data of the kernels for grids."""
 
@@ -67,6 +61,7 @@ class Stretch(NamedTuple):
     """None in a scene without pins"""
 
 
+@elastic_edges
 class MeshStretch(NamedTuple):
     """Data of the kernels for other meshes."""
 
@@ -75,45 +70,10 @@ class MeshStretch(NamedTuple):
 
 @stage(prepare, Stretch)
 @jit
-def prepare_stretch(stretch, state, substep):
+def prepare_lines(stretch, state, substep):
     """Zero the multipliers, except of overextended lines."""
     zero_multipliers(state.apart, stretch.edges.force)
     overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
-
-
-@stage(prepare, MeshStretch)
-@jit
-def prepare_mesh_stretch(stretch, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, stretch.edges.force)
-
-
-@stage(project, Stretch, shared=True)
-@jit
-def project_stretch(stretch, state, substep):
-    """One pass over all edges."""
-    distance.project_edges(stretch.edges, state, substep, False)
-
-
-@stage(project, MeshStretch)
-@jit
-def project_mesh_stretch(stretch, state, substep):
-    """One pass over all edges."""
-    distance.project_packs(stretch.edges, state, substep, False)
-
-
-@stage(project_back, Stretch, shared=True)
-@jit
-def project_stretch_back(stretch, state, substep):
-    """The same pass in reverse order."""
-    distance.project_edges(stretch.edges, state, substep, True)
-
-
-@stage(project_back, MeshStretch)
-@jit
-def project_mesh_stretch_back(stretch, state, substep):
-    """The same pass in reverse order."""
-    distance.project_packs(stretch.edges, state, substep, True)
 
 
 @stage(solve_lines, Stretch, shared=True)
@@ -121,20 +81,6 @@ def project_mesh_stretch_back(stretch, state, substep):
 def solve_stretch(stretch, state, substep):
     """Solve every line, twice."""
     line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
-
-
-@stage(accumulate_reactions, Stretch)
-@jit
-def react_stretch(stretch, state, substep):
-    """Forces between pinned particles."""
-    react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
-
-
-@stage(accumulate_reactions, MeshStretch)
-@jit
-def react_mesh_stretch(stretch, state, substep):
-    """Forces between pinned particles."""
-    react_edges(stretch.edges.packs.held, stretch.edges.force, state, substep)
 
 
 def _on_grids(cloths, world) -> Stretch:
@@ -188,7 +134,7 @@ def _on_meshes(cloths, world) -> MeshStretch:
         d = mesh.positions[ends[:, 1]] - mesh.positions[ends[:, 0]]
         square = (d**2).sum(1)
         particles.append(cloth.slots[ends])
-        time += [distance.relaxation(world, cloth)] * len(ends)
+        time.append(distance.relaxation(world, cloth))
         rest.append(np.sqrt(square))
         if chosen.compliance is not None:
             alpha.append(np.full(len(ends), world.compliance_scale * chosen.compliance))
@@ -197,8 +143,8 @@ def _on_meshes(cloths, world) -> MeshStretch:
             area = edge_areas(mesh.triangles, ends, mesh.positions)
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
-    return MeshStretch(distance.mesh_edges(*map(np.concatenate, (particles, rest, alpha)),
-                                           world=world, time=distance.times(time)))
+    return MeshStretch(distance.mesh_edges(particles, rest, alpha, world=world,
+                                           time=distance.times(time)))
 
 
 class BuiltStretch(Built):
@@ -220,8 +166,7 @@ class BuiltStretch(Built):
                              if part.edges.force is not None]
 
     def hold(self, inv_mass):
-        for part, edges in zip(self.parts, self.lists):
-            distance.hold_edges(part.edges, edges, inv_mass)
+        super().hold(inv_mass)
         if self._blocks:
             overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
 

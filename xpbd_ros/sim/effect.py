@@ -9,6 +9,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.constraints.pinned import hold_batch
 from xpbd_ros.sim.geometry.mesh import Mesh
 from xpbd_ros.sim.particles.memory_layout import Block, Span
 from xpbd_ros.sim.particles.records import new_records
@@ -184,6 +185,8 @@ class Built:
 
     def hold(self, inv_mass: np.ndarray) -> None:
         """Learn which particles are pinned now."""
+        for part, these in zip(self.parts, self.by_part):
+            hold_batch(part, these, inv_mass)
 
     def reported(self, frame_dt: float) -> dict[str, Mapping[str, Any]]:
         """Return what the effect reports in a ``Frame``, by field."""
