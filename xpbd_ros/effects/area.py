@@ -20,8 +20,8 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, fma, load, select
+from xpbd_ros.sim.constraints.builders import Packing
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
-from xpbd_ros.sim.constraints.mesh_batches import Packing
 from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.effect import Built, Effect

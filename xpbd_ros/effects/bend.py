@@ -39,17 +39,16 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, fma, load, select
 from xpbd_ros.sim.backend.simd_vector3 import fma3
+from xpbd_ros.sim.constraints.builders import Packing, Rows
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
-from xpbd_ros.sim.constraints.grid_batches import by_place, grid_runs, join, listed, Runs
+from xpbd_ros.sim.constraints.grid_batches import listed, Runs
 from xpbd_ros.sim.constraints.isometric_bending import isometric_weights
-from xpbd_ros.sim.constraints.mesh_batches import Packing
-from xpbd_ros.sim.constraints.pinned import Held, Stops, stops_for
+from xpbd_ros.sim.constraints.pinned import Held, Stops
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
 from xpbd_ros.sim.constraints.projection import denominator, keep3, recall3, xpbd_residual
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 
@@ -207,21 +206,13 @@ class Linear(Constraints):
 
 def _on_grids(cloths, world) -> list[Curvature | Twist]:
     found = []
-    for kind, shapes_of, families, compliance_of in (
-            (Curvature, curvature_shapes, 2, _curvature_compliance),
-            (Twist, twist_shapes, 1, _twist_compliance)):
-        runs, alpha = [], []
-        for number, (cloth, chosen) in enumerate(cloths):
-            shapes = shapes_of(cloth.block.rows, cloth.block.columns)
-            runs.append(grid_runs(cloth.block, shapes, world.slots, families=families * number,
-                                  shapes_before=len(shapes) * number))
-            alpha.append(world.compliance_scale * compliance_of(cloth, *chosen.rigidity))
-        runs = join(runs)
-        if len(listed(runs)[1]):
-            dtype, size = world.state.x.dtype, (3, families * len(cloths) * world.slots)
-            found.append(kind(runs, by_place(runs, alpha, dtype),
-                              zeros(size, dtype) if world.forces else None,
-                              stops_for(runs) if world.pins else None))
+    for kind, shapes_of, compliance_of in ((Curvature, curvature_shapes, _curvature_compliance),
+                                           (Twist, twist_shapes, _twist_compliance)):
+        rows = Rows([cloth.block for cloth, _ in cloths], shapes_of, world)
+        if len(listed(rows.runs)[1]):
+            found.append(kind(**rows.common([
+                world.compliance_scale * compliance_of(cloth, *chosen.rigidity)
+                for cloth, chosen in cloths], (3,))))
     return found
 
 
@@ -267,9 +258,7 @@ class BuiltBend(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        on_grids, on_meshes = ([(cloth, chosen) for cloth, chosen in parameters.items()
-                                if (cloth.mesh.grid is not None) == of_kind]
-                               for of_kind in (True, False))
+        on_grids, on_meshes = by_kind(parameters, is_grid)
         parts: list[Any] = _on_grids(on_grids, world) if on_grids else []
         if on_meshes:
             more, self.notes = _on_meshes(on_meshes, world)

@@ -31,9 +31,9 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, fma, load, nearest, root, select, store
 from xpbd_ros.sim.backend.simd_vector3 import fma3, fused_cross
 from xpbd_ros.sim.constraints.atan2 import angle_of
+from xpbd_ros.sim.constraints.builders import Packing
 from xpbd_ros.sim.constraints.definitions import Constraints
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, rigidity, slenderness
-from xpbd_ros.sim.constraints.mesh_batches import Packing
 from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual

@@ -17,16 +17,16 @@ oblong ones. Meshes have no diagonals; their edges resist shear as they stretch.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.constraints import distance, shear_cells
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
+from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.shear_cells import Slant
-from xpbd_ros.sim.effect import Built, Effect
-from xpbd_ros.sim.geometry.mesh import is_square
+from xpbd_ros.sim.effect import Built, by_kind, Effect
+from xpbd_ros.sim.geometry.mesh import is_square, Mesh
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint, elastic_edges
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, stage
@@ -50,37 +50,40 @@ constraint(Slant, particles=4)(shear_cells.solve_slants)
 stage(accumulate_reactions, Slant)(shear_cells.react_slants)
 
 
+def has_square_cells(mesh: Mesh) -> bool:
+    """Return True for a grid whose cells are square."""
+    return mesh.spacing is not None and is_square(mesh.spacing)
+
+
+def diagonals(rows: int, columns: int) -> list[Shape]:
+    """Return the shapes of the rising and the falling diagonals of cells."""
+    return [Shape(((0, 0), (1, 1)), range(rows - 1), range(columns - 1), 0),
+            Shape(((0, 1), (1, 0)), range(rows - 1), range(columns - 1), 1)]
+
+
 def _on_square_cells(cloths, world) -> Shear:
-    """Return the rising and the falling diagonals of square cells."""
-    runs, rest, alpha, time = [], [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
-        block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
-        runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
-                                      Shape(((0, 1), (1, 0)), rows, columns, 1)],
-                              world.slots, families=2 * number, shapes_before=2 * number))
+    """Return the diagonals of square cells."""
+    rest, alpha = [], []
+    for cloth, chosen in cloths:
+        dx, dy = cloth.mesh.spacing
         square = dx * dx + dy * dy
-        rest += [np.sqrt(square)] * 2
-        time += [distance.relaxation(world, cloth)] * 2
+        rest.append([np.sqrt(square)] * 2)
         alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
                              / (chosen.stiffness * square)))
-    return Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha, world=world,
-                                     time=distance.times(time)))
+    return Shear(distance.grid_edges([cloth.block for cloth, _ in cloths], diagonals, rest, alpha,
+                                     world=world, time=distance.times(cloths, world)))
 
 
 def _on_oblong_cells(cloths, world) -> Slant:
     """Return the oblong cells."""
-    runs, alpha, time = [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
-        block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        shape = shear_cells.slant_shape(block.rows, block.columns)
-        runs.append(grid_runs(block, [shape], world.slots, families=number,
-                              shapes_before=number))
-        time.append(distance.relaxation(world, cloth))
+    alpha = []
+    for cloth, chosen in cloths:
+        dx, dy = cloth.mesh.spacing
         with np.errstate(over='ignore'):
             alpha.append(np.full((1, 1), world.compliance_scale * 4.0 * dx * dy
                                  / (chosen.stiffness * (dx * dx + dy * dy))))
-    return shear_cells.slants(join(runs), alpha, world=world, time=distance.times(time))
+    return shear_cells.slants([cloth.block for cloth, _ in cloths], alpha, world=world,
+                              time=distance.times(cloths, world))
 
 
 class BuiltShear(Built):
@@ -93,12 +96,9 @@ class BuiltShear(Built):
                 raise InputError(f'cloths.{cloth.name}.effects.shear: a mesh has no diagonals; '
                                  'its edges resist shear as they stretch, and membrane takes '
                                  'moduli')
-        parts = []
-        for make, square in ((_on_square_cells, True), (_on_oblong_cells, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if is_square(cloth.mesh.spacing) == square]
-            if cloths:
-                parts.append(make(cloths, world))
+        parts: list[Any] = [make(cloths, world) for make, cloths in zip(
+            (_on_square_cells, _on_oblong_cells),
+            by_kind(parameters, has_square_cells)) if cloths]
         self.data, *self.also = parts
         self.lists = [shear_cells.Slants.of(part) if isinstance(part, Slant)
                       else distance.Edges.of(part.edges) for part in parts]

@@ -35,7 +35,7 @@ from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import hold
 from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, Held, react_edges, room
 from xpbd_ros.sim.constraints.projection import zero_multipliers
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -133,7 +133,7 @@ class MeshStrainLimit(NamedTuple):
 
 @stage(prepare, StrainLimit)
 @jit
-def prepare_lines(limit, state, substep):
+def prepare_limit(limit, state, substep):
     """Zero the forces, except of overextended lines."""
     zero_multipliers(None, limit.force)
     overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
@@ -306,27 +306,23 @@ class BuiltStrainLimit(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        made = []
-        for make, of_kind in ((_on_grids, True), (_on_meshes, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if (cloth.mesh.grid is not None) == of_kind]
-            if cloths:
-                made.append(make(cloths, world))
-        self.data, *self.also = made
+        self.data, *self.also = [make(cloths, world) for make, cloths in zip(
+            (_on_grids, _on_meshes), by_kind(parameters, is_grid)) if cloths]
         self._edges = []
         for cloth, chosen in parameters.items():
             edges, x = limited_edges(cloth.mesh), cloth.mesh.positions
             self._edges.append((cloth.slots[edges].T, length(x[edges[:, 0]] - x[edges[:, 1]]),
                                 chosen.max))
         self._state = world.state
-        self._blocks = [cloth.block for cloth in parameters if cloth.mesh.grid is not None]
+        self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
 
     def hold(self, inv_mass):
         if self._blocks:
             overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
         for part in self.parts:
-            hold(part.stops.held if isinstance(part, StrainLimit) else part.held, part.pulled,
-                 inv_mass)
+            lists = part.stops if isinstance(part, StrainLimit) else part
+            assert lists is not None
+            hold(lists.held, part.pulled, inv_mass)
 
     def take_turns(self) -> None:
         """Enable repetitions, because effects that follow may pull edges beyond the limit."""

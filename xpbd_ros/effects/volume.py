@@ -41,8 +41,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, larger, load, root, select
 from xpbd_ros.sim.backend.simd_vector3 import fma3, vector3
+from xpbd_ros.sim.constraints.builders import Packing
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
-from xpbd_ros.sim.constraints.mesh_batches import Packing
 from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.projection import (
     denominator,

@@ -108,6 +108,17 @@ class BuildContext:
         return self.state.x.shape[1]
 
 
+def by_kind(parameters: dict[Cloth, Any], is_first: Callable[[Mesh], bool]) -> tuple[list, list]:
+    """Return the cloths with their parameters: those with a mesh of the first kind, the others."""
+    return tuple([item for item in parameters.items() if is_first(item[0].mesh) == first]
+                 for first in (True, False))    # type: ignore[return-value]
+
+
+def is_grid(mesh: Mesh) -> bool:
+    """Return True if a mesh is a grid."""
+    return mesh.grid is not None
+
+
 class Built:
     """
     An effect compiled for one scene.

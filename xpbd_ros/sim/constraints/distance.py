@@ -11,6 +11,7 @@ Where two particles coincide the gradient is undefined: they separate along a fi
 each shape of edge, which conserves momentum and is deterministic.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, load, select
 from xpbd_ros.sim.backend.simd_vector3 import vector3
+from xpbd_ros.sim.constraints.builders import Packing, Rows
 from xpbd_ros.sim.constraints.damping import (
     apart_before,
     Damping,
@@ -29,13 +31,12 @@ from xpbd_ros.sim.constraints.damping import (
     shared,
 )
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
-from xpbd_ros.sim.constraints.grid_batches import by_place, Runs
-from xpbd_ros.sim.constraints.mesh_batches import Packing
-from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, Held, room, stops_for
+from xpbd_ros.sim.constraints.grid_batches import Runs
+from xpbd_ros.sim.constraints.pinned_edges import edge_stops_for, EdgeStops, Held, room
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.constraints.sweeps import projection
 from xpbd_ros.sim.geometry.mesh import length
-from xpbd_ros.sim.particles.memory_layout import zeros
+from xpbd_ros.sim.particles.memory_layout import Block
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
@@ -44,19 +45,19 @@ class GridEdges(NamedTuple):
     """Elastic edges of grids, in runs (``constraints.grid_batches``)."""
 
     runs: Runs
-    rest_length: np.ndarray
-    """[m], of each shape of edge, shape (shapes,)"""
     compliance: np.ndarray
     """[m/N], by shape of edge and place in a row, ABSENT where there is no edge; shape
     (shapes, places)"""
-    axis: np.ndarray
-    """direction of coincident particles, of each shape of edge, shape (shapes, 3)"""
     force: np.ndarray | None
     """f, multiplier over H² [N], negative in tension, shape (families * slots,); None if
     multipliers are not kept"""
     stops: EdgeStops | None
     """None in a scene without pins"""
-    damping: Damping | None = None
+    rest_length: np.ndarray
+    """[m], of each shape of edge, shape (shapes,)"""
+    axis: np.ndarray
+    """direction of coincident particles, of each shape of edge, shape (shapes, 3)"""
+    damping: Damping | None
     """None in a scene without ``rayleigh``"""
 
 
@@ -77,7 +78,7 @@ class MeshEdges(NamedTuple):
     """[m], shape (edges,)"""
     compliance: np.ndarray
     """[m/N], shape (edges,)"""
-    damping: Damping | None = None
+    damping: Damping | None
     """None in a scene without ``rayleigh``"""
 
 
@@ -104,28 +105,28 @@ class Edges(Constraints):
             return isotropic(x, self.particles.T, 2.0 / self.compliance)
 
 
-def grid_edges(runs: Runs, family, rest_length, compliance: list, *, world,
-               time=None) -> GridEdges:
+def grid_edges(blocks: list[Block], shapes_of: Callable, rest_length: list, compliance: list, *,
+               world, time: list | None = None) -> GridEdges:
     """
     Return the edges of grids for the kernels.
 
     Parameters
     ----------
-    runs : runs of all grids
-    family : of each shape of edge, shape (shapes,)
-    rest_length : of each shape of edge [m], shape (shapes,)
+    blocks, shapes_of : as of ``builders.Rows``
+    rest_length : of each grid's shapes of edge [m]
     compliance : of each grid, by its shapes and places in a row [m/N], (shapes, places) or (…, 1)
     world : build context
-    time : relaxation time of each shape [s], shape (shapes,); None without ``rayleigh``
+    time : relaxation time of each grid [s]; None without ``rayleigh``
 
     """
-    dtype, family = world.state.x.dtype, np.asarray(family)
-    force = zeros((family.max(initial=0) + 1) * world.slots, dtype) if world.forces else None
-    table = by_place(runs, compliance, dtype)
-    return GridEdges(runs, np.array(rest_length, dtype), table,
-                     np.array([AXES[k % 3] for k in family], dtype).reshape(-1, 3), force,
-                     stops_for(runs) if world.pins else None,
-                     damping(world, time, (table == 0.0).any(1), dtype))
+    rows, dtype = Rows(blocks, shapes_of, world), world.state.x.dtype
+    common = rows.common(compliance, stops=edge_stops_for)
+    if time is not None:
+        time = np.concatenate([np.full(len(a), t) for a, t in zip(rest_length, time)])
+    return GridEdges(
+        **common, rest_length=np.concatenate(rest_length).astype(dtype),
+        axis=np.array([AXES[k % 3] for k in rows.families], dtype).reshape(-1, 3),
+        damping=damping(world, time, (common['compliance'] == 0.0).any(1), dtype))
 
 
 def mesh_edges(particles: list, rest_length: list, compliance: list, *, world,
@@ -162,14 +163,11 @@ def damping(world, time, rigid: np.ndarray, dtype) -> Damping | None:
     return Damping(world.built['rayleigh'].past, np.where(rigid, 0.0, time).astype(dtype))
 
 
-def times(found: list) -> list | None:
-    """Return relaxation times [s]; None if any of them is None."""
-    return None if None in found else found
-
-
-def relaxation(world, cloth) -> float | None:
-    """Return the relaxation time of a cloth [s]; None in a scene without ``rayleigh``."""
-    return world.built['rayleigh'].time(cloth) if 'rayleigh' in world.built else None
+def times(cloths: list, world) -> list[float] | None:
+    """Return the relaxation times of (cloth, parameters) [s]; None without ``rayleigh``."""
+    if 'rayleigh' not in world.built:
+        return None
+    return [world.built['rayleigh'].time(cloth) for cloth, _ in cloths]
 
 
 @jit(inline=True)

@@ -6,14 +6,10 @@ With OPEN packs nearly all fill up, and neighbours on the mesh stay near each ot
 sweep projects the constraints of a pack in vectors, of any width.
 """
 
-from collections.abc import Callable
-
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.constraints.pinned import room_for
-from xpbd_ros.sim.constraints.projection import max_compliance
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 OPEN = 24
@@ -85,59 +81,6 @@ def _conflicts(particles, members, count, c):
                 if a == b:
                     return True
     return False
-
-
-class Packing:
-    """
-    Constraints of meshes in the order of ``pack``, and the arrays of their batch.
-
-    Parameters
-    ----------
-    particles : slots of the constraints of each cloth, shapes (constraints, particles of each)
-    world : build context
-
-    """
-
-    def __init__(self, particles: list[np.ndarray], world):
-        self.particles = np.concatenate(particles)
-        self._world, self._dtype = world, world.state.x.dtype
-        self._order = pack(self.particles)
-
-    def column(self, numbers: np.ndarray | list[np.ndarray], empty=0.0) -> np.ndarray:
-        """
-        Return numbers of the constraints as an array of the batch, with the constraints last.
-
-        ``numbers`` are those of all constraints or of each cloth's; ``empty`` is in the padding.
-        """
-        if isinstance(numbers, list):
-            numbers = np.concatenate(numbers)
-        found = padded(numbers, self._order, empty, self._dtype)
-        return found if found.ndim == 1 else found.T.copy()
-
-    def compliance(self, numbers: list[np.ndarray]) -> np.ndarray:
-        """Return compliances as an array of the batch, none above ``max_compliance``."""
-        most = max_compliance(self._dtype)
-        return self.column(np.minimum(np.concatenate(numbers), most), most)
-
-    def common(self, multipliers: tuple[int, ...] = (), room: Callable = room_for) -> dict:
-        """
-        Return the fields that all batches have.
-
-        Parameters
-        ----------
-        multipliers : () for one multiplier each, or (number of multipliers,)
-        room : function of the number of constraints, padding included, and of the particles of
-            each: returns an empty list for those at pinned particles
-
-        """
-        world, (count, width) = self._world, (len(self._order), self.particles.shape[1])
-        return {
-            'records': world.records,
-            'slots': np.array([self.particles.min(initial=world.slots),
-                               self.particles.max(initial=-1) + 1]),
-            'particles': padded(self.particles, self._order, world.slots - 1, np.int32).T.copy(),
-            'force': zeros((*multipliers, count), self._dtype) if world.forces else None,
-            'held': room(count, width) if world.pins else None}
 
 
 def padded(numbers: np.ndarray, order: np.ndarray, empty, dtype) -> np.ndarray:

@@ -8,6 +8,7 @@ here, to ``state.reaction`` as they project them. Constraints of a vector share 
 width makes no difference.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,9 +48,9 @@ def room_for(count: int, width: int) -> Held:
                 np.zeros(count, np.int64))
 
 
-def stops_for(runs: Runs) -> Stops:
+def stops_for(runs: Runs, room: Callable = room_for) -> Stops:
     """Return an empty list for all constraints of some runs."""
-    return Stops(room_for(len(listed(runs)[1]), runs.offset.shape[1]),
+    return Stops(room(len(listed(runs)[1]), runs.offset.shape[1]),
                  np.zeros(len(runs.start) + 1, np.int64))
 
 

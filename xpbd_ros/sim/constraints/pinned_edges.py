@@ -11,8 +11,8 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, wait
-from xpbd_ros.sim.constraints.grid_batches import listed, Runs
-from xpbd_ros.sim.constraints.pinned import room_for
+from xpbd_ros.sim.constraints.grid_batches import Runs
+from xpbd_ros.sim.constraints.pinned import room_for, stops_for
 from xpbd_ros.sim.constraints.projection import at_the_end
 
 
@@ -49,11 +49,11 @@ def room(count: int, width: int = 2) -> Held:
     return Held(*room_for(count, width), np.zeros(count), np.zeros(count))
 
 
-def stops_for(runs: Runs) -> EdgeStops:
+def edge_stops_for(runs: Runs) -> EdgeStops:
     """Return empty lists for all edges of some runs."""
-    count = len(listed(runs)[1])
-    return EdgeStops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
-                 np.zeros(count))
+    stops = stops_for(runs, room)
+    count = len(stops.held.index)
+    return EdgeStops(*stops, np.zeros((count, 3)), np.zeros(count))
 
 
 @jit

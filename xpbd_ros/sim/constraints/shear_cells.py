@@ -24,27 +24,16 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, load, select
 from xpbd_ros.sim.backend.simd_vector3 import vector3
+from xpbd_ros.sim.constraints.builders import Rows
 from xpbd_ros.sim.constraints.damping import apart_before, Damping, gamma_of, lag, shared
 from xpbd_ros.sim.constraints.definitions import Constraints
 from xpbd_ros.sim.constraints.distance import AXES, damping, Edges
-from xpbd_ros.sim.constraints.grid_batches import by_place, listed, Runs, Shape
-from xpbd_ros.sim.constraints.pinned import room_for, Stops
+from xpbd_ros.sim.constraints.grid_batches import listed, Runs, Shape
+from xpbd_ros.sim.constraints.pinned import Stops, stops_for
+from xpbd_ros.sim.constraints.pinned_edges import room
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.geometry.mesh import length
-from xpbd_ros.sim.particles.memory_layout import zeros
-
-
-class Held(NamedTuple):
-    """List of cells at pinned particles."""
-
-    count: np.ndarray
-    """length of the list, shape (1,)"""
-    particles: np.ndarray
-    """slots, shape (capacity, 4)"""
-    index: np.ndarray
-    """position of each multiplier in ``force``, shape (capacity,)"""
-    compliance: np.ndarray
-    """[m/N], shape (capacity,)"""
+from xpbd_ros.sim.particles.memory_layout import Block
 
 
 class Slant(NamedTuple):
@@ -53,13 +42,13 @@ class Slant(NamedTuple):
     runs: Runs
     compliance: np.ndarray
     """[m/N], by grid and place in a row, ABSENT where there is no cell, shape (grids, places)"""
-    axis: np.ndarray
-    """direction of coincident ends, of each diagonal, shape (2, 3)"""
     force: np.ndarray | None
     """f, multiplier over H² [N], shape (families * slots,); None if multipliers are not kept"""
     stops: Stops | None
     """cells at pinned particles; None in a scene without pins"""
-    damping: Damping | None = None
+    axis: np.ndarray
+    """direction of coincident ends, of each diagonal, shape (2, 3)"""
+    damping: Damping | None
     """None in a scene without ``rayleigh``"""
 
 
@@ -121,29 +110,27 @@ class Slants(Constraints):
         return found[:, None, None] * np.eye(3)
 
 
-def slant_shape(rows: int, columns: int) -> Shape:
+def cells(rows: int, columns: int) -> list[Shape]:
     """Return the shape of a grid's cells: ends of the rising, then of the falling diagonal."""
-    return Shape(((0, 0), (1, 1), (0, 1), (1, 0)), range(rows - 1), range(columns - 1), 0)
+    return [Shape(((0, 0), (1, 1), (0, 1), (1, 0)), range(rows - 1), range(columns - 1), 0)]
 
 
-def slants(runs: Runs, compliance: list, *, world, time=None) -> Slant:
+def slants(blocks: list[Block], compliance: list, *, world, time: list | None = None) -> Slant:
     """
     Return the shear constraints of grids for the kernels.
 
     Parameters
     ----------
-    runs : runs of all grids, one family each
+    blocks : slots of each grid
     compliance : of each grid [m/N], shape (1, 1)
     world : build context
     time : relaxation time of each grid [s], shape (grids,); None without ``rayleigh``
 
     """
-    dtype, count = world.state.x.dtype, len(listed(runs)[1])
-    room = Stops(Held(*room_for(count, 4), np.zeros(count)),
-                 np.zeros(len(runs.start) + 1, np.int64)) if world.pins else None
-    return Slant(runs, by_place(runs, compliance, dtype), np.array(AXES[:2], dtype),
-                 zeros(len(compliance) * world.slots, dtype) if world.forces else None, room,
-                 damping(world, time, np.zeros(len(compliance), bool), dtype))
+    dtype, rows = world.state.x.dtype, Rows(blocks, cells, world)
+    return Slant(**rows.common(compliance, stops=lambda runs: stops_for(runs, room)),
+                 axis=np.array(AXES[:2], dtype),
+                 damping=damping(world, time, np.zeros(len(blocks), bool), dtype))
 
 
 @jit(inline=True)
