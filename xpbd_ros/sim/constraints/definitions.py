@@ -71,9 +71,9 @@ def isotropic(x: np.ndarray, particles: np.ndarray, stiffness: np.ndarray) -> np
     ----------
     x : positions, shape (3, slots)
     particles : slots, of any shape
-    stiffness : at each of them [N/m]
+    stiffness : at each of them [N/m], of that shape or to be broadcast to it
 
     """
-    total = np.zeros(x.shape[1])
-    np.add.at(total, particles, stiffness)
+    stiffness = np.broadcast_to(stiffness, particles.shape)
+    total = np.bincount(particles.ravel(), stiffness.ravel(), x.shape[1])
     return total[:, None, None] * np.eye(3)
