@@ -89,8 +89,8 @@ ROUNDS = 24
 """most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
 """most repetitions of holding back"""
-LISTED = 4
-"""room for pairs of the neighbour list, per pair that may touch"""
+LISTED, PACKED = 4, 2
+"""room in the neighbour list and in the packs, per pair that may touch"""
 
 
 @dataclass(frozen=True)
@@ -297,7 +297,7 @@ class BuiltSelfCollision(Built):
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(), kin(world))
         self.data = SelfCollision(
-            np.array([parameters.thickness]), near, new_pair_contacts(room, count),
+            np.array([parameters.thickness]), near, new_pair_contacts(PACKED * room, count),
             new_planes(len(near.keep), count, world.slots) if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()

@@ -3,7 +3,7 @@ Packs: the pairs of the neighbour list that may come close in the next substeps,
 
 A pack holds PACK pairs that share no particle. Pairs are put into the first open pack that has
 none of their particles. The list is read at STREAMS places in turn, since neighbours in the list
-share particles.
+share particles; pairs of particles in its order, with which an overlap comes apart more gently.
 
 A pair is packed if it is closer than it has to keep plus what both sides are allowed to move. The
 packs are complete while each particle's motion since they were filled, plus its travel, is less
@@ -84,9 +84,10 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
     places[:] = -1
     fill[:] = 0
     turn, lost, chunks = 0, 0, (last - first + PACK - 1) // PACK
-    rows = (chunks + STREAMS - 1) // STREAMS
-    for chunk in range(rows * STREAMS):
-        begin = first + ((chunk % STREAMS) * rows + chunk // STREAMS) * PACK
+    streams = 1 if kind == POINTS else STREAMS
+    rows = (chunks + streams - 1) // streams
+    for chunk in range(rows * streams):
+        begin = first + ((chunk % streams) * rows + chunk // streams) * PACK
         if begin >= last:
             continue
         close = close_pairs(near, kind, begin, thickness, ahead, spare)

@@ -62,8 +62,10 @@ class PairContacts(NamedTuple):
     end: np.ndarray
     """end of the pairs of each kind, a multiple of PACK; shape (3,)"""
     count: np.ndarray
-    """whether they are those of this substep; pairs beyond the capacity in this frame; state of the
-    packs (``self_collision.packing``); shape (3,)"""
+    """
+    1 if they are those of this substep; pairs beyond the capacity in this frame; state of the
+    packs (``self_collision.packing``); shape (3,)
+    """
     particles: np.ndarray
     """particles in natural order, one side first, unused ones a dummy, shape (4, capacity)"""
     keep: np.ndarray
