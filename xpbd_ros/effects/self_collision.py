@@ -54,7 +54,6 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     load_starts,
     NeighbourList,
     new_neighbour_list,
-    seek,
     store_moves,
     track_motion,
     TRAVEL,
@@ -68,6 +67,7 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
     project_pairs,
     remove_depenetration_velocity,
 )
+from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
