@@ -4,8 +4,8 @@ Neighbour list (Verlet list): pairs of particles, or of triangles and edges, tha
 A pair is listed if it is closer than thickness + margin at the positions y of the build. Later,
 with the common displacement U and s_i = |x_i - y_i - U|, its distance has decreased by at most the
 sum of its two largest s; so while s ≤ margin / 2 for all particles, pairs that are not listed are
-further apart than the thickness. Pairs are in rising order of particles in natural order, so that
-neither hash cells nor memory layout affect the bits.
+further apart than the thickness. ``self_collision.pair_search`` lists pairs in an order that only
+the rest shape and the positions determine, so that memory layout does not affect the bits.
 """
 
 from math import sqrt
@@ -15,12 +15,14 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
 from xpbd_ros.sim.geometry.closest_points import dot, minus, on_edges, on_triangle
 from xpbd_ros.sim.particles.history import invalidate_history
-from xpbd_ros.sim.self_collision.spatial_hash import Cells, new_cells
 
 POINTS, TRIANGLES, EDGES = range(3)
 """kinds of pairs: two particles, particle and triangle, two edges"""
+REST_SHARE = 0.5
+"""largest distance to be kept, relative to a pair's distance at rest"""
 TRAVEL = INV_MASS = 3
 """last column of the records of particles"""
 UP = 1.0 + 1e-6
@@ -30,18 +32,11 @@ UNKNOWN = -1.0
 
 
 class Surface(NamedTuple):
-    """Triangles and edges of all cloths; particles in natural order."""
+    """Trees of all cloths' corners of triangles, triangles and edges."""
 
-    triangles: np.ndarray
-    """shape (triangles, 3)"""
-    edges: np.ndarray
-    """shape (edges, 2)"""
-    outer: np.ndarray
-    """True if a particle is a corner of a triangle, shape (particles,)"""
-    middle: np.ndarray
-    """midpoints of the edges [m], shape (edges, 3)"""
-    cells: Cells
-    """spatial hash of the midpoints"""
+    points: BoxTree
+    triangles: BoxTree
+    edges: BoxTree
 
 
 class NeighbourList(NamedTuple):
@@ -92,11 +87,14 @@ class NeighbourList(NamedTuple):
     kind_end: np.ndarray
     """end of the pairs of each kind, shape (3,)"""
     corners: np.ndarray
-    """particles of each pair, one side first, unused ones the dummy, shape (4, capacity)"""
+    """
+    particles of each pair, one side first, unused ones the dummy, shape (4, capacity + PACK):
+    candidates of the search are behind the end
+    """
     keep: np.ndarray
     """distance to be kept [m], or UNKNOWN; shape (capacity,)"""
-    cells: Cells
-    """spatial hash of the particles"""
+    points: BoxTree
+    """tree of the particles"""
     surface: Surface | None
     """None if only particles collide"""
     kin: np.ndarray | None
@@ -118,28 +116,29 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
 
     """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
-    count, span = len(rest), None
+    cloth_of = np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths])
+    count, trees = len(rest), None
     edges = [cloth.mesh.edges + cloth.first for cloth in cloths]
+
+    def tree(items: np.ndarray) -> BoxTree:
+        return new_box_tree(items, rest, cloth_of)
     if surface:
         triangles = np.concatenate([cloth.mesh.triangles + cloth.first for cloth in cloths])
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
-        sides = np.unique(sides, axis=0).reshape(-1, 2)
-        outer = np.zeros(count, np.bool_)
-        outer[triangles] = True
-        span = Surface(triangles, sides, outer, np.zeros((len(sides), 3)), new_cells(len(sides)))
+        trees = Surface(tree(np.unique(triangles)[:, None]), tree(triangles),
+                        tree(np.unique(sides, axis=0).reshape(-1, 2)))
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
     room = (room + 3 * PACK - 1) // PACK * PACK
     return NeighbourList(
-        np.concatenate([cloth.slots for cloth in cloths]),
-        np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths]),
-        rest, float(0.5 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
+        np.concatenate([cloth.slots for cloth in cloths]), cloth_of, rest,
+        float(0.5 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)),
         np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(4, np.int64), np.zeros(3, np.int64),
-        np.zeros(3, np.int64), np.zeros((4, room), np.int32), np.zeros(room, np.float32),
-        new_cells(count), span, kin)
+        np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32), np.zeros(room, np.float32),
+        tree(np.arange(count)[:, None]), trees, kin)
 
 
 @jit(inline=True)
@@ -189,6 +188,18 @@ def between(kind, p, q, r, s):
 def length(v):
     """Return |v|."""
     return sqrt(dot(v, v))
+
+
+@jit
+def required_distance(cloth, rest, kind, thickness, i, j, k, l):
+    """
+    Return the distance that a pair has to keep [m].
+
+    It is the thickness, and within a cloth at most REST_SHARE of the pair's distance at rest.
+    """
+    if cloth[i] != cloth[l]:
+        return thickness
+    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)[0]))
 
 
 @jit

@@ -18,11 +18,11 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     gone_since,
     POINTS,
+    required_distance,
     TRAVEL,
     UNKNOWN,
 )
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, OPEN
-from xpbd_ros.sim.self_collision.pair_search import required_distance
 
 STREAMS = 8
 """places of the neighbour list that are read in turn"""
