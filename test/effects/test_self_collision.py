@@ -14,6 +14,7 @@ from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
+from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRIANGLES
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}
@@ -58,6 +59,15 @@ def stay(simulation):
     return simulation.effects['self_collision'].data.near
 
 
+def listed(near, kind):
+    """Return the particles of the listed pairs of a kind, sorted."""
+    pairs = near.corners[:, near.kind_begin[kind]:near.kind_end[kind]].T
+    if kind == EDGES:
+        one, other = pairs[:, :2].tolist(), pairs[:, 2:].tolist()
+        return sorted((*min(a, b), *max(a, b)) for a, b in zip(one, other))
+    return sorted(map(tuple, pairs.tolist()))
+
+
 def crumpled(mode):
     """Return two cloths that lie through one another anyhow, and where they are."""
     simulation = scene({'a': square(0.0), 'b': square(0.01, x=0.02)}, mode=mode, gravity=0.0,
@@ -72,14 +82,14 @@ def crumpled(mode):
 def test_brute_force_finds_the_same_particles():
     simulation, x = crumpled('particles')
     near = stay(simulation)
-    found = list(zip(near.first[:near.kind_end[2]], near.second[:near.kind_end[2]]))
+    found = listed(near, POINTS)
     expected = []
     for i, j in zip(*np.triu_indices(len(x), 1)):
         keep = 0.02
         if near.cloth[i] == near.cloth[j]:
             keep = min(keep, 0.5 * np.linalg.norm(near.rest[i] - near.rest[j]))
         if np.linalg.norm(x[i] - x[j]) < keep + near.margin[0]:
-            expected.append((i, j))
+            expected.append((i, j, len(x), len(x)))
     assert found == expected
     assert len(found) > 30
 
@@ -88,15 +98,14 @@ def test_brute_force_finds_the_same_triangles_and_edges():
     simulation, x = crumpled('surface')
     near = stay(simulation)
     reach, surface = THICKNESS + near.margin[0], near.surface
-    pairs = list(zip(near.first[:near.kind_end[2]], near.second[:near.kind_end[2]]))
-    expected = [(v, t) for t, corners in enumerate(surface.triangles) for v in range(len(x))
+    expected = [(v, *corners) for corners in surface.triangles.corners.T for v in range(len(x))
                 if v not in corners and to_triangle(x[v], *x[corners]) < reach]
-    assert pairs[:near.kind_end[1]] == expected
-    edges = surface.edges
-    expected = [(e, f) for e in range(len(edges)) for f in range(e + 1, len(edges))
+    assert listed(near, TRIANGLES) == sorted(expected)
+    edges = np.array(sorted(surface.edges.corners.T.tolist()))
+    expected = [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
                 if not set(edges[e]) & set(edges[f])
                 and of_edges(*x[edges[e]], *x[edges[f]]) < reach]
-    assert pairs[near.kind_end[1]:] == expected
+    assert listed(near, EDGES) == expected
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
 
 

@@ -46,24 +46,28 @@ from xpbd_ros.sim.self_collision.motion_limit import (
     mark_penetrating,
     rest_step,
 )
-from xpbd_ros.sim.self_collision.narrow_phase import list_candidates
+from xpbd_ros.sim.self_collision.narrow_phase import find_contacts, list_planes
 from xpbd_ros.sim.self_collision.neighbour_list import (
     common_step,
     gone,
+    load_moves,
+    load_starts,
     NeighbourList,
     new_neighbour_list,
-    seek,
+    store_moves,
     track_motion,
+    TRAVEL,
 )
+from xpbd_ros.sim.self_collision.packing import are_packs_complete, fill_packs, INCOMPLETE
 from xpbd_ros.sim.self_collision.pair_contacts import (
     new_pair_contacts,
+    new_pair_friction,
     PairContacts,
-    PairFriction,
     press,
-    push_apart,
+    project_pairs,
     remove_depenetration_velocity,
-    rub,
 )
+from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -75,16 +79,18 @@ from xpbd_ros.sim.stepping.stages import (
     stage,
 )
 
-NOT_SOUGHT = -1
-"""value of the count of pairs before the first iteration of a substep"""
-SLACK = 0.25
+NOT_SOUGHT, SOUGHT = -1, 1
+"""state of the pairs before and after the first iteration of a substep"""
+SUBSTEPS = 16.0
+"""substeps of the present motion for which the neighbour list has a margin"""
+SLACK = 0.125
 """distance that pushes may move a particle at rest, relative to the thickness"""
 ROUNDS = 24
 """most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
 """most repetitions of holding back"""
-LISTED = 4
-"""room for pairs of the neighbour list, per pair that may touch"""
+LISTED, PACKED = 4, 2
+"""room in the neighbour list and in the packs, per pair that may touch"""
 
 
 @dataclass(frozen=True)
@@ -104,7 +110,7 @@ class SelfCollision(NamedTuple):
     thickness: np.ndarray
     """[m], shape (1,)"""
     near: NeighbourList
-    touches: PairContacts
+    pairs: PairContacts
     planes: Planes | None
     """None with ``mode: particles``"""
     contacts: Contacts | None
@@ -113,24 +119,26 @@ class SelfCollision(NamedTuple):
 
 @stage(prepare, SelfCollision)
 @jit
-def forget_touches(effect, state, substep):
-    """Discard the pairs of the last substep, and in a new frame the neighbour list."""
+def forget_contacts(effect, state, substep):
+    """Discard the contacts of the last substep, and in a new frame the counts."""
     if substep.begin == 0.0:
-        effect.near.margin[0] = 0.0
         effect.near.count[:] = 0
-        effect.touches.count[1] = 0
-    effect.touches.count[0] = NOT_SOUGHT
+        effect.pairs.count[1] = 0
+    effect.pairs.count[0] = NOT_SOUGHT
 
 
 @stage(project_inequalities, SelfCollision)
 @jit
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
-    if effect.touches.count[0] == NOT_SOUGHT or strays(effect.near, state):
-        common_step(effect.near, state)
+    near, pairs = effect.near, effect.pairs
+    if pairs.count[0] == NOT_SOUGHT or strays(near, state):
+        common_step(near, state)
         stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
-    push_apart(effect.touches, state)
-    rub(effect.touches.rubbing, effect.touches, state)
+    else:
+        load_moves(near, state)
+        project_pairs(near, pairs)
+    store_moves(near, state)
 
 
 @jit
@@ -144,7 +152,7 @@ def stir_contacts(contacts, most):
 def strays(near, state):
     """Tell whether a particle has left the range for which pairs were sought."""
     for i in range(len(near.slot)):
-        if gone(state.x, near.x, near.step, near.slot[i], i) > near.travel[i]:
+        if gone(state.x, near.x, near.step, near.slot[i], i) > near.x[i, TRAVEL]:
             return True
     return False
 
@@ -152,12 +160,23 @@ def strays(near, state):
 @jit
 def find_pairs(effect, state, substep, both):
     """Find the pairs in reach in this substep; return the longest way of a particle [m]."""
-    near, touches, thickness = effect.near, effect.touches, effect.thickness[0]
-    most, side = track_motion(near, state.x, SLACK * thickness)
+    near, pairs, thickness = effect.near, effect.pairs, effect.thickness[0]
+    slack = SLACK * thickness
+    most, side = track_motion(near, state.x, slack)
     if near.margin[0] == 0.0 or side > 0.5 * near.margin[0]:
-        seek(near, thickness, (1.0 - substep.begin) / (substep.end - substep.begin))
-    list_candidates(near, near.surface, effect.planes, touches, touches.rubbing, state, thickness,
-               DEPENETRATION * substep.h, both)
+        seek(near, thickness, SUBSTEPS)
+        pairs.count[2] = 0
+    load_starts(near)
+    load_moves(near, state)
+    if not both:
+        list_planes(near, effect.planes, thickness)
+        return most
+    if not are_packs_complete(pairs, near):
+        fill_packs(near, pairs, thickness, slack)
+    find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
+    if pairs.count[2] == INCOMPLETE:
+        list_planes(near, effect.planes, thickness)
+    pairs.count[0] = SOUGHT
     return most
 
 
@@ -208,7 +227,7 @@ def give_way(effect, near, planes, contacts, state, substep):
             mark_all(planes, near, contacts, state, turn > 0)
             for i in range(len(near.slot)):
                 j = near.slot[i]
-                if gone(state.x, near.x, near.step, j, i) > near.travel[i]:
+                if gone(state.x, near.x, near.step, j, i) > near.x[i, TRAVEL]:
                     planes.held[j] = True
             hold_back(planes, near, state)
             left = left_over(planes, near, contacts, state)
@@ -233,28 +252,32 @@ def mark_all(planes, near, contacts, state, again):
 @jit
 def settle(effect, state, substep):
     """Remove velocities from old overlaps, and advance the common motion."""
-    remove_depenetration_velocity(effect.touches, state, substep)
+    near, pairs = effect.near, effect.pairs
+    remove_depenetration_velocity(pairs, near, state, substep)
     for a in range(3):
-        effect.near.drift[a] += effect.near.step[a]
+        near.drift[a] += near.step[a]
+        pairs.drift[a] += near.step[a]
 
 
 @stage(add_explicit_forces, SelfCollision)
 @jit
 def rest_on_cloth(effect, state, substep):
     """Particles in contact keep their velocity: pushes are impulses in every substep."""
-    touches = effect.touches
-    for k in range(touches.count[0]):
-        if touches.push[k] > 0.0:
-            for p in range(touches.particles.shape[1]):
-                if touches.weight[k, p] != 0.0:
-                    stay(state, touches.particles[k, p], substep.h)
+    near, pairs = effect.near, effect.pairs
+    if pairs.count[0] == SOUGHT:
+        for k in range(pairs.end[2]):
+            if pairs.push[k] > 0.0:
+                for p in range(4):
+                    i = pairs.particles[p, k]
+                    if i < len(near.slot) and pairs.weight[p, k] != 0.0:
+                        stay(state, near.slot[i], substep.h)
 
 
 @stage(accumulate_reactions, SelfCollision)
 @jit
 def press_on_pins(effect, state, substep):
     """Forces on pinned particles."""
-    press(effect.touches, state, substep)
+    press(effect.pairs, effect.near, state, substep)
 
 
 class BuiltSelfCollision(Built):
@@ -270,11 +293,12 @@ class BuiltSelfCollision(Built):
                              'has any; use particles')
         count = sum(len(cloth.slots) for cloth in world.cloths)
         room = parameters.room * count
+        slots = np.concatenate([cloth.slots for cloth in world.cloths])
+        near = new_neighbour_list(world.cloths, LISTED * room, surface,
+                                  world.state.mass[slots].mean(), kin(world))
         self.data = SelfCollision(
-            np.array([parameters.thickness]),
-            new_neighbour_list(world.cloths, LISTED * room, surface, kin(world)),
-            new_pair_contacts(room, 4 if surface else 2),
-            new_planes(LISTED * room, count, world.slots) if surface else None, None)
+            np.array([parameters.thickness]), near, new_pair_contacts(PACKED * room, count),
+            new_planes(len(near.keep), count, world.slots) if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
 
@@ -284,25 +308,24 @@ class BuiltSelfCollision(Built):
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""
-        near, touches = self.data.near, self.data.touches
-        cloth_of = np.zeros(near.slot.max() + 1, np.int64)
-        cloth_of[near.slot] = near.cloth
-        self.data = self.data._replace(touches=touches._replace(rubbing=PairFriction(
-            cloth_of, kinetic, static, np.zeros((len(touches.gap), 3)))))
+        pairs = self.data.pairs
+        self.data = self.data._replace(pairs=pairs._replace(
+            friction=new_pair_friction(pairs, kinetic, static)))
 
     def again(self):
-        self.data.touches.count[0] = NOT_SOUGHT
+        self.data.pairs.count[0] = NOT_SOUGHT
+        self.data.near.margin[0] = 0.0
 
     def reset(self, state, now_ns):
         self.again()
 
     def stats(self):
-        touches, near = self.data.touches, self.data.near
-        found = max(0, touches.count[0])
-        return {'self_contacts': int((touches.push[:found] > 0.0).sum()),
-                'self_pairs': int(near.kind_end[2]),
+        pairs, near = self.data.pairs, self.data.near
+        sought = pairs.count[0] == SOUGHT
+        return {'self_contacts': int((pairs.push[:pairs.end[2]] > 0.0).sum()) if sought else 0,
+                'self_pairs': int((near.kind_end - near.kind_begin).sum()),
                 'self_searches': int(near.count[0]),
-                'self_without_room': int(near.count[1] + touches.count[1]),
+                'self_without_room': int(near.count[1] + pairs.count[1]),
                 'self_stopped': int(near.count[2]),
                 'self_squeezed': int(near.count[3])}
 

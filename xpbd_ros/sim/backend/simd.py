@@ -199,6 +199,23 @@ def any_lane(typing, mask):
 
 
 @intrinsic
+def bits(typing, mask):
+    """Return a mask as an integer, lane 0 in the lowest bit."""
+    def generate(context, builder, signature, arguments):
+        whole = builder.bitcast(arguments[0], ir.IntType(signature.args[0].count))
+        return builder.zext(whole, ir.IntType(64))
+    return types.int64(mask), generate
+
+
+@intrinsic
+def lowest_bit(typing, number):
+    """Return the index of the lowest bit that is set; the number must not be 0."""
+    def generate(context, builder, signature, arguments):
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+    return types.int64(types.int64), generate
+
+
+@intrinsic
 def highest(typing, a):
     """Return the largest lane."""
     def generate(context, builder, signature, arguments):
@@ -232,16 +249,26 @@ def nearest(typing, a):
         builder, 'nearbyint', signature.return_type, arguments)
 
 
-@intrinsic
-def larger(typing, a, b):
-    """Return the larger of two vectors, lane by lane; one may be a scalar."""
+def _extreme(a, b, sign):
     vector = a if isinstance(a, Vector) else b
 
     def generate(context, builder, signature, arguments):
         a_, b_ = (_widen(context, builder, v, k, vector)
                   for v, k in zip(arguments, signature.args))
-        return builder.select(builder.fcmp_ordered('>', a_, b_), a_, b_)
+        return builder.select(builder.fcmp_ordered(sign, a_, b_), a_, b_)
     return vector(a, b), generate
+
+
+@intrinsic
+def larger(typing, a, b):
+    """Return the larger of two vectors, lane by lane; one may be a scalar."""
+    return _extreme(a, b, '>')
+
+
+@intrinsic
+def smaller(typing, a, b):
+    """Return the smaller of two vectors, lane by lane; one may be a scalar."""
+    return _extreme(a, b, '<')
 
 
 @intrinsic

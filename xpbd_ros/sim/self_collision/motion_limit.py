@@ -16,7 +16,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.contacts import count_penetrating, surface_motion
 from xpbd_ros.sim.contact.corners import is_penetrating
 from xpbd_ros.sim.particles.history import invalidate_history
-from xpbd_ros.sim.self_collision.neighbour_list import gone
+from xpbd_ros.sim.self_collision.neighbour_list import gone, TRAVEL
 from xpbd_ros.sim.self_collision.separating_planes import parts
 
 ALONE, PINNED, BESIDE, PUSHED = range(4)
@@ -104,8 +104,8 @@ def go_share(near, state, i, share):
     """Limit a particle's displacement relative to ``step`` to a share of it, and to ``travel``."""
     j = near.slot[i]
     moved = gone(state.x, near.x, near.step, j, i)
-    if moved > near.travel[i]:
-        share = min(share, near.travel[i] / moved)
+    if moved > near.x[i, TRAVEL]:
+        share = min(share, near.x[i, TRAVEL] / moved)
     if share >= 1.0 or state.inv_mass[j] == 0.0:
         return
     near.count[2] += 1

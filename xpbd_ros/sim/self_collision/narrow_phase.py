@@ -1,5 +1,5 @@
 """
-Narrow phase: pairs of the neighbour list that may touch, or pass through each other, in a substep.
+Narrow phase: which packed pairs may touch, or pass through each other, in a substep; their normal.
 
 A pair contact acts along the direction between the pair's closest points. At the substep's start
 this direction may oppose a sliding motion: cloth that slides over cloth approaches the triangle
@@ -9,35 +9,121 @@ the sweep are used, unless the pair passes through each other before.
 """
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import (
+    any_lane,
+    bits,
+    both,
+    either,
+    lanes,
+    larger,
+    load,
+    lowest_bit,
+    root,
+    select,
+    smaller,
+    store,
+)
+from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.neighbour_list import (
     at,
-    closest_vector,
-    closest_vector_of_slots,
-    corners,
     EDGES,
     length,
     POINTS,
-    required_distance,
-    TRIANGLES,
+    UNKNOWN,
+)
+from xpbd_ros.sim.self_collision.packing import closest, set_keep, travel_of
+from xpbd_ros.sim.self_collision.pair_contacts import (
+    load_corners,
+    load_vector,
+    mobility_of,
+    NEVER,
+    project_some,
+    store_vector,
+    store_weights,
+    weighted,
 )
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 
 
-@jit(inline=True)
-def approach_bounds(near, kind, i, j, k, l):
-    """Return bounds of a pair's approach in this substep, and since the build of the list [m]."""
-    go, past = near.travel, near.drift_since_build
-    if kind == EDGES:
-        return max(go[i], go[j]) + max(go[k], go[l]), max(past[i], past[j]) + max(past[k], past[l])
-    return go[i] + max(go[j], go[k], go[l]), past[i] + max(past[j], past[k], past[l])
+@jit
+def find_contacts(near, planes, pairs, x, apart):
+    """
+    Set normals, weights and gaps of the packed pairs, project them once, and list the planes.
+
+    Parameters
+    ----------
+    near : neighbour list, with the records of the substep's start and of the displacements
+    planes : receives the pairs that may pass through each other; None if only particles collide
+    pairs : pair contacts
+    x : present positions [m], shape (3, slots)
+    apart : largest depenetration in the substep [m]
+
+    """
+    begin = 0
+    if planes is not None:
+        planes.count[0] = 0
+    for kind in range(3):
+        for q in range(begin, pairs.end[kind], lanes(near.start)):
+            find_some(near, planes, pairs, x, kind, q, apart)
+        begin = pairs.end[kind]
+
+
+@jit
+def find_some(near, planes, pairs, x, kind, q, apart):
+    """Do so for a vector of pairs."""
+    starts = load_corners(near.start, pairs.particles, q)
+    a, b, c, d = starts
+    v, weight = closest(kind, a, b, c, d)
+    distance, reach = root(dot(v, v)), travel_of(kind, a, b, c, d)
+    zero = distance - distance
+    store(pairs.push, q, zero)
+    store(pairs.gap, q, zero + NEVER)
+    store(pairs.overlap, q, zero)
+    zero_slip(pairs.friction, q, zero)
+    moves = load_corners(near.move, pairs.particles, q)
+    a, b, c, d = (plus(a, moves[0]), plus(b, moves[1]), plus(c, moves[2]), plus(d, moves[3]))
+    keep = load(pairs.keep, q)
+    close = both(distance <= reach + keep, mobility_of(weight, a, b, c, d) > 0.0)
+    if not any_lane(close):
+        return
+    there = distance > 0.0
+    per = 1.0 / select(there, distance, 1.0)
+    n = per * v[0], per * v[1], per * v[2]
+    store_vector(pairs.normal, q, n)
+    store(pairs.gap, q, distance)    # for those that follow
+    list_planes_of(planes, pairs, kind, q, bits(both(close, both(there, distance <= reach))))
+    gap = smaller(keep, distance + apart)
+    inside = both(close, is_inside(kind, weight))
+    pushes = both(both(inside, there), dot(n, weighted(weight, a, b, c, d)) < gap)
+    if any_lane(pushes):
+        n, weight, inside = end_normals(planes, near, pairs, x, kind, q, pushes, inside, n,
+                                        weight, distance, (a, b, c, d))
+    store_vector(pairs.normal, q, n)
+    store_weights(pairs, q, weight)
+    gap = select(inside, gap, NEVER)
+    store(pairs.gap, q, gap)
+    store(pairs.overlap, q, select(inside, larger(gap - distance, 0.0), 0.0))
+    together = bits(both(inside, distance <= 0.0))
+    if together:
+        while together:
+            separate(near, pairs, kind, q + lowest_bit(together))
+            together &= together - 1
+        n, gap = load_vector(pairs.normal, q), load(pairs.gap, q)
+    project_some(near, pairs, q, starts, moves, n, weight, gap)
 
 
 @jit(inline=True)
-def all_pinned(w, slot, b, i, j, k, l):
-    """Return True if all of a pair's particles with nonzero weight are pinned."""
-    return (w[slot[i]] * b[0] == 0.0 and w[slot[j]] * b[1] == 0.0 and w[slot[k]] * b[2] == 0.0
-            and w[slot[l]] * b[3] == 0.0)
+def plus(start, move):
+    """Return the records start + move, with the inverse mass."""
+    return start[0] + move[0], start[1] + move[1], start[2] + move[2], move[3]
+
+
+@jit(inline=True)
+def zero_slip(friction, q, zero):
+    """Zero the displacement by friction."""
+    if friction is not None:
+        store_vector(friction.slip, q, (zero, zero, zero))
 
 
 @jit(inline=True)
@@ -47,124 +133,116 @@ def is_inside(kind, b):
 
     Pairs of a particle and a triangle cover those.
     """
-    return kind != EDGES or b[0] > 0.0 and b[1] > 0.0 and b[2] < 0.0 and b[3] < 0.0
+    inside = both(both(b[0] > 0.0, b[1] > 0.0), both(b[2] < 0.0, b[3] < 0.0))
+    if kind == EDGES:
+        return inside
+    return either(inside, b[0] > -1.0)
 
 
-@jit
-def list_candidates(near, surface, planes, touches, rubbing, state, thickness, apart, both):
-    """
-    List the pairs that may pass through each other in this substep; if ``both``, contacts too.
-
-    Parameters
-    ----------
-    near : neighbour list
-    surface : its triangles and edges, or None
-    planes : receives the pairs that may pass through each other; None if only particles collide
-    touches : receives the pairs that may come closer than the distance to be kept
-    rubbing : friction data of ``touches``, or None
-    state : particles
-    thickness : distance to be kept [m]
-    apart : largest depenetration in the substep [m]
-    both : True to list ``touches`` too
-
-    """
-    kind, aside = POINTS, thickness if both else 0.0
+@jit(inline=True)
+def list_planes_of(planes, pairs, kind, q, found):
+    """List the pairs q + k of all bits k, from their normals and distances."""
     if planes is not None:
-        planes.count[0] = 0
-    if both:
-        touches.count[0] = 0
-    for c in range(near.kind_end[2]):
-        while c >= near.kind_end[kind]:
-            kind += 1
-        i, j, k, l = corners(surface, kind, near.first[c], near.second[c])
-        reach, moved = approach_bounds(near, kind, i, j, k, l)
-        if near.distance[c] - moved > reach + aside:
-            continue
-        v, b = closest_vector(kind, near.x, i, j, k, l)
-        distance = length(v)
-        if distance > reach + aside or all_pinned(state.inv_mass, near.slot, b, i, j, k, l):
-            continue
-        if near.keep[c] < 0.0:
-            near.keep[c] = required_distance(near.cloth, near.rest, kind, thickness, i, j, k, l)
-        if planes is not None:    # noqa: SIM102  Numba prunes only branches on None alone
-            if 0.0 < distance <= reach:
-                add_plane(planes, 2 if kind == EDGES else 1, i, j, k, l,
-                          (v[0] / distance, v[1] / distance, v[2] / distance), distance,
-                          near.keep[c])
-        if both and is_inside(kind, b):
-            add_pair_contact(near, planes, touches, rubbing, state.x, kind, i, j, k, l, v, b,
-                             distance, min(near.keep[c], distance + apart))
+        while found:
+            k = q + lowest_bit(found)
+            found &= found - 1
+            p, n = pairs.particles, pairs.normal
+            add_plane(planes, 2 if kind == EDGES else 1, p[0, k], p[1, k], p[2, k], p[3, k],
+                      (n[0, k], n[1, k], n[2, k]), pairs.gap[k], pairs.keep[k])
 
 
-@jit
-def add_pair_contact(near, planes, touches, rubbing, x, kind, i, j, k, l, v, b, distance, gap):
+@jit(inline=True)
+def end_normals(planes, near, pairs, x, kind, q, pushes, inside, n, weight, distance, points):
     """
-    Append a pair to ``touches``.
+    Return the normals and weights of pairs, and which of them are contacts.
 
-    Parameters
-    ----------
-    kind, i, j, k, l : kind of the pair and its particles
-    v, b, distance : vector between its closest points at the substep's start, weights, |v| [m]
-    gap : distance to be kept [m]
-
-    """
-    n, slot, m = v, near.slot, touches.count[0]
-    if distance == 0.0:
-        n = fallback_normal(kind, at(near.x, i), at(near.x, j), at(near.x, k), at(near.x, l))
-    size = length(n)
-    if size == 0.0:
-        return
-    n = n[0] / size, n[1] / size, n[2] / size
-    if distance > 0.0:
-        good, n, b = contact_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x)
-        if not good:
-            return
-    if m == len(touches.gap):
-        touches.count[1] += 1
-        return
-    for a in range(3):
-        touches.normal[m, a] = n[a]
-    touches.gap[m] = gap
-    touches.overlap[m] = max(0.0, gap - distance)
-    touches.push[m] = 0.0
-    touches.particles[m, 0], touches.weight[m, 0] = slot[i], b[0]
-    touches.particles[m, 1], touches.weight[m, 1] = slot[j], b[1]
-    if planes is not None:
-        touches.particles[m, 2], touches.weight[m, 2] = slot[k], b[2]
-        touches.particles[m, 3], touches.weight[m, 3] = slot[l], b[3]
-    if rubbing is not None:
-        for a in range(3):
-            rubbing.slip[m, a] = 0.0
-    touches.count[0] = m + 1
-
-
-@jit
-def contact_normal(planes, near, kind, i, j, k, l, n, b, distance, gap, x):
-    """
-    Return whether a pair is a contact, and its normal and weights.
-
-    They are those of the substep's start (n, b) if these would not push, or if the pair passes
+    They are those of the substep's start where these would not push, or where the pair passes
     through each other in the substep; else those of its end (see the module's docstring).
     """
     if planes is None:
-        return True, n, b
+        return n, weight, inside
     else:    # Numba prunes the branch that is not taken
-        slot, along = near.slot, 0.0
-        for a in range(3):    # differences: no loss of digits far from the origin
-            along += n[a] * (b[1] * (x[a, slot[j]] - x[a, slot[i]])
-                             + b[2] * (x[a, slot[k]] - x[a, slot[i]])
-                             + b[3] * (x[a, slot[l]] - x[a, slot[i]]))
-        if along >= gap:
-            return True, n, b
-        v, now = closest_vector_of_slots(kind, x, slot[i], slot[j], slot[k], slot[l])
-        size = length(v)
-        if size == 0.0:
-            return True, n, b
-        count = write_vectors(planes.points, 2 if kind == EDGES else 1, (i, j, k, l), near.x,
-                              slot, x)
-        if not part(planes.points, planes.shares, count, n, CLEAR * distance)[0]:
-            return True, n, b
-        return is_inside(kind, now), (v[0] / size, v[1] / size, v[2] / size), now
+        a, b, c, d = points
+        v, now = closest(kind, a, b, c, d)
+        size = root(dot(v, v))
+        ab, ac, ad = dot(n, minus(b, a)), dot(n, minus(c, a)), dot(n, minus(d, a))
+        zero = size - size
+        least = (smaller(ab, zero) if kind == EDGES else zero) - larger(
+            larger(ac, ad), ac if kind == EDGES else ab)
+        good = both(both(pushes, size > 0.0), least >= CLEAR * distance)
+        unknown = bits(both(pushes, both(size > 0.0, least < CLEAR * distance)))
+        if unknown:
+            store(pairs.overlap, q, select(good, 1.0, zero))
+            while unknown:
+                k = q + lowest_bit(unknown)
+                unknown &= unknown - 1
+                pairs.overlap[k] = is_separated(planes, near, pairs, x, kind, k)
+            good = load(pairs.overlap, q) > 0.0
+        per = 1.0 / select(size > 0.0, size, 1.0)
+        n = (select(good, per * v[0], n[0]), select(good, per * v[1], n[1]),
+             select(good, per * v[2], n[2]))
+        inside = both(inside, either(is_inside(kind, now), select(good, zero, 1.0) > 0.0))
+        return n, (select(good, now[0], weight[0]), select(good, now[1], weight[1]),
+                   select(good, now[2], weight[2]), select(good, now[3], weight[3])), inside
+
+
+@jit
+def is_separated(planes, near, pairs, x, kind, k):
+    """Return 1.0 if a direction separates the sides of pair k throughout the substep, else 0.0."""
+    p, n = pairs.particles, pairs.normal
+    count = write_vectors(planes.points, 2 if kind == EDGES else 1,
+                          (p[0, k], p[1, k], p[2, k], p[3, k]), near.x, near.slot,
+                          x)
+    return 1.0 if part(planes.points, planes.shares, count, (n[0, k], n[1, k], n[2, k]),
+                       CLEAR * pairs.gap[k])[0] else 0.0
+
+
+@jit
+def separate(near, pairs, kind, k):
+    """Set a normal that separates a pair at distance 0; none if there is no such direction."""
+    p, x = pairs.particles, near.x
+    n = fallback_normal(kind, at(x, p[0, k]), at(x, p[1, k]), at(x, p[2, k]), at(x, p[3, k]))
+    size = length(n)
+    if size == 0.0:
+        pairs.gap[k] = NEVER
+        pairs.overlap[k] = 0.0
+        return
+    for a in range(3):
+        pairs.normal[a, k] = n[a] / size
+
+
+@jit
+def list_planes(near, planes, thickness):
+    """List the pairs of the whole neighbour list that may pass through each other."""
+    if planes is not None:
+        planes.count[0] = 0
+        for kind in range(3):
+            for q in range(near.kind_begin[kind], near.kind_end[kind], lanes(near.start)):
+                a, b, c, d = load_corners(near.start, near.corners, q)
+                v, weight = closest(kind, a, b, c, d)
+                distance = root(dot(v, v))
+                close = both(distance > 0.0, distance <= travel_of(kind, a, b, c, d))
+                if any_lane(close):
+                    a, b, c, d = load_corners(near.move, near.corners, q)
+                    found = bits(both(close, mobility_of(weight, a, b, c, d) > 0.0))
+                    list_planes_at(near, planes, kind, q, found, v, thickness)
+
+
+@jit(inline=True)
+def list_planes_at(near, planes, kind, q, found, v, thickness):
+    """List the pairs q + k of all bits k in the neighbour list."""
+    scratch = planes.vectors
+    store_vector(scratch, 0, v)
+    while found:
+        lane = lowest_bit(found)
+        found &= found - 1
+        k, n = q + lane, (scratch[0, lane], scratch[1, lane], scratch[2, lane])
+        i, j, l, m = near.corners[0, k], near.corners[1, k], near.corners[2, k], near.corners[3, k]
+        if near.keep[k] == UNKNOWN:
+            set_keep(near, kind, k, thickness)
+        distance = length(n)
+        add_plane(planes, 2 if kind == EDGES else 1, i, j, l, m, (
+            n[0] / distance, n[1] / distance, n[2] / distance), distance, near.keep[k])
 
 
 @jit
@@ -172,10 +250,10 @@ def fallback_normal(kind, p, q, r, s):
     """Return a direction (not normalised) that separates a pair at distance 0."""
     if kind == POINTS:
         return 0.0, 0.0, 1.0
-    if kind == TRIANGLES:
-        u = r[0] - q[0], r[1] - q[1], r[2] - q[2]
-        v = s[0] - q[0], s[1] - q[1], s[2] - q[2]
-    else:
+    if kind == EDGES:
         u = q[0] - p[0], q[1] - p[1], q[2] - p[2]
         v = s[0] - r[0], s[1] - r[1], s[2] - r[2]
+    else:
+        u = r[0] - q[0], r[1] - q[1], r[2] - q[2]
+        v = s[0] - q[0], s[1] - q[1], s[2] - q[2]
     return (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])

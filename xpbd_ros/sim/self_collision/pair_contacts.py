@@ -6,6 +6,9 @@ Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with
 
     Δd = max(-C, -d),   d += Δd,   x += w b n Δd / W        (d ≥ 0: the push so far, never a pull)
 
+Pairs stand in packs of PACK that share no particle, so that the pairs of a pack are projected side
+by side, in the lanes of vectors, and the result does not depend on the number of lanes.
+
 Depenetration of an earlier overlap must not become velocity: that part is removed from v at the
 substep's end.
 """
@@ -15,163 +18,317 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.contacts import shortened
-from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.backend.simd import (
+    absolute,
+    any_lane,
+    bits,
+    either,
+    fma,
+    lanes,
+    larger,
+    load,
+    lowest_bit,
+    root,
+    select,
+    smaller,
+    store,
+)
+from xpbd_ros.sim.backend.simd_records import load_records, PACK
+from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
+
+NEVER = -1e30
+"""gap of pairs that are no contacts in a substep [m]"""
 
 
 class PairFriction(NamedTuple):
     """Friction data of pair contacts."""
 
-    cloth: np.ndarray
-    """index of each particle's cloth, shape (slots,)"""
     kinetic: np.ndarray
     """μ_k of each pair of cloths, shape (cloths, cloths)"""
     static: np.ndarray
     """μ_s of each pair of cloths, shape (cloths, cloths)"""
+    slides: np.ndarray
+    """μ_k of each pair, shape (capacity,)"""
+    sticks: np.ndarray
+    """μ_s of each pair, shape (capacity,)"""
     slip: np.ndarray
-    """displacement s by friction, accumulated in this substep [m], shape (capacity, 3)"""
+    """displacement s by friction, accumulated in this substep [m], shape (3, capacity)"""
 
 
 class PairContacts(NamedTuple):
-    """The pairs that may touch in this substep; those with push > 0 are in contact."""
+    """Pairs that may touch, in packs; those with push > 0 are in contact."""
 
+    end: np.ndarray
+    """end of the pairs of each kind, a multiple of PACK; shape (3,)"""
     count: np.ndarray
-    """number of pairs; of pairs beyond the capacity in this frame; shape (2,)"""
+    """
+    1 if they are those of this substep; pairs beyond the capacity in this frame; state of the
+    packs (``self_collision.packing``); shape (3,)
+    """
     particles: np.ndarray
-    """slots, one side first, shape (capacity, particles of a pair)"""
+    """particles in natural order, one side first, unused ones a dummy, shape (4, capacity)"""
+    keep: np.ndarray
+    """distance to be kept by surfaces [m], shape (capacity,)"""
     weight: np.ndarray
-    """b, shape (capacity, particles of a pair)"""
+    """b, shape (4, capacity)"""
     normal: np.ndarray
-    """n, constant in the substep, shape (capacity, 3)"""
+    """n, constant in the substep, shape (3, capacity)"""
     gap: np.ndarray
-    """r, the distance to be kept [m], shape (capacity,)"""
+    """r, the distance to be kept in this substep [m], or NEVER; shape (capacity,)"""
     overlap: np.ndarray
     """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
     """d, accumulated in this substep [m], shape (capacity,)"""
-    rubbing: PairFriction | None
+    seen: np.ndarray
+    """positions when the packs were filled [m], shape (particles, 3)"""
+    drift: np.ndarray
+    """common displacement since then [m], shape (3,)"""
+    allowed: np.ndarray
+    """largest motion for which the packs are complete [m], shape (particles,)"""
+    busy: np.ndarray
+    """scratch: bits of the open packs that a particle is in, shape (particles + 1,)"""
+    open: np.ndarray
+    """scratch: first place of each open pack, and pairs in it, shape (2, OPEN)"""
+    impulse: np.ndarray
+    """scratch: impulse of a vector of pairs, shape (3, PACK)"""
+    friction: PairFriction | None
     """None in a scene without friction"""
 
 
+OPEN = 63
+"""packs that are filled at the same time"""
+
+
 def new_pair_contacts(room: int, particles: int) -> PairContacts:
-    """Return an empty list with the capacity of ``room`` pairs of so many particles."""
-    return PairContacts(np.zeros(2, np.int64), np.zeros((room, particles), np.int64),
-                        np.zeros((room, particles)), np.zeros((room, 3)), np.zeros(room),
-                        np.zeros(room), np.zeros(room), None)
+    """Return no pairs, with the capacity of ``room`` pairs."""
+    room = (room + PACK - 1) // PACK * PACK + OPEN * PACK
+
+    def rows(*shape):
+        return np.zeros((*shape, room), np.float32)
+    return PairContacts(
+        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room), np.int32), rows(),
+        rows(4), rows(3), rows(), rows(), rows(), np.zeros((particles, 3)), np.zeros(3),
+        np.zeros(particles), np.zeros(particles + 1, np.int64), np.zeros((2, OPEN), np.int64),
+        np.zeros((3, PACK), np.float32), None)
+
+
+def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
+                      static: np.ndarray) -> PairFriction:
+    """Return the friction data of pair contacts, with μ_k and μ_s by pair of cloths."""
+    return PairFriction(kinetic, static, np.zeros_like(pairs.gap), np.zeros_like(pairs.gap),
+                        np.zeros_like(pairs.normal))
 
 
 @jit(inline=True)
-def mobility_of(touches, k, state):
+def weighted(b, p, q, r, s):
+    """Return Σ b x of four points, relative to the first: Σ b = 0."""
+    q, r, s = minus(q, p), minus(r, p), minus(s, p)
+    return (fma(b[1], q[0], fma(b[2], r[0], b[3] * s[0])),
+            fma(b[1], q[1], fma(b[2], r[1], b[3] * s[1])),
+            fma(b[1], q[2], fma(b[2], r[2], b[3] * s[2])))
+
+
+@jit(inline=True)
+def load_corners(records, particles, q):
+    """Return the records of the four particles of a vector of pairs."""
+    return (load_records(records, particles[0], q), load_records(records, particles[1], q),
+            load_records(records, particles[2], q), load_records(records, particles[3], q))
+
+
+@jit(inline=True)
+def load_weights(pairs, q):
+    """Return b of a vector of pairs."""
+    return (load(pairs.weight[0], q), load(pairs.weight[1], q), load(pairs.weight[2], q),
+            load(pairs.weight[3], q))
+
+
+@jit(inline=True)
+def load_vector(rows, q):
+    """Return rows x, y, z of a vector of pairs."""
+    return load(rows[0], q), load(rows[1], q), load(rows[2], q)
+
+
+@jit(inline=True)
+def store_vector(rows, q, v):
+    """Write rows x, y, z of a vector of pairs."""
+    store(rows[0], q, v[0])
+    store(rows[1], q, v[1])
+    store(rows[2], q, v[2])
+
+
+@jit(inline=True)
+def mobility_of(b, p, q, r, s):
+    """Return W = Σ w b² [1/kg]."""
+    return fma(p[3], b[0] * b[0], fma(q[3], b[1] * b[1], fma(r[3], b[2] * b[2],
+                                                            s[3] * (b[3] * b[3]))))
+
+
+@jit
+def displace(near, pairs, q, active):
+    """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
+    move, v = near.precise_move, pairs.impulse
+    while active:
+        lane = lowest_bit(active)
+        active &= active - 1
+        k, rest = q + lane, 0.0
+        for p in range(3, -1, -1):
+            i = pairs.particles[p, k]
+            b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
+            rest += b
+            share = move[i, INV_MASS] * b
+            for a in range(3):
+                move[i, a] += share * v[a, lane]
+                near.move[i, a] = move[i, a]
+
+
+@jit(inline=True)
+def store_weights(pairs, q, b):
+    """Write b of a vector of pairs."""
+    store(pairs.weight[0], q, b[0])
+    store(pairs.weight[1], q, b[1])
+    store(pairs.weight[2], q, b[2])
+    store(pairs.weight[3], q, b[3])
+
+
+@jit
+def project_pairs(near, pairs):
+    """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
+    for q in range(0, pairs.end[2], lanes(near.move)):
+        if any_lane(load(pairs.gap, q) > NEVER):
+            project_some(near, pairs, q, load_corners(near.start, pairs.particles, q),
+                         load_corners(near.move, pairs.particles, q),
+                         load_vector(pairs.normal, q), load_weights(pairs, q), load(pairs.gap, q))
+
+
+@jit(inline=True)
+def project_some(near, pairs, q, starts, moves, n, weight, gap):
+    """
+    Project a vector of pairs.
+
+    Parameters
+    ----------
+    near : neighbour list, with the records of the displacements in this substep
+    pairs, q : the pairs are q to q + lanes
+    starts, moves : records of their particles at the substep's start, and of the displacements
+    n, weight, gap : normals, weights and gaps [m]
+
+    """
+    p, r, s, t = moves
+    friction = pairs.friction
+    distance = dot(n, weighted(weight, starts[0], starts[1], starts[2], starts[3]))
+    way = weighted(weight, p, r, s, t)
+    total = mobility_of(weight, p, r, s, t)
+    along, before = dot(n, way), load(pairs.push, q)
+    push = larger(gap - distance - along, -before)
+    push = select(total > 0.0, push, 0.0)
+    slip = load_slip(friction, q, push)
+    active = bits(either(absolute(push) > 0.0, either(before > 0.0, dot(slip, slip) > 0.0)))
+    if active == 0:
+        return
+    store(pairs.push, q, before + push)
+    rub = rub_of(friction, pairs, q, before + push, slip,
+                 (fma(-along, n[0], way[0]), fma(-along, n[1], way[1]),
+                  fma(-along, n[2], way[2])))
+    per = select(total > 0.0, 1.0 / select(total > 0.0, total, 1.0), 0.0)
+    store_vector(pairs.impulse, 0, (
+        per * fma(push, n[0], rub[0]), per * fma(push, n[1], rub[1]),
+        per * fma(push, n[2], rub[2])))
+    displace(near, pairs, q, active)
+
+
+@jit(inline=True)
+def load_slip(friction, q, zero):
+    """Return the displacement by friction so far, of no length without friction."""
+    if friction is None:
+        zero = zero - zero
+        return zero, zero, zero
+    else:    # Numba prunes the branch that is not taken
+        return load_vector(friction.slip, q)
+
+
+@jit(inline=True)
+def rub_of(friction, pairs, q, push, slip, way):
+    """Return the further displacement by friction, within the friction cone |s| ≤ μ d [m]."""
+    if friction is None:
+        return slip
+    else:    # Numba prunes the branch that is not taken
+        sx, sy, sz = slip[0] - way[0], slip[1] - way[1], slip[2] - way[2]
+        size, normal = root(dot((sx, sy, sz), (sx, sy, sz))), push - smaller(
+            load(pairs.overlap, q), push)
+        scale = select(size > load(friction.sticks, q) * normal,
+                       load(friction.slides, q) * normal / select(size > 0.0, size, 1.0), 1.0)
+        there = either(push > 0.0, dot(slip, slip) > 0.0)
+        sx, sy, sz = (select(there, scale * sx, 0.0), select(there, scale * sy, 0.0),
+                      select(there, scale * sz, 0.0))
+        store_vector(friction.slip, q, (sx, sy, sz))
+        return sx - slip[0], sy - slip[1], sz - slip[2]
+
+
+@jit
+def mobility_of_pair(pairs, k, near, state):
     """Return W = Σ w b² of pair k [1/kg]."""
     total = 0.0
-    for p in range(touches.particles.shape[1]):
-        total += state.inv_mass[touches.particles[k, p]] * touches.weight[k, p]**2
+    for p in range(4):
+        i = pairs.particles[p, k]
+        if i < len(near.slot):
+            total += state.inv_mass[near.slot[i]] * pairs.weight[p, k]**2
     return total
 
 
 @jit
-def push_apart(touches, state):
-    """Project C ≥ 0 of all pairs once, by the formulas of the module."""
-    x, n = state.x, touches.normal
-    for k in range(touches.count[0]):
-        distance = 0.0
-        for p in range(touches.particles.shape[1]):
-            i = touches.particles[k, p]
-            distance += touches.weight[k, p] * (
-                n[k, 0] * x[0, i] + n[k, 1] * x[1, i] + n[k, 2] * x[2, i])
-        before = touches.push[k]
-        push = max(touches.gap[k] - distance, -before)
-        if push == 0.0:
-            continue
-        touches.push[k] = before + push
-        push /= mobility_of(touches, k, state)
-        for p in range(touches.particles.shape[1]):
-            i = touches.particles[k, p]
-            share = state.inv_mass[i] * touches.weight[k, p] * push
-            if share != 0.0:
-                for a in range(3):
-                    x[a, i] += share * n[k, a]
-                invalidate_history(state.history, i)
-
-
-@jit
-def rub(rubbing, touches, state):
-    """Oppose motion perpendicular to the normals, within the friction cone |s| ≤ μ d."""
-    if rubbing is not None:
-        x, before, n, s = state.x, state.x_prev, touches.normal, rubbing.slip
-        last = touches.particles.shape[1] - 1
-        for k in range(touches.count[0]):
-            if touches.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
-                continue
-            px, py, pz = 0.0, 0.0, 0.0
-            for p in range(last + 1):
-                i, b = touches.particles[k, p], touches.weight[k, p]
-                px += b * (x[0, i] - before[0, i])
-                py += b * (x[1, i] - before[1, i])
-                pz += b * (x[2, i] - before[2, i])
-            pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
-            load = touches.push[k] - min(touches.overlap[k], touches.push[k])
-            one = rubbing.cloth[touches.particles[k, 0]]
-            other = rubbing.cloth[touches.particles[k, last]]
-            sx, sy, sz = shortened(s[k, 0] - (px - pn * n[k, 0]), s[k, 1] - (py - pn * n[k, 1]),
-                                   s[k, 2] - (pz - pn * n[k, 2]),
-                                   rubbing.static[one, other] * load,
-                                   rubbing.kinetic[one, other] * load)
-            total = mobility_of(touches, k, state)
-            for p in range(last + 1):
-                i = touches.particles[k, p]
-                share = state.inv_mass[i] * touches.weight[k, p] / total
-                x[0, i] += share * (sx - s[k, 0])
-                x[1, i] += share * (sy - s[k, 1])
-                x[2, i] += share * (sz - s[k, 2])
-            s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
-
-
-@jit
-def remove_depenetration_velocity(touches, state, substep):
+def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
-    v, n = state.v, touches.normal
-    for k in range(touches.count[0]):
-        still = min(touches.overlap[k], touches.push[k]) / substep.h
+    v, n = state.v, pairs.normal
+    for k in range(pairs.end[2]):
+        still = min(pairs.overlap[k], pairs.push[k]) / substep.h
         if still <= 0.0:
             continue
-        speed = 0.0
-        for p in range(touches.particles.shape[1]):
-            i = touches.particles[k, p]
-            speed += touches.weight[k, p] * (
-                n[k, 0] * v[0, i] + n[k, 1] * v[1, i] + n[k, 2] * v[2, i])
+        speed, rest = 0.0, 0.0
+        for p in range(3, -1, -1):
+            b = float(pairs.weight[p, k]) if p > 0 else -rest
+            rest += b
+            i = pairs.particles[p, k]
+            if i < len(near.slot):
+                j = near.slot[i]
+                speed += b * (n[0, k] * v[0, j] + n[1, k] * v[1, j] + n[2, k] * v[2, j])
         excess = min(speed, still)
         if excess <= 0.0:
             continue
-        excess /= mobility_of(touches, k, state)
-        for p in range(touches.particles.shape[1]):
-            i = touches.particles[k, p]
-            share = state.inv_mass[i] * touches.weight[k, p] * excess
-            for a in range(3):
-                v[a, i] -= share * n[k, a]
+        excess /= mobility_of_pair(pairs, k, near, state)
+        rest = 0.0
+        for p in range(3, -1, -1):
+            b = float(pairs.weight[p, k]) if p > 0 else -rest
+            rest += b
+            i = pairs.particles[p, k]
+            if i < len(near.slot):
+                j = near.slot[i]
+                share = state.inv_mass[j] * b * excess
+                for a in range(3):
+                    v[a, j] -= share * n[a, k]
 
 
 @jit
-def press(touches, state, substep):
+def press(pairs, near, state, substep):
     """Add the forces on pinned particles, b (n d + s) / (W h²), to the mean over the frame."""
     part = (substep.end - substep.begin) / substep.h**2
-    for k in range(touches.count[0]):
-        if touches.push[k] == 0.0:
+    for k in range(pairs.end[2]):
+        if pairs.push[k] == 0.0:
             continue
-        scale = part / mobility_of(touches, k, state)
-        for p in range(touches.particles.shape[1]):
-            i = touches.particles[k, p]
-            if state.inv_mass[i] > 0.0:
+        scale = part / mobility_of_pair(pairs, k, near, state)
+        for p in range(4):
+            i = pairs.particles[p, k]
+            if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
                 continue
             for a in range(3):
-                along = touches.normal[k, a] * touches.push[k] + slip_of(touches.rubbing, k, a)
-                state.reaction[a, i] += scale * touches.weight[k, p] * along
+                along = pairs.normal[a, k] * pairs.push[k] + slip_of(pairs.friction, k, a)
+                state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
 
 
 @jit(inline=True)
-def slip_of(rubbing, k, a):
+def slip_of(friction, k, a):
     """Return component a of the displacement by friction of pair k [m]; 0 without friction."""
-    if rubbing is None:
+    if friction is None:
         return 0.0
     else:    # Numba prunes the branch that is not taken
-        return rubbing.slip[k, a]
+        return friction.slip[a, k]

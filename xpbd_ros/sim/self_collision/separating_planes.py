@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
@@ -47,13 +48,16 @@ class Planes(NamedTuple):
     """scratch: vectors between a pair's sides [m], shape (8, 3)"""
     shares: np.ndarray
     """scratch: their weights, shape (8,)"""
+    vectors: np.ndarray
+    """scratch: vectors between closest points by lanes [m], shape (3, PACK)"""
 
 
 def new_planes(room: int, particles: int, slots: int) -> Planes:
     """Return an empty list with the capacity of ``room`` pairs."""
     return Planes(np.zeros(1, np.int64), np.zeros(room, np.int64), np.zeros((room, 4), np.int64),
                   np.zeros((room, 3)), np.zeros(room), np.zeros(slots, np.bool_),
-                  np.zeros(slots, np.bool_), np.zeros(particles), np.zeros((8, 3)), np.zeros(8))
+                  np.zeros(slots, np.bool_), np.zeros(particles), np.zeros((8, 3)), np.zeros(8),
+                  np.zeros((3, PACK), np.float32))
 
 
 @jit

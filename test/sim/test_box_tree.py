@@ -1,0 +1,76 @@
+"""Trees of boxes: queries find what brute force finds."""
+
+import numpy as np
+import pytest
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.geometry.box_tree import (
+    find_packs,
+    morton_codes,
+    new_box_tree,
+    overlaps,
+    update_boxes,
+)
+
+
+@jit
+def query(tree, low, high, found):
+    """Write the items whose boxes overlap a box to ``found``; return their number."""
+    packs, reached = find_packs(tree, (low, high))
+    count = 0
+    for n in range(reached):
+        hit = overlaps(tree, packs[n], (low, high))
+        for lane in range(PACK):
+            if hit >> lane & 1:
+                found[count] = packs[n] + lane
+                count += 1
+    return count
+
+
+def items_in(tree, low, high):
+    """Return the items that a query finds, as tuples of their corners."""
+    found = np.zeros(tree.low.shape[1], np.int64)
+    count = query(tree, tuple(low), tuple(high), found)
+    assert (np.diff(found[:count]) > 0).all()
+    return [tuple(pair) for pair in tree.corners[:, found[:count]].T.tolist()]
+
+
+@pytest.mark.parametrize('count', [1, 15, 16, 17, 256, 257, 1500])
+def test_a_query_finds_what_brute_force_finds(count):
+    random = np.random.default_rng(count)
+    rest = random.uniform(-1.0, 1.0, (count + 1, 3))
+    items = np.stack([np.arange(count), np.arange(1, count + 1)], 1)
+    tree = new_box_tree(items, rest, np.zeros(count + 1, np.int64))
+    hits = 0
+    for _ in range(3):    # the tree is refitted
+        points = random.uniform(-1.0, 1.0, (count + 1, 4)).astype(np.float32)
+        update_boxes(tree, points)
+        ends = points[items, :3]
+        for low in random.uniform(-1.0, 1.0, (20, 3)):
+            high = low + random.uniform(0.0, 0.5, 3)
+            low, high = low.astype(np.float32), high.astype(np.float32)
+            there = ((ends.min(1) <= high) & (ends.max(1) >= low)).all(1)
+            assert sorted(items_in(tree, low, high)) == [
+                tuple(pair) for pair in items[there].tolist()]
+            hits += there.sum()
+    assert hits > 0
+
+
+def test_points_that_are_not_finite_hide_no_others():
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (100, 4)).astype(np.float32)
+    tree = new_box_tree(np.arange(100)[:, None], points[:, :3], np.zeros(100, np.int64))
+    points[::7] = np.nan
+    points[3::7] = np.inf
+    update_boxes(tree, points)
+    found = items_in(tree, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
+    assert sorted(found) == [(i,) for i in range(100) if np.isfinite(points[i, 0])]
+
+
+def test_items_are_in_morton_order_by_group():
+    rest = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0],
+                     [0.0, 0.0, 0.0]])
+    tree = new_box_tree(np.arange(5)[:, None], rest, np.array([1, 1, 1, 1, 0]))
+    assert tree.corners.tolist() == [[4, 1, 2, 3, 0]]
+    assert (np.diff(morton_codes(rest[[1, 2, 3, 0]])) > 0).all()
+    assert morton_codes(np.zeros((3, 3))).tolist() == [0, 0, 0]

@@ -1,0 +1,138 @@
+"""
+Tree of bounding boxes over points, edges or triangles, for overlap queries.
+
+Items stand in Morton order of their positions at rest (G. M. Morton, 1966), so neighbours in the
+tree are neighbours on the surface. A node bounds PACK neighbouring nodes or items; its members
+never change, and ``update_boxes`` refits it to new positions. Queries compare a box with PACK
+boxes side by side. Results are in tree order, so they depend on nothing but the boxes.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import bits, both, lanes, load, lowest_bit
+from xpbd_ros.sim.backend.simd_records import PACK
+
+MORTON_BITS = 20
+"""bits of each coordinate in a Morton code"""
+
+
+class BoxTree(NamedTuple):
+    """Items and nodes."""
+
+    corners: np.ndarray
+    """particles of each item in tree order, shape (corners, items)"""
+    low: np.ndarray
+    """
+    low corners of the boxes of items, then of each level of nodes [m], float32, shape (3, boxes)
+
+    Each level begins at a multiple of PACK; boxes behind its end are empty.
+    """
+    high: np.ndarray
+    """high corners [m], float32, shape (3, boxes)"""
+    begin: np.ndarray
+    """first box of each level, and the end, shape (levels + 1,)"""
+    found: np.ndarray
+    """scratch of ``find_packs``: two lists of packs, shape (2, packs)"""
+
+
+def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray) -> BoxTree:
+    """
+    Return the tree of some items; its boxes are empty.
+
+    Parameters
+    ----------
+    corners : particles of each item, shape (items, corners)
+    rest : positions at rest [m], shape (particles, 3)
+    group : group of each particle; items of one group are neighbours in the tree
+
+    """
+    order = np.lexsort((morton_codes(rest[corners].mean(1)), group[corners[:, 0]]))
+    sizes = [len(corners)]
+    while sizes[-1] > PACK:
+        sizes.append(-(-sizes[-1] // PACK))
+    begin = np.cumsum([0, *(-(-size // PACK) * PACK for size in sizes)])
+    low = np.full((3, begin[-1]), np.inf, np.float32)
+    return BoxTree(np.ascontiguousarray(corners[order].T.astype(np.int32)), low, -low, begin,
+                   np.zeros((2, max(1, begin[1] // PACK)), np.int64))
+
+
+def morton_codes(points: np.ndarray) -> np.ndarray:
+    """Return the Morton codes of points, shape (points, 3), in the cube around them."""
+    low = points.min(0, initial=np.inf)
+    size = (points - low).max(initial=0.0)
+    cells = ((points - low) * ((2**MORTON_BITS - 1) / (size or 1.0))).astype(np.int64)
+    code = np.zeros(len(points), np.int64)
+    for bit in range(MORTON_BITS):
+        for a in range(3):
+            code |= (cells[:, a] >> bit & 1) << (3 * bit + a)
+    return code
+
+
+@jit
+def update_boxes(tree, points):
+    """Compute all boxes from the positions [m], the first columns of an array."""
+    corners, low, high = tree.corners, tree.low, tree.high
+    for c in range(corners.shape[1]):
+        for a in range(3):
+            least, most = np.inf, -np.inf
+            for k in range(len(corners)):
+                at = points[corners[k, c], a]
+                least, most = min(least, at), max(most, at)
+            low[a, c], high[a, c] = least, most
+    for level in range(1, len(tree.begin) - 1):
+        first, below = tree.begin[level], tree.begin[level - 1]
+        for pack in range((first - below) // PACK):
+            for a in range(3):
+                least, most = np.inf, -np.inf
+                for k in range(below + pack * PACK, below + (pack + 1) * PACK):
+                    least, most = min(least, low[a, k]), max(most, high[a, k])
+                low[a, first + pack], high[a, first + pack] = least, most
+
+
+@jit(inline=True)
+def box_of(tree, k, size):
+    """Return the low and high corner of box k, ``size`` larger on each side [m]."""
+    low, high = tree.low, tree.high
+    return ((low[0, k] - size, low[1, k] - size, low[2, k] - size),
+            (high[0, k] + size, high[1, k] + size, high[2, k] + size))
+
+
+@jit(inline=True)
+def overlaps(tree, begin, box):
+    """Return bits of the PACK boxes from ``begin`` on that overlap a box."""
+    found, low, high = 0, tree.low, tree.high
+    for q in range(0, PACK, lanes(low)):
+        k = begin + q
+        x = both(load(low[0], k) <= box[1][0], load(high[0], k) >= box[0][0])
+        y = both(load(low[1], k) <= box[1][1], load(high[1], k) >= box[0][1])
+        z = both(load(low[2], k) <= box[1][2], load(high[2], k) >= box[0][2])
+        found |= bits(both(x, both(y, z))) << q
+    return found
+
+
+@jit
+def find_packs(tree, box):
+    """
+    Return the packs of items, rising, in whose bounds are parts of a box.
+
+    Returns
+    -------
+    array with the first item of each pack, a scratch of the tree; number of packs
+
+    """
+    level = len(tree.begin) - 2
+    now, count = tree.found[level & 1], 1
+    now[0] = tree.begin[level]
+    while level > 0:
+        below, then, further = tree.begin[level - 1], tree.found[(level - 1) & 1], 0
+        for n in range(count):
+            hit = overlaps(tree, now[n], box)
+            while hit:
+                then[further] = below + PACK * (now[n] + lowest_bit(hit) - tree.begin[level])
+                further += 1
+                hit &= hit - 1
+        level, now, count = level - 1, then, further
+    return now, count

@@ -1,0 +1,216 @@
+"""
+Search for the pairs of the neighbour list, over trees of bounding boxes (``geometry.box_tree``).
+
+It happens when the motion since the last search exceeds the list's margin. Boxes are compared by
+lanes, and so are the closest points of the candidates, PACK at a time.
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps, update_boxes
+from xpbd_ros.sim.geometry.closest_points_simd import dot
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    are_welded,
+    EDGES,
+    load_starts,
+    POINTS,
+    TRAVEL,
+    TRIANGLES,
+    UNKNOWN,
+)
+from xpbd_ros.sim.self_collision.packing import closest, set_keep
+from xpbd_ros.sim.self_collision.pair_contacts import load_corners
+
+HALVINGS = 8
+"""most halvings of a margin that yields more pairs than the capacity"""
+ROUNDING = 4e-7
+"""bound of the rounding errors of float32 distances, relative to the largest coordinate"""
+
+
+@jit
+def seek(near, thickness, left):
+    """Build the list, with a margin for ``left`` substeps of the present motion."""
+    top = 0.0
+    for i in range(len(near.slot)):
+        top = max(top, near.x[i, TRAVEL])
+        for a in range(3):
+            near.seen[i, a] = near.x[i, a]
+    near.drift[:] = 0.0
+    for a in range(3):
+        near.origin[a] = near.x[0, a]
+    near.count[0] += 1
+    load_starts(near)
+    margin = 2.0 * top * min(left, max(2.0, near.reach / (2.0 * top)))
+    lost = list_pairs(near, near.surface, thickness, margin, False)
+    for halving in range(HALVINGS):
+        if lost == 0:
+            break
+        margin *= 0.5
+        lost = list_pairs(near, near.surface, thickness, margin, halving == HALVINGS - 1)
+    near.count[1] += lost
+    near.margin[0] = margin
+    for i in range(len(near.slot)):
+        near.x[i, TRAVEL] = min(near.x[i, TRAVEL], 0.5 * margin)
+
+
+@jit
+def list_pairs(near, surface, thickness, margin, to_the_end):
+    """
+    List the pairs closer than thickness + margin; return the number beyond the capacity.
+
+    Unless ``to_the_end``, the search ends soon after the first pair beyond the capacity.
+    """
+    size = thickness + margin + ROUNDING * extent(near)
+    near.kind_begin[:] = near.kind_end[:] = 0
+    if surface is None:
+        update_boxes(near.points, near.start)
+        end = begin_kind(near, POINTS, 0)
+        end = list_kind(near, POINTS, near.points, near.points, size, end, to_the_end)
+        return end_kind(near, POINTS, drop_far(near, end, thickness, size - thickness))
+    else:    # Numba prunes the branch that is not taken
+        update_boxes(surface.points, near.start)
+        update_boxes(surface.triangles, near.start)
+        update_boxes(surface.edges, near.start)
+        end = begin_kind(near, TRIANGLES, 0)
+        end = list_kind(near, TRIANGLES, surface.triangles, surface.points, size, end, to_the_end)
+        lost = end_kind(near, TRIANGLES, end)
+        end = begin_kind(near, EDGES, end)
+        end = list_kind(near, EDGES, surface.edges, surface.edges, size, end, to_the_end)
+        return lost + end_kind(near, EDGES, end)
+
+
+@jit
+def extent(near):
+    """Return the largest coordinate of ``near.start`` [m]."""
+    most = 0.0
+    for i in range(len(near.slot)):
+        most = max(most, abs(near.start[i, 0]), abs(near.start[i, 1]), abs(near.start[i, 2]))
+    return most
+
+
+@jit
+def list_kind(near, kind, tree, others, size, end, to_the_end):
+    """
+    List the pairs of items of two trees that are closer than ``size``, from ``end`` on.
+
+    Each pair of a tree with itself is listed once.
+
+    Returns
+    -------
+    end of the pairs; it may be beyond the capacity
+
+    """
+    places, count = tree.corners.shape[1], 0
+    for pack in range(0, places, PACK):
+        if end > len(near.keep) and not to_the_end:
+            break
+        packs, reached = find_packs(others, bounds_of(tree, pack, size))
+        for c in range(pack, min(pack + PACK, places)):
+            box = box_of(tree, c, size)
+            for n in range(reached):
+                other = packs[n]
+                hit = overlaps(others, other, box)
+                if kind != TRIANGLES and other <= pack:    # only pairs with a later item
+                    hit = hit & -(2 << (c - pack)) if other == pack else 0
+                while hit:
+                    d = other + lowest_bit(hit)
+                    hit &= hit - 1
+                    if not add_candidate(near, kind, tree, others, c, d, end, count):
+                        continue
+                    count += 1
+                    if count == PACK:
+                        end, count = keep_close(near, kind, size, end, count), 0
+    return keep_close(near, kind, size, end, count)
+
+
+@jit(inline=True)
+def bounds_of(tree, pack, size):
+    """Return the box around the items of a pack, ``size`` larger on each side [m]."""
+    if len(tree.begin) == 2:    # the only pack
+        low, high = box_of(tree, pack, size)
+        for k in range(pack + 1, pack + PACK):
+            l, h = box_of(tree, k, size)
+            low = min(low[0], l[0]), min(low[1], l[1]), min(low[2], l[2])
+            high = max(high[0], h[0]), max(high[1], h[1]), max(high[2], h[2])
+        return low, high
+    return box_of(tree, tree.begin[1] + pack // PACK, size)
+
+
+@jit(inline=True)
+def add_candidate(near, kind, tree, others, c, d, end, count):
+    """Write a pair of items behind the list unless they are joined; return True if written."""
+    kin, corners, dummy = near.kin, near.corners, len(near.slot)
+    k = min(end, len(near.keep)) + count
+    if kind == TRIANGLES:
+        i = others.corners[0, d]
+        j, l, m = tree.corners[0, c], tree.corners[1, c], tree.corners[2, c]
+        if are_welded(kin, i, j) or are_welded(kin, i, l) or are_welded(kin, i, m):
+            return False
+    elif kind == EDGES:
+        i, j = tree.corners[0, c], tree.corners[1, c]
+        l, m = others.corners[0, d], others.corners[1, d]
+        if (are_welded(kin, i, l) or are_welded(kin, i, m) or are_welded(kin, j, l)
+                or are_welded(kin, j, m)):
+            return False
+    else:
+        i, j = tree.corners[0, c], others.corners[0, d]
+        i, j, l, m = min(i, j), max(i, j), dummy, dummy
+        if are_welded(kin, i, j):
+            return False
+    corners[0, k], corners[1, k], corners[2, k], corners[3, k] = i, j, l, m
+    return True
+
+
+@jit
+def keep_close(near, kind, size, end, count):
+    """Append those of the candidates behind the list that are closer than ``size``."""
+    first, room, found, corners = min(end, len(near.keep)), len(near.keep), 0, near.corners
+    for q in range(0, PACK, lanes(near.start)):
+        a, b, c, d = load_corners(near.start, corners, first + q)
+        v = closest(kind, a, b, c, d)[0]
+        found |= bits(dot(v, v) < size * size) << q
+    found &= (1 << count) - 1
+    while found:
+        k = first + lowest_bit(found)
+        found &= found - 1
+        if end < room:
+            for p in range(4):
+                corners[p, end] = corners[p, k]
+            near.keep[end] = UNKNOWN
+        end += 1
+    return end
+
+
+@jit
+def drop_far(near, end, thickness, margin):
+    """Drop pairs of particles further apart than they have to keep + margin; return the end."""
+    corners, x, left = near.corners, near.start, 0
+    for k in range(min(end, len(near.keep))):
+        set_keep(near, POINTS, k, thickness)
+        i, j, square = corners[0, k], corners[1, k], 0.0
+        for a in range(3):
+            square += (x[i, a] - x[j, a])**2
+        if square < (near.keep[k] + margin)**2:
+            corners[0, left], corners[1, left], near.keep[left] = i, j, near.keep[k]
+            left += 1
+    return left + max(0, end - len(near.keep))
+
+
+@jit
+def begin_kind(near, kind, end):
+    """Begin the pairs of a kind where the others end, at a multiple of PACK; return it."""
+    near.kind_begin[kind] = near.kind_end[kind] = min(
+        (end + PACK - 1) // PACK * PACK, len(near.keep))
+    return near.kind_begin[kind]
+
+
+@jit
+def end_kind(near, kind, end):
+    """End the pairs of a kind, fill up the last pack; return the number beyond the capacity."""
+    room, dummy = len(near.keep), len(near.slot)
+    near.kind_end[kind] = min(end, room)
+    for c in range(min(end, room), min((end + PACK - 1) // PACK * PACK, room)):
+        for p in range(4):
+            near.corners[p, c] = dummy
+    return max(0, end - room)
