@@ -13,7 +13,7 @@ from xpbd_ros.study.picture.meshes import NEARER, parts_of, plane
 OVER = 3
 """OVER x OVER samples make a pixel"""
 FINENESS = 120
-"""the longest edge of a surface, as a part of the size of the scene; light is computed at vertices"""
+"""longest edge of a surface: the size of the scene over this; light is computed at vertices"""
 SUNSHINE, SKY = 0.72 * np.array([1.02, 1.0, 0.96]), 0.45 * np.array([0.97, 1.0, 1.05])
 """light (3,) of the sun on a surface that faces it, and of the whole sky on a level one"""
 EVERYWHERE, GAMMA = 0.1, 2.2
