@@ -9,15 +9,33 @@ import socket
 import pytest
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
+from support import warm_up
 from support.logs import sample_log
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them."""
+    """
+    Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them.
+
+    The process that compiles ahead takes the tests in reverse order.
+    """
     both = [item.nodeid for item in items
             if item.get_closest_marker('smoke') and item.get_closest_marker('slow')]
     if both:
         raise pytest.UsageError(f'smoke and slow: {", ".join(both)}')
+    if warm_up.VARIABLE in os.environ:
+        items.reverse()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtestloop(session: pytest.Session) -> Iterator[None]:
+    """Compile on a second core meanwhile."""
+    process = warm_up.start(session.config)
+    try:
+        return (yield)
+    finally:
+        if process is not None:
+            warm_up.stop(process)
 
 
 @pytest.fixture(scope='session')
