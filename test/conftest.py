@@ -12,12 +12,18 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, a
 from support import warm_up
 from support.logs import sample_log
 
+DISCOVERY = Path(__file__).parent / 'support' / 'discovery.xml'
+"""how often nodes announce themselves, where ROS runs on Fast DDS"""
+FIRST = 'demo', 'ros'
+"""folders whose tests wait for other processes, while a second process compiles for the rest"""
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """
     Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them.
 
-    The process that compiles ahead takes the tests in reverse order.
+    Tests that wait for other processes come first; the process that compiles meanwhile takes the
+    others from the last to the first.
     """
     both = [item.nodeid for item in items
             if item.get_closest_marker('smoke') and item.get_closest_marker('slow')]
@@ -25,6 +31,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         raise pytest.UsageError(f'smoke and slow: {", ".join(both)}')
     if warm_up.VARIABLE in os.environ:
         items.reverse()
+    else:
+        items.sort(key=lambda item: item.path.parent.name not in FIRST)
 
 
 @pytest.hookimpl(wrapper=True)
@@ -58,6 +66,7 @@ def own_domain(domain_id: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain_id))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(DISCOVERY))
         patch.delenv('ROS_LOCALHOST_ONLY', raising=False)
         patch.delenv('ROS_STATIC_PEERS', raising=False)
         yield
