@@ -162,12 +162,12 @@ def test_a_restart_in_mid_recording_leaves_a_whole_log(cloth, run):
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):
-    """No file may grow beyond what it has: the log cannot be written, the cloth goes on."""
+    """No file may grow beyond 8 kB: the log cannot be written, the cloth goes on."""
     assert cloth.record(False)[0]
     good, folder = cloth.record(True)
     assert good, folder
     process = cloth.node.process.pid
-    resource.prlimit(process, resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
+    resource.prlimit(process, resource.RLIMIT_FSIZE, (8_000, resource.RLIM_INFINITY))
     try:
         line = cloth.node.wait_for('recording stopped')
         assert 'Traceback' not in line
