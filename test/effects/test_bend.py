@@ -140,7 +140,7 @@ def test_one_rigidity_or_two(bend):
         simulate((3, 3), effects={'bend': bend})
 
 
-@pytest.mark.parametrize('integrator', ['ndf2', slow('bdf2')])
+@pytest.mark.parametrize('integrator', ['bdf2', slow('ndf2')])
 def test_a_clamped_strip_swings_with_the_period_of_a_beam(integrator):
     """
     V22, coarse: ω = 3.516 √(B / ρ L⁴); it is let go from a small deflection.
@@ -148,12 +148,12 @@ def test_a_clamped_strip_swings_with_the_period_of_a_beam(integrator):
     Shear and damping are negligible: they are there to share the compiled step of other tests.
     """
     rigidity, density, n, length = 1e-3, 0.2, 8, 0.3
-    strip = simulate((n + 2, 2), ((n + 1) * length / n, 0.05), gravity=(0, 0, 0), substeps=40,
-                     density=density, method='line', integrator=integrator, iterations=4, effects={
+    strip = simulate((n + 2, 2), ((n + 1) * length / n, length / n), gravity=(0, 0, 0),
+                     substeps=40, density=density, method='line', integrator=integrator,
+                     iterations=4, scene_effects={'damping': {'rate': 0.0}}, effects={
                          'bend': {'stiffness': rigidity},
                          'shear': {'stiffness': 1e-6},
                          'stretch': {'warp': 500.0, 'weft': 500.0}},
-                     scene_effects={'damping': {'rate': 0.0}},
                      pins={'root': {'cloth': 'c', 'at': [0, 1, n + 2, n + 3]}})
     x = strip.frame().x
     along = np.maximum(x[:, 0] - 1.5 * length / n, 0.0)
