@@ -9,41 +9,18 @@ import socket
 import pytest
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
-from support import warm_up
 from support.logs import sample_log
 
 DISCOVERY = Path(__file__).parent / 'support' / 'discovery.xml'
 """how often nodes announce themselves, where ROS runs on Fast DDS"""
-FIRST = 'demo', 'ros'
-"""folders whose tests wait for other processes, while a second process compiles for the rest"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """
-    Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them.
-
-    Tests that wait for other processes come first; the process that compiles meanwhile takes the
-    others from the last to the first.
-    """
+    """Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them."""
     both = [item.nodeid for item in items
             if item.get_closest_marker('smoke') and item.get_closest_marker('slow')]
     if both:
         raise pytest.UsageError(f'smoke and slow: {", ".join(both)}')
-    if warm_up.VARIABLE in os.environ:
-        items.reverse()
-    else:
-        items.sort(key=lambda item: item.path.parent.name not in FIRST)
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtestloop(session: pytest.Session) -> Iterator[None]:
-    """Compile on a second core meanwhile."""
-    process = warm_up.start(session.config)
-    try:
-        return (yield)
-    finally:
-        if process is not None:
-            warm_up.stop(process)
 
 
 @pytest.fixture(scope='session')
