@@ -131,7 +131,6 @@ def test_a_storm_of_parameters(cloth, count):
     goes_on(cloth)
 
 
-@pytest.mark.slow
 def test_another_node_of_the_same_name_does_not_stop_it(cloth, start, towel):
     """As ROS warns: their topics mix. Both live, and the second ends well."""
     cloth.peer.company = [cloth.node]
