@@ -268,3 +268,4 @@ def test_cloth_without_pins_has_no_tethers():
     simulation = hang({'tether': {}}, pins={})
     run(simulation, 2)
     assert simulation.stats()['tethers'] == 0
+    assert simulate((7, 3), effects={**SOFT, 'tether': {}}).stats()['tethers'] == 0
