@@ -10,11 +10,12 @@ import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
 from support.logs import recorded_inputs, state_hashes
-from support.node import child_environment, Cloth, collider, pin, pose_stamped, targets, TOWEL
+from support.node import child_environment, Cloth, collider, pin, pose_stamped, targets
 from support.strict_reader import read_strictly
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.node_stress.node import SCENE
 
-AUTO = TOWEL.replace(', substeps: 20', '')
+AUTO = SCENE.replace(', substeps: SUBSTEPS', '').replace('0.004}', '0.004, mesh_nodes: 50000}')
 """its substeps follow from its stiffness"""
 STIFF = 'cloths.towel.effects.stretch.warp'
 

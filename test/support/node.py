@@ -32,10 +32,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from xpbd_ros.node_stress.node import SCENE, TIMEOUT as PATIENCE
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-TOWEL = SCENE.replace('SUBSTEPS', '20').replace('0.004}', '0.004, mesh_nodes: 50000}')
-"""
-a towel on a table, and a ball out of its way: four corners at ±0.2 m; room for meshes that come
-"""
+TOWEL = SCENE.replace('SUBSTEPS', '20')
+"""a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""
 OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics', '/clock'
