@@ -606,7 +606,7 @@ def test_the_leapfrog_limit_is_within_its_uncertainty():
 
 @pytest.mark.parametrize('method, integrator, order, worst', [
     pytest.param('gauss_seidel', 'backward_euler', 1, 2e-4, marks=pytest.mark.slow),
-    ('line', 'bdf2', 2, 1e-6)])
+    slow('line', 'bdf2', 2, 1e-6), ('line', 'ndf2', 2, 1e-6)])
 def test_the_simulation_converges_to_the_reference(method, integrator, order, worst):
     """At the order of its integrator, and with no floor in sight."""
     errors, exact = [], None
