@@ -183,8 +183,9 @@ def test_a_clock_that_is_set_is_followed(start, peer, towel, times_s):
     dropped = [int(line.split(': ')[1].split()[0]) for line in cloth.node.said('too slow')]
     assert sum(dropped) < 60, 'a clock that is set drops no frames'
     assert cloth.record(True)[0]
-    cloth.statuses.clear()
     simulator.set(BEGIN)
+    cloth.statuses.clear()
+    wait(0.5)
     while not cloth.statuses:
         wait(0.1)
     _, run = cloth.record(False)
