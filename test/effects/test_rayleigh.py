@@ -77,8 +77,8 @@ def energy(simulation):
 
 def test_motion_as_a_whole_goes_on_and_wrinkles_do_not():
     found = []
-    for time in (1e-12, 0.01):
-        simulation = sheet({'rayleigh': {'time': time}})
+    for effects in ({}, {'rayleigh': {'time': 0.01}}):
+        simulation = sheet(effects)
         state, slot = simulation.state, simulation.slot
         state.v[:, slot] = np.random.default_rng(0).normal(0.0, 0.2, (3, len(slot)))
         state.v[2, slot] = 0.0
