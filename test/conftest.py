@@ -11,6 +11,9 @@ import pytest
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
 from support.logs import sample_log
 
+DISCOVERY = Path(__file__).parent / 'support' / 'discovery.xml'
+"""how often nodes announce themselves, where ROS runs on Fast DDS"""
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Refuse tests that are marked both smoke and slow: ``-m smoke`` would run them."""
@@ -40,6 +43,7 @@ def own_domain(domain_id: int) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain_id))
         patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        patch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(DISCOVERY))
         patch.delenv('ROS_LOCALHOST_ONLY', raising=False)
         patch.delenv('ROS_STATIC_PEERS', raising=False)
         yield

@@ -152,7 +152,6 @@ def test_a_plate_too_thin_for_its_grid_is_refused(tmp_path, plate):
     assert fallen(entry(float(spacing)), Rotation.identity(), 10.0, R) == 0
 
 
-@pytest.mark.slow
 def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
     """TRIANGLE_LIST; its grid has the place that the scene keeps for such."""
     crate = PlaceCollider('crate', 'mesh', corners(box_surface()), Pose((0.0, 0.0, -0.2)))

@@ -256,7 +256,7 @@ def project_and_compare(state, data, constraint):
 
 
 @pytest.mark.parametrize('name, mesh', quick_only(
-    ON_MESHES, ('stretch', True), ('hinge', False)))
+    ON_MESHES, ('stretch', True)))
 def test_jacobi_relaxes_and_explicit_takes_the_force_at_x(name, mesh):
     """The same projection as others' times ω; and Δx = -w h² ∇E."""
     for state, data, constraint in list(constraints(name, mesh))[::7]:
@@ -440,8 +440,9 @@ def test_a_hanging_cloth_balances_its_weight(method, integrator, names):
     errors = []
     for substeps in (4, 8, 16):
         simulation = simulate(
-            (4, 4), effects={name: EXAMPLES[name] for name in names}, substeps=substeps,
-            iterations=30, density=0.2, scene_effects={'damping': {'rate': 15.0}},
+            (4, 4), (1.0, 0.9), effects={name: EXAMPLES[name] for name in names},
+            substeps=substeps, iterations=30, density=0.2,
+            scene_effects={'damping': {'rate': 15.0}},
             pins={'a': {'cloth': 'c', 'at': 'corner_10'}, 'b': {'cloth': 'c', 'at': 'edge_0x'}},
             method=method, integrator=integrator)
         run_until_still(simulation, speed=1e-10)

@@ -29,7 +29,7 @@ def write(folder, vertices, cells) -> str:
 
 SOFT = {'stretch': {'warp': 20.0, 'weft': 20.0}, 'strain_limit': {'max': 0.03}}
 CASES = {
-    'lattice': {'effects': LATTICE, 'pins': CORNERS},
+    'lattice': {'effects': LATTICE, 'pins': CORNERS, 'grid': (11, 9)},    # of square cells
     'lattice-gauss_seidel': {'effects': LATTICE, 'pins': CORNERS, 'method': 'gauss_seidel',
                              'substeps': 8, 'iterations': 2},
     'lattice-explicit': {'effects': LATTICE, 'pins': CORNERS, 'method': 'explicit',
@@ -54,7 +54,7 @@ def make(name, tmp_path, **options):
              **CASES[name], **options}
     if callable(given.get('mesh')):
         given['mesh'] = given['mesh'](tmp_path)
-    return simulate((13, 17), (1.0, 0.8), **given)
+    return simulate(given.pop('grid', (13, 17)), (1.0, 0.8), **given)
 
 
 def pulls(frame):

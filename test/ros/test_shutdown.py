@@ -70,7 +70,6 @@ def test_a_second_signal_does_not_cut_the_log_short(tmp_path, towel, own_domain)
         node.kill()
 
 
-@pytest.mark.slow
 def test_signals_that_go_on_do_not_cut_its_end_short(tmp_path, towel, own_domain):
     """As when a shell and launch both pass it on: one may come while Python takes itself apart."""
     node = NodeProcess(tmp_path, '-r', '__node:=often', parameters={'scene': towel})

@@ -16,7 +16,8 @@ FINE = Estimate(frame=10, substeps=20, rms=1e-4, largest=3e-4, resolved=True, fr
 
 def swing(substeps=16, **options):
     """Return a sheet that swings from two corners."""
-    return simulate((9, 9), effects={'stretch': {'warp': 300.0, 'weft': 300.0}}, density=0.2,
+    return simulate((9, 9), density=0.2, effects={'stretch': {'warp': 300.0, 'weft': 300.0},
+                                                  'shear': {'stiffness': 1.0}},
                     pins={'a': {'cloth': 'c', 'at': 'corner_10'},
                           'b': {'cloth': 'c', 'at': 'corner_11'}}, method='line',
                     integrator='bdf2', substeps=substeps, **options)

@@ -21,11 +21,12 @@ AT_REST = {'pin': {}, 'damping': {'rate': 0.0}, 'force': {'per_mass': [0.0, 0.0,
 """effects that do nothing at these values: one step for nearly all tests here"""
 SOFT_PINS = {name: {**pin, 'compliance': 0.01} for name, pin in PINS.items()}
 STIFF = {**EFFECTS, 'stretch': {'warp': 6000.0, 'weft': 4000.0}}
+LOOSE = {'stretch': {'compliance': 1e3}, 'shear': {'stiffness': 1e-3}, 'bend': {'stiffness': 1e-9}}
 
 
-def sheet(substeps, method='explicit', integrator=None, **options):
+def sheet(substeps, method='explicit', integrator=None, *, grid=(6, 5), **options):
     """Return a small cloth that swings from two corners."""
-    return simulate((6, 5), density=0.2, method=method, substeps=substeps, **{
+    return simulate(grid, density=0.2, method=method, substeps=substeps, **{
         'integrator': integrator or 'leapfrog', 'effects': EFFECTS, 'pins': PINS,
         'scene_effects': AT_REST, **options})
 
@@ -55,10 +56,7 @@ def test_velocity_is_of_the_frame_not_half_a_substep_older():
 def test_free_fall_is_exact_at_any_number_of_substeps():
     """½ g t², from the first frame on; backward Euler has n (n + 1) for n²."""
     for substeps in (1, 7):
-        simulation = simulate((2, 2), effects={'stretch': {'compliance': 1e3}},
-                              method='explicit', integrator='leapfrog', substeps=substeps,
-                              scene_effects={'force': {'per_mass': [0.0, 0.0, 0.0]}})
-        frame = run(simulation, 30)
+        frame = run(sheet(substeps, effects=LOOSE, pins={}), 30)
         np.testing.assert_allclose(frame.x[:, 2], -0.5 * GRAVITY * 0.25, rtol=1e-12)
         np.testing.assert_allclose(frame.v[:, 2], -0.5 * GRAVITY, rtol=1e-12)
 
@@ -89,9 +87,8 @@ def test_what_is_at_rest_shows_no_velocity_whatever_holds_it(more):
 
 
 def test_a_constant_force_is_as_exact_as_gravity():
-    simulation = simulate((2, 2), effects={'stretch': {'compliance': 1e3}}, method='explicit',
-                          integrator='leapfrog', substeps=3,
-                          scene_effects={'force': {'per_mass': [0.0, 0.0, 2.0]}})
+    simulation = sheet(3, effects=LOOSE, pins={}, scene_effects={
+        **AT_REST, 'force': {'per_mass': [0.0, 0.0, 2.0]}})
     frame, a = run(simulation, 30), 2.0 - GRAVITY
     np.testing.assert_allclose(frame.x[:, 2], 0.5 * a * 0.25, rtol=1e-12)
     np.testing.assert_allclose(frame.v[:, 2], 0.5 * a, rtol=1e-12)
@@ -195,8 +192,8 @@ def test_without_its_guard_it_explodes(monkeypatch):
     'total': [0.0, 0.0, 0.02], 'cloth': 'c', 'at': 'corner_00'}])
 def test_the_work_of_a_force_is_not_taken_for_instability(force):
     """From rest, without gravity or pins."""
-    simulation = simulate((4, 3), (0.3, 0.2), gravity=(0.0, 0.0, 0.0), method='explicit',
-                          integrator='leapfrog', scene_effects={'force': force})
+    simulation = sheet(None, grid=(4, 3), size=(0.3, 0.25), gravity=(0.0, 0.0, 0.0), pins={},
+                       scene_effects={**AT_REST, 'force': force})
     frame = run(simulation, 30)
     assert simulation.stats()['explicit_redone'] == 0
     assert simulation.stats()['frames_taken_back'] == 0

@@ -57,8 +57,9 @@ def test_the_order_of_the_effects_makes_no_difference():
 
 
 def test_momentum_stays():
-    simulation = sheet('jacobi', 3, pins={}, gravity=(0, 0, 0), scene_effects={}, effects={
-        'stretch': {'warp': 60.0, 'weft': 40.0}})
+    simulation = sheet('jacobi', 3, size=(1.25, 1.0), pins={}, gravity=(0, 0, 0),
+                       scene_effects={'damping': {'rate': 0.0}}, effects={
+                           'stretch': {'warp': 60.0, 'weft': 40.0}, 'shear': {'stiffness': 5.0}})
     simulation.state.x[:, simulation.slot] += np.random.default_rng(1).normal(0, 0.03, (3, 30))
     run(simulation, 20)
     assert np.abs(simulation.state.v).max() > 0.1

@@ -125,8 +125,8 @@ class Peer:
     def spin(self, seconds: float) -> None:
         """Listen for a while."""
         deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.01)
+        while (left := deadline - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=min(left, 0.01))
 
     def hear(self, kind, topic: str, qos=50, *, raw: bool = False) -> list:
         """Return a list that fills with the messages of a topic."""

@@ -1,5 +1,7 @@
 """Small scenes, given as the camera sees them: to the right, up and towards it."""
 
+from unittest.mock import patch
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -12,6 +14,8 @@ RED, BLUE = '#cc1a1a', '#1a1acc'
 FACING = tuple(Rotation.from_matrix(AXES[[1, 2, 0]].T).as_quat())
 """turns z towards the camera"""
 PIXELS = 80
+COARSE = 30
+"""of surfaces (``panel.FINENESS``) in small pictures, where light need not be smooth"""
 
 
 def world(local):
@@ -30,7 +34,8 @@ class Picture:
         from xpbd_ros.study.picture.panel import render
         self.pixels = pixels
         self.eye, _ = fit(world(shown), 1.0, 1.0)
-        self.image = render(instant, self.eye, pixels, pixels, np.zeros(3), 2.0)
+        with patch('xpbd_ros.study.picture.panel.FINENESS', COARSE):
+            self.image = render(instant, self.eye, pixels, pixels, np.zeros(3), 2.0)
 
     def at(self, point):
         """Return the mean colour (3,) around where a pinhole camera sees a point of the world."""

@@ -8,8 +8,16 @@ import numpy as np
 from PIL import Image
 import pytest
 
+from support.pictures import COARSE
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.study.picture import Arrow, Body, draw, Instant, need_view, Path, Surface
+
+
+@pytest.fixture
+def coarse(pyvista, monkeypatch):
+    """Draw surfaces with long edges, and fast."""
+    monkeypatch.setattr('xpbd_ros.study.picture.panel.FINENESS', COARSE)
 
 
 def little_run(count):
@@ -29,8 +37,8 @@ def little_run(count):
     return instants
 
 
-@pytest.mark.parametrize(('count', 'columns'), [(1, 3), (2, 3), (4, 4)])
-def test_a_picture_has_the_width_asked_for_and_is_small(tmp_path, count, columns, pyvista, capfd):
+@pytest.mark.parametrize(('count', 'columns'), [slow(1, 3), (2, 3), slow(4, 4)])
+def test_a_picture_has_the_width_asked_for_and_is_small(tmp_path, count, columns, coarse, capfd):
     file = tmp_path / 'run.png'
     draw(little_run(count), file, title='A run', columns=columns, width_px=600)
     with Image.open(file) as image:
@@ -41,25 +49,25 @@ def test_a_picture_has_the_width_asked_for_and_is_small(tmp_path, count, columns
     assert capfd.readouterr() == ('', ''), 'nor do the libraries write warnings'
 
 
-def test_the_same_run_gives_the_same_file(tmp_path, pyvista):
+def test_the_same_run_gives_the_same_file(tmp_path, coarse):
     for name in ('a.png', 'b.png'):
         draw(little_run(1), tmp_path / name, width_px=300)
     assert (tmp_path / 'a.png').read_bytes() == (tmp_path / 'b.png').read_bytes()
 
 
-def test_a_large_picture_loses_colours_then_pixels(tmp_path, pyvista):
+def test_a_large_picture_loses_colours_then_pixels(tmp_path, coarse):
     file = tmp_path / 'run.png'
     draw(little_run(1), file, width_px=300)
     full = file.stat().st_size
     draw(little_run(1), file, width_px=300, limit=int(0.2 * full))
     assert file.stat().st_size < 0.2 * full
     with pytest.raises(ValueError, match='cannot be made smaller than 100 bytes'):
-        draw(little_run(1), tmp_path / 'none.png', width_px=500, limit=100)
+        draw(little_run(1), tmp_path / 'none.png', width_px=100, limit=100)
     assert not (tmp_path / 'none.png').exists()
 
 
 @pytest.mark.parametrize('bodies', [[], [Body('plane')]])
-def test_an_empty_cloth_is_a_picture_without_cloth(tmp_path, bodies, pyvista):
+def test_an_empty_cloth_is_a_picture_without_cloth(tmp_path, bodies, coarse):
     empty = Surface(np.empty((0, 3)), np.empty((0, 3)))
     draw([Instant('nothing', [empty], bodies, [Path(np.empty((0, 3)))])], tmp_path / 'e.png',
          width_px=300)

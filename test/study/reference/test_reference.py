@@ -323,7 +323,7 @@ def test_leapfrog_keeps_the_energy_to_second_order():
 # To dt -> 0: closed forms
 
 @pytest.mark.parametrize('method, levels, worst', [
-    ('explicit', 10, 1e-9), ('bdf2', 6, 1e-3), ('backward_euler', 6, 3e-2)])
+    ('explicit', 10, 1e-9), ('bdf2', 6, 1e-3), slow('backward_euler', 6, 3e-2)])
 @pytest.mark.parametrize('c', [0.0, slow(3.0)])
 def test_the_limit_of_the_oscillator_is_within_its_uncertainty(method, levels, worst, c,
                                                                tmp_path):
@@ -542,7 +542,7 @@ def slopes(method, problem, time, counts, exact):
 
 @pytest.mark.parametrize('method, order, counts', [
     ('explicit', 2, (192, 384, 768)), ('bdf2', 2, (192, 384)),
-    ('backward_euler', 1, (192, 384))])
+    slow('backward_euler', 1, (192, 384))])
 def test_orders_of_convergence(method, order, counts):
     """On a small cloth with all effects, whose one pin is carried about."""
     problem = problem_of(sheet(5, stretch=100.0, shear=10.0, bend=0.01, damping=1.0,
@@ -606,7 +606,7 @@ def test_the_leapfrog_limit_is_within_its_uncertainty():
 
 @pytest.mark.parametrize('method, integrator, order, worst', [
     pytest.param('gauss_seidel', 'backward_euler', 1, 2e-4, marks=pytest.mark.slow),
-    ('line', 'bdf2', 2, 1e-6)])
+    slow('line', 'bdf2', 2, 1e-6), ('line', 'ndf2', 2, 1e-6)])
 def test_the_simulation_converges_to_the_reference(method, integrator, order, worst):
     """At the order of its integrator, and with no floor in sight."""
     errors, exact = [], None

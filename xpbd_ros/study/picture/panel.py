@@ -12,6 +12,8 @@ from xpbd_ros.study.picture.meshes import NEARER, parts_of, plane
 
 OVER = 3
 """OVER x OVER samples make a pixel"""
+FINENESS = 120
+"""longest edge of a surface: the size of the scene over this; light is computed at vertices"""
 SUNSHINE, SKY = 0.72 * np.array([1.02, 1.0, 0.96]), 0.45 * np.array([0.97, 1.0, 1.05])
 """light (3,) of the sun on a surface that faces it, and of the whole sky on a level one"""
 EVERYWHERE, GAMMA = 0.1, 2.2
@@ -39,7 +41,7 @@ def render(instant: Instant, eye: NDArray, width: int, height: int, centre: NDAr
         mesh = part.mesh
         mesh['sky'] = sky.light(mesh.points, mesh['Normals'])
         if part.hidden:
-            mesh = mesh.subdivide_adaptive(max_edge_len=size / 120)
+            mesh = mesh.subdivide_adaptive(max_edge_len=size / FINENESS)
         elif not mesh.n_lines:    # a plane, which keeps its finer middle
             mesh = mesh.subdivide(2, 'linear')
         points, normals = np.asarray(mesh.points, float), unit(mesh['Normals'])
