@@ -1,4 +1,8 @@
-"""Newton's law of restitution for contacts, compiled only if a collider has a coefficient."""
+"""
+Velocities of contacts: Newton's law of restitution, and the recovery of pads.
+
+Each is compiled only if a collider of the scene has a coefficient, or a pad.
+"""
 
 from math import sqrt
 from typing import NamedTuple
@@ -6,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.colliders import is_pad
 from xpbd_ros.sim.contact.contacts import surface_motion
 
 
@@ -55,3 +60,16 @@ def rebound(bounce, contacts, state, substep):
                 missing = -e * before - speed_away(contacts, k, state, substep)
                 if missing > 0.0:
                     drive_away(contacts, k, state, missing)
+
+
+@jit
+def calm_pads(pads, contacts, state, substep):
+    """Divide the speed at which pads push particles off by 1 + κ (see ``contact.pads``)."""
+    if pads is not None:
+        for k in range(contacts.count[0]):
+            if (contacts.push[k] > 0.0
+                    and is_pad(contacts.colliders.stiffness, contacts.collider[k])):
+                off = min(speed_away(contacts, k, state, substep), contacts.push[k] / substep.h)
+                if off > 0.0:
+                    kappa = pads.ratio[k]
+                    drive_away(contacts, k, state, -off * kappa / (1.0 + kappa))
