@@ -27,8 +27,10 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.clamp_friction import shared_friction
 from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surface_motion
 from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.contact.pads import is_clamped, partner
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage
@@ -76,26 +78,70 @@ def holds(static, a, c, kinetic):
         return static[a, c]
 
 
+@jit(inline=True)
+def tangential(contacts, k, state, substep):
+    """Return Δp_t of contact k [m]."""
+    i, n, x, before = contacts.particle[k], contacts.normal, state.x, state.x_prev
+    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
+    pz = x[2, i] - before[2, i] - uz
+    pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
+    return px - pn * n[k, 0], py - pn * n[k, 1], pz - pn * n[k, 2]
+
+
+@jit(inline=True)
+def limits(friction, k):
+    """Return μ_s d and μ_k d of contact k [m]."""
+    contacts = friction.contacts
+    load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
+    a, c = friction.cloth[contacts.particle[k]], contacts.collider[k]
+    mu = friction.coefficient[a, c]
+    return holds(friction.static, a, c, mu) * load, mu * load
+
+
+@jit
+def resist_clamped(pads, friction, state, substep):
+    """Do so for particles between two colliders, at once for both (``contact.clamp_friction``)."""
+    if pads is not None:
+        contacts, x = friction.contacts, state.x
+        s = contacts.slip
+        for k in range(contacts.count[0]):
+            pads.clamped[k] = False
+            j = partner(pads, contacts, k)
+            if j < 0:
+                continue
+            pads.clamped[j] = pads.clamped[k] = True
+            i = contacts.particle[k]
+            px, py, pz = tangential(contacts, j, state, substep)
+            rx, ry, rz = tangential(contacts, k, state, substep)
+            tx, ty, tz = s[j, 0] + s[k, 0], s[j, 1] + s[k, 1], s[j, 2] + s[k, 2]
+            one, other = limits(friction, j), limits(friction, k)
+            first, second = shared_friction(
+                (px - tx, py - ty, pz - tz), (rx - tx, ry - ty, rz - tz),
+                (one[0], other[0]), (one[1], other[1]))
+            for a in range(3):
+                s[j, a], s[k, a] = first[a], second[a]
+            x[0, i] += s[j, 0] + s[k, 0] - tx
+            x[1, i] += s[j, 1] + s[k, 1] - ty
+            x[2, i] += s[j, 2] + s[k, 2] - tz
+
+
 @stage(project_inequalities, Friction)
 @jit
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
-    contacts, x, before = friction.contacts, state.x, state.x_prev
-    n, s = contacts.normal, contacts.slip
+    contacts, x = friction.contacts, state.x
+    s = contacts.slip
+    resist_clamped(contacts.pads, friction, state, substep)
     for k in range(contacts.count[0]):
         if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
             continue
+        if is_clamped(contacts.pads, k):
+            continue
         i = contacts.particle[k]
-        ux, uy, uz = surface_motion(contacts, k, state, substep)
-        px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
-        pz = x[2, i] - before[2, i] - uz
-        pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
-        sx, sy = s[k, 0] - (px - pn * n[k, 0]), s[k, 1] - (py - pn * n[k, 1])
-        sz = s[k, 2] - (pz - pn * n[k, 2])
-        load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
-        a, c = friction.cloth[i], contacts.collider[k]
-        mu = friction.coefficient[a, c]
-        sx, sy, sz = shortened(sx, sy, sz, holds(friction.static, a, c, mu) * load, mu * load)
+        tx, ty, tz = tangential(contacts, k, state, substep)
+        sticks, slides = limits(friction, k)
+        sx, sy, sz = shortened(s[k, 0] - tx, s[k, 1] - ty, s[k, 2] - tz, sticks, slides)
         x[0, i] += sx - s[k, 0]
         x[1, i] += sy - s[k, 1]
         x[2, i] += sz - s[k, 2]

@@ -47,6 +47,8 @@ TURNS = 8
 """most changes of the set of colliders that touch"""
 FLAT = 1e-12
 """change of a normal, squared, up to which a surface is flat"""
+OPPOSITE = -0.99
+"""largest cosine of the angle between the normals of colliders that clamp a particle"""
 
 
 class Pads(NamedTuple):
@@ -68,12 +70,14 @@ class Pads(NamedTuple):
     """u of the last solve, at a particle's last candidate [m], shape (candidates, 3)"""
     force: np.ndarray
     """f [N], shape (candidates,)"""
+    clamped: np.ndarray
+    """True if the friction of two candidates has been solved at once, shape (candidates,)"""
 
 
 def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room), np.zeros(room), np.zeros(room), np.zeros(room, np.bool_),
-                np.zeros(room), np.zeros((room, 3)), np.zeros(room))
+                np.zeros(room), np.zeros((room, 3)), np.zeros(room), np.zeros(room, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -116,6 +120,30 @@ def meets_pad(contacts, k):
             return True
         k = contacts.earlier[k]
     return False
+
+
+@jit
+def partner(pads, contacts, k):
+    """
+    Return the candidate that clamps a particle together with its last candidate k; -1: none.
+
+    The two push from opposite sides, at least one has a pad, and there is no third.
+    """
+    j, n = contacts.earlier[k], contacts.normal
+    if (j >= 0 and contacts.latest[contacts.particle[k]] == k and contacts.earlier[j] < 0
+            and contacts.push[j] > 0.0 and contacts.push[k] > 0.0 and meets_pad(contacts, k)
+            and n[j, 0] * n[k, 0] + n[j, 1] * n[k, 1] + n[j, 2] * n[k, 2] < OPPOSITE):
+        return j
+    return -1
+
+
+@jit(inline=True)
+def is_clamped(pads, k):
+    """Return True if the friction of candidate k has been solved together with another's."""
+    if pads is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return pads.clamped[k]
 
 
 @jit
