@@ -10,7 +10,7 @@ from support.meshes import box
 from support.scenes import GRAVITY, run, SETTINGS, simulate
 from support.tiers import quick_only
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, SetKey
+from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.contact.pads import surface_area
@@ -33,13 +33,13 @@ def fingers(stiffness=2e8, *, indentation=(OVERLAP, OVERLAP), order=(1, -1), **k
         for side in order}
 
 
-def clamped(setting=('line', 'bdf2'), *, substeps=8, density=0.2, colliders=None, gravity=0.0,
-            **options):
+def clamped(setting=('line', 'bdf2'), *, substeps=8, density=0.2, colliders=None,
+            gravity=(0, 0, 0), **options):
     """Return a strip along x of two rows, between two fingers at its start."""
     method, integrator = setting
     return simulate(*STRIP, effects={'stretch': {'warp': 500.0, 'weft': 500.0},
                                      'shear': {'stiffness': 50.0}},
-                    density=density, friction=MU, gravity=(gravity, 0.0, 0.0), method=method,
+                    density=density, friction=MU, gravity=gravity, method=method,
                     integrator=integrator, substeps=substeps,
                     pose={'position': [0.0, -0.01, 0.0]},
                     colliders=fingers() if colliders is None else colliders, scene_effects={
@@ -56,11 +56,11 @@ def forces(simulation) -> np.ndarray:
 EVERY = quick_only(SETTINGS, ('line', 'bdf2'))
 
 
-@pytest.mark.parametrize('setting', EVERY)
-def test_a_squeeze_has_the_force_of_its_indentation(setting):
+@pytest.mark.parametrize('method, integrator', EVERY)
+def test_a_squeeze_has_the_force_of_its_indentation(method, integrator):
     """F = K A times the indentation, from the first substep on."""
     for substeps, density, stiffness in product((1, 8, 128), (0.05, 1.0), (1e4, 2e8)):
-        simulation = clamped(setting, substeps=substeps, density=density,
+        simulation = clamped((method, integrator), substeps=substeps, density=density,
                              colliders=fingers(stiffness))
         frame = run(simulation, 3)
         np.testing.assert_allclose(forces(simulation), stiffness * OVERLAP * CLAMPED, rtol=1e-9)
@@ -90,7 +90,7 @@ MATRIX = quick_only(product(SETTINGS, (8, 32, 128), (0.05, 0.2, 1.0)),
 
 @pytest.mark.parametrize('setting, substeps, density', MATRIX)
 def test_a_clamped_strip_slips_at_twice_mu_times_the_force(setting, substeps, density):
-    """V39: within 3 %."""
+    """V31: within 3 %."""
     held, now = pulled(0.97, 300, setting, substeps=substeps, density=density)
     assert np.abs(now - held).max() < 1e-4
     held, now = pulled(1.03, 300, setting, substeps=substeps, density=density)
@@ -104,14 +104,14 @@ def test_it_does_not_creep_below_that(setting, substeps, density):
     assert np.abs(now - held).max() < 1e-4
 
 
-@pytest.mark.parametrize('setting', EVERY)
-def test_fingers_off_the_middle_press_with_equal_force(setting):
+@pytest.mark.parametrize('method, integrator', EVERY)
+def test_fingers_off_the_middle_press_with_equal_force(method, integrator):
     """The sheet goes to where both indentations give the same force."""
     for below, above, stiffness in ((0.0005, 0.0015, (2e8, 2e8)), (0.001, 0.001, (1e8, 3e8))):
         colliders = fingers(indentation=(above, below))
         for name, value in zip(('above', 'below'), stiffness):
             colliders[name]['pad'] = {'stiffness': value}
-        simulation = clamped(setting, colliders=colliders)
+        simulation = clamped((method, integrator), colliders=colliders)
         run(simulation, 20)
         series = 1.0 / (1.0 / stiffness[0] + 1.0 / stiffness[1])
         np.testing.assert_allclose(forces(simulation), series * (above + below) * CLAMPED,
@@ -129,12 +129,11 @@ def test_a_pad_against_a_rigid_table_takes_all_of_the_indentation():
     np.testing.assert_allclose(frame.x[0, 2], OVERLAP, atol=1e-7)
 
 
-@pytest.mark.parametrize('setting', EVERY)
+@pytest.mark.parametrize('method, integrator', EVERY)
 @pytest.mark.parametrize('substeps', [1, 64])
-def test_cloth_on_a_pad_sinks_in_by_its_weight(setting, substeps):
+def test_cloth_on_a_pad_sinks_in_by_its_weight(method, integrator, substeps):
     """By density g / K, whatever the size of the particles."""
     stiffness = 1e5
-    method, integrator = setting
     simulation = simulate((1, 1), (0.03, 0.02), density=2.0, friction=0.0, method=method,
                           integrator=integrator, substeps=substeps,
                           pose={'position': [0.0, 0.0, R]},
@@ -150,16 +149,18 @@ def test_the_order_of_the_colliders_is_irrelevant():
     """Fingers that squeeze, slide against one another, turn away and come back."""
     ends = []
     for order in ((1, -1), (-1, 1)):
-        simulation = clamped(colliders=fingers(order=order), substeps=4, gravity=3.0)
+        simulation = clamped(colliders=fingers(order=order), substeps=4,
+                             gravity=(3.0, 0.0, -1.0))
         for k in range(60):
             s, c = np.sin(0.05 * k), np.cos(0.05 * k)
             high = 0.01 + R - OVERLAP * (1.0 + 0.5 * s)
             frame = simulation.step([MoveCollider(name, Pose(
-                (0.004 * side * s, 0.003 * c, side * high), (0.0, 0.0, 0.02 * side * s, 1.0)))
+                (0.004 * side * s, 0.003 * c, side * high),
+                (0.0, 0.0, float(np.sin(0.02 * side * s)), float(np.cos(0.02 * side * s)))))
                 for name, side in (('above', 1), ('below', -1))])
             assert not frame.refused
         ends.append(frame.x.copy())
-    assert np.abs(ends[0] - simulation.natural(simulation._start)).max() > 0.01
+    assert np.abs(ends[0] - simulation.natural(simulation._start)).max() > 0.005
     np.testing.assert_allclose(*ends, rtol=0.0, atol=1e-9)
 
 
@@ -233,7 +234,7 @@ def test_the_stiffness_changes_live_and_placed_colliders_are_rigid():
     ({'stifness': 2e8}, ".pad.stifness: unknown key; did you mean 'stiffness'? "
      '(known: stiffness)'),
     ({'stiffness': 2e8, 'thickness': 0.01},
-     '.pad.thickness: unknown key (known: stiffness)')])
+     ".pad.thickness: unknown key; did you mean 'stiffness'? (known: stiffness)")])
 def test_a_pad_without_sense_is_refused(pad, text):
     with pytest.raises(InputError) as error:
         clamped(colliders={'s': {'sphere': {'radius': 0.1}, 'pad': pad}})
@@ -249,17 +250,21 @@ def test_a_pad_that_bounces_is_refused():
 
 
 @pytest.mark.parametrize('stiffness', [1e-3, 1e3, 1e7, 1e11, 1e15])
-@pytest.mark.parametrize('setting', EVERY)
-def test_any_stiffness_stays_finite_and_slow(setting, stiffness):
-    """Fingers that appear in the cloth, jump through it and away: nothing is thrown far."""
-    simulation = clamped(setting, colliders=fingers(stiffness, indentation=(0.008, 0.006)))
+@pytest.mark.parametrize('method, integrator', EVERY)
+def test_any_stiffness_stays_finite_and_slow(method, integrator, stiffness):
+    """Fingers that appear in the cloth and go through one another; without them it recovers."""
+    simulation = clamped((method, integrator), colliders=fingers(
+        stiffness, indentation=(0.008, 0.006)))
     for k in range(60):
-        frame = simulation.step([MoveCollider('above', Pose((0.0, 0.0, (-1.0, 1.0)[k // 10 % 2])))
-                                 ] if k < 40 else [])
+        far = MoveCollider('above', Pose((0.0, 0.0, (-1.0, 1.0)[k // 10 % 2])))
+        frame = simulation.step([far])
         assert np.isfinite(frame.x).all() and np.isfinite(frame.v).all()
-        assert np.abs(frame.v).max() < 12.0
+        assert np.abs(frame.v).max() < 30.0
+    frame = run(simulation, 120, [RemoveAllColliders()])
     assert simulation.stats()['frames_taken_back'] == 0
-    assert np.abs(frame.v).max() < 2.0
+    assert np.abs(frame.v).max() < 0.01
+    np.testing.assert_allclose(np.linalg.norm(np.diff(frame.x.reshape(2, 7, 3), axis=1), axis=2),
+                               0.025, rtol=1e-3)
 
 
 @pytest.mark.parametrize('stiffness', [1e6, 1e9, 1e13])

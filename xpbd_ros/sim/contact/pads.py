@@ -18,9 +18,9 @@ are linearised up to ROUNDS times. A rigid collider beside a pad takes part with
 projected again afterwards. So where a squeeze is at rest, f depends on indentation and area alone,
 not on substeps, method or masses. Friction takes d for the load, as that of rigid contact.
 
-A pad recovers at no more than DEPENETRATION: particles that a collider was put over come out
-slowly. The speed that it gives a particle is divided by 1 + κ, so what comes off a pad that the
-substep does not resolve has as little speed as what comes off a rigid collider.
+A pad recovers at no more than DEPENETRATION, so particles that a collider was put over come out
+slowly, and keep no speed. Otherwise they keep 1 / (1 + κ) of the speed that it gives them: all of
+it where the substep resolves the pad, and where it does not as little as from a rigid collider.
 
 Limits: a foundation has no thickness, so a soft one lets particles through. Layers of cloth
 between pads press on one another by ``self_collision``, which does not take part in the solve.
@@ -68,6 +68,9 @@ class Pads(NamedTuple):
     """d of the last solve [m], shape (candidates,)"""
     shift: np.ndarray
     """u of the last solve, at a particle's last candidate [m], shape (candidates, 3)"""
+    lost: np.ndarray
+    """part of the speed that a pad gives and that the particle does not keep, shape
+    (candidates,)"""
     force: np.ndarray
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
@@ -77,7 +80,8 @@ class Pads(NamedTuple):
 def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room), np.zeros(room), np.zeros(room), np.zeros(room, np.bool_),
-                np.zeros(room), np.zeros((room, 3)), np.zeros(room), np.zeros(room, np.bool_))
+                np.zeros(room), np.zeros((room, 3)), np.zeros(room), np.zeros(room),
+                np.zeros(room, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -167,6 +171,7 @@ def press(pads, contacts, last, i, state):
         moved |= d > 0.0 or pads.given[k] > 0.0
         contacts.push[k] = pads.given[k] = d
         pads.force[k] = d / m
+        pads.lost[k] = pads.ratio[k] / (1.0 + pads.ratio[k]) if share == 1.0 else 1.0
         k = contacts.earlier[k]
     for a in range(3):
         pads.shift[last, a] = share * u[a]

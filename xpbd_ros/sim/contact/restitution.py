@@ -64,12 +64,30 @@ def rebound(bounce, contacts, state, substep):
 
 @jit
 def calm_pads(pads, contacts, state, substep):
-    """Divide the speed at which pads push particles off by 1 + κ (see ``contact.pads``)."""
+    """
+    Reduce the speed at which pads push particles off (see ``contact.pads``).
+
+    It is that along the sum u of all pushes, so where two pads balance there is none.
+    """
     if pads is not None:
         for k in range(contacts.count[0]):
-            if (contacts.push[k] > 0.0
-                    and is_pad(contacts.colliders.stiffness, contacts.collider[k])):
-                off = min(speed_away(contacts, k, state, substep), contacts.push[k] / substep.h)
-                if off > 0.0:
-                    kappa = pads.ratio[k]
-                    drive_away(contacts, k, state, -off * kappa / (1.0 + kappa))
+            if contacts.latest[contacts.particle[k]] == k:
+                calm_particle(pads, contacts, k, state, substep)
+
+
+@jit
+def calm_particle(pads, contacts, last, state, substep):
+    """Reduce the speed relative to the pad that pushes most."""
+    u, n, v, i = pads.shift[last], contacts.normal, state.v, contacts.particle[last]
+    size = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    most, strongest, k = 0.0, -1, last
+    while k >= 0:
+        along = pads.given[k] * (u[0] * n[k, 0] + u[1] * n[k, 1] + u[2] * n[k, 2])
+        if along > most and is_pad(contacts.colliders.stiffness, contacts.collider[k]):
+            most, strongest = along, k
+        k = contacts.earlier[k]
+    if strongest >= 0:
+        off = min(speed_away(contacts, strongest, state, substep), size / substep.h)
+        if off > 0.0:
+            for a in range(3):
+                v[a, i] -= off * pads.lost[strongest] * u[a] / size
