@@ -40,7 +40,7 @@ class Report:
     """frame period [ms]"""
     warnings: list[str]
     notes: tuple[str, ...] = ()
-    """repairs of meshes from files, and effects without a prediction"""
+    """repairs of meshes from files, effects without a prediction, and the pressure of pads"""
 
     @property
     def ok(self) -> bool:
@@ -60,12 +60,20 @@ def check(scene: Scene) -> Report:
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
-                  simulation.notes + _unpredicted(simulation))
+                  (*simulation.notes, *_unpredicted(simulation), *_pads(scene)))
 
 
 def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
     return tuple(f'{name}: no stiffness is predicted: {why}'
                  for name, why in UNPREDICTED.items() if name in simulation.effects)
+
+
+def _pads(scene: Scene) -> list[str]:
+    """Return the pressure of each pad for a millimetre."""
+    return [f'colliders.{name}.pad: presses with {1e-7 * entry.pad.stiffness:.4g} N/cm² per mm of '
+            f'indentation ({entry.pad.stiffness:g} Pa/m)'
+            for name, entry in scene.sections.get('colliders', {}).items()
+            if entry.pad is not None]
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:
