@@ -11,7 +11,18 @@ import pytest
 
 from support.scenes import run, with_effects
 import xpbd_ros
-from xpbd_ros import Grasp, InputError, MoveCollider, MovePin, Pose, Release, SetKey
+from xpbd_ros import (
+    Grasp,
+    InputError,
+    MoveCollider,
+    MovePin,
+    PlaceCollider,
+    Pose,
+    Release,
+    SetKey,
+    SetWind,
+    Twist,
+)
 
 PAGE = (Path(__file__).parents[1] / 'doc/python.md').read_text()
 STRIP = {'cloths': {'c': {'grid': {'size': [0.2, 0.2], 'resolution': [4, 4]}, 'density': 0.2,
@@ -106,3 +117,65 @@ def test_without_a_simulation_nothing_is_compiled_or_imported():
             'print(sorted(name for name in sys.modules if "rclpy" in name))')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout == '[]\n'
+
+
+NAN, INF = float('nan'), float('inf')
+HOME = Pose((0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(('command', 'reason'), [
+    (MovePin('a', Pose((NAN, 0.0, 0.0))), 'MovePin a: position or orientation is not finite'),
+    (MovePin('a', Pose((2e6, 0.0, 0.0))), r'MovePin a: position .* further than 1e\+06 m away'),
+    (MovePin('a', Pose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))), 'is not a unit quaternion'),
+    (MovePin('a', Pose((0.0, 0.0))), r'position must be 3 numbers \(got \(0.0, 0.0\)\)'),
+    (MovePin('a', Pose(('x', 0.0, 0.0))), 'MovePin a: a value is not a number'),
+    (MovePin('a', Pose(['x', 0.0, 0.0])), 'MovePin a: a value is not a number'),
+    (MovePin('a', HOME, Twist((INF, 0.0, 0.0))), 'MovePin a: twist is not finite'),
+    (MovePin('a', HOME, Twist((0.0, 0.0, 2e6))), r'twist .* is faster than 1e\+06'),
+    (MovePin('a', HOME, HOME), r'is not a Twist'),
+    (MovePin('a', None), 'MovePin a: None is not a Pose'),
+    (MovePin(3, HOME), 'MovePin: 3 is not a name'),
+    (Release(3), 'Release: 3 is not a name'),
+    (MovePin('a', HOME, None, -1), r'stamp_ns must be an integer >= 0 ns \(got -1\)'),
+    (Grasp('g', HOME, NAN), r'Grasp g: radius must be > 0 m \(got nan\)'),
+    (Grasp('g', HOME, -0.1), r'Grasp g: radius must be > 0 m \(got -0.1\)'),
+    (Grasp('g', HOME, 'wide'), 'Grasp g: a value is not a number'),
+    (PlaceCollider('q', 'torus', (1.0,), HOME), "unknown shape 'torus' .known: box, sphere, cyl"),
+    (PlaceCollider('q', 'box', (1.0,), HOME), 'size of a box must be 3 numbers'),
+    (PlaceCollider('q', 'sphere', (0.0,), HOME), r'size \[0.0\] must be > 0 m'),
+    (PlaceCollider('q', 'mesh', 8 * (0.0,), HOME), 'corners of the triangles must be 9 numbers'),
+    (PlaceCollider('q', 'mesh', (), HOME), 'corners of the triangles must be 9 numbers'),
+    (PlaceCollider('q', 'mesh', 9 * (NAN,), HOME), 'a corner is further than'),
+    (SetWind((NAN, 0.0, 0.0)), 'SetWind: velocity is not finite'),
+    (SetWind((1.0, 2.0)), 'SetWind: velocity: vector must be 3 numbers'),
+    (None, 'None is not a command such as MovePin')])
+def test_a_bad_command_is_refused_with_the_reason(command, reason):
+    """At the door: the frame of the other commands is computed, to the same bits as without."""
+    simulation, other = xpbd_ros.load(STRIP), xpbd_ros.load(STRIP)
+    good = MovePin('a', Pose((0.0, 0.0, 0.1)))
+    frame = simulation.step([good, command, ()])
+    assert frame.applied == (good,)
+    (refused, why), = frame.refused
+    assert refused is command
+    assert re.search(reason, why)
+    other.step([good])
+    assert simulation.hash() == other.hash()
+
+
+def test_a_command_takes_arrays_and_quaternions_near_unit_length():
+    simulation = xpbd_ros.load(STRIP)
+    frame = simulation.step([MovePin('a', Pose(np.array([0.0, 0.0, 0.1]), [0.0, 0.0, 0.0, 1.001]),
+                                     Twist([0.0, 0.0, 6.0], [0.0, 0.0, 0.0]))])
+    assert frame.applied == (MovePin('a', Pose((0.0, 0.0, 0.1)), Twist((0.0, 0.0, 6.0))),)
+
+
+def test_other_arguments_of_the_wrong_type_are_refused():
+    simulation = xpbd_ros.load(STRIP)
+    with pytest.raises(TypeError, match=r'None is not a state from Simulation.save'):
+        simulation.restore(None)
+    with pytest.raises(TypeError, match='None is not a simulation or a state'):
+        xpbd_ros.rollouts(None, [], list)
+    with pytest.raises(TypeError, match='None is not a path of a scene file, a name or a mapping'):
+        xpbd_ros.load(None)
+    with pytest.raises(InputError, match=r'workers: must be >= 1 \(got 0\)'):
+        xpbd_ros.rollouts(simulation, [], list, workers=0)

@@ -141,9 +141,9 @@ def test_every_console_script_resolves(setup_arguments):
             pytest.skip(f'{script}: needs ROS: {error}')
 
 
-ROOMS = ('commands', 'parameters', 'backend', 'particles', 'geometry', 'target_stream',
-         'target_motion', 'constraints', 'contact', 'self_collision', 'stepping', 'effect',
-         'pins', 'measure', 'simulation')
+ROOMS = ('commands', 'command_check', 'parameters', 'backend', 'particles', 'geometry',
+         'target_stream', 'target_motion', 'constraints', 'contact', 'self_collision', 'stepping',
+         'effect', 'pins', 'measure', 'simulation')
 """of the simulation, from the bottom up"""
 
 

@@ -51,11 +51,14 @@ def load(scene: str | Path | dict, **overrides: Any) -> Simulation:
     Raises
     ------
     InputError : the scene is not valid; the message names file, key, value, unit and remedy
+    TypeError : not a path, name or mapping
 
     """
     if isinstance(scene, dict):
         return compile_scene(scene_from_mapping(scene, where='scene', name='scene',
                                                 overrides=overrides))
+    if not isinstance(scene, (str, Path)):
+        raise TypeError(f'{scene!r} is not a path of a scene file, a name or a mapping')
     return compile_scene(load_scene(str(scene), overrides))
 
 
@@ -67,7 +70,7 @@ def rollouts(start: Simulation | State, sequences: Iterable[Sequence[Sequence[Co
 
     Parameters
     ----------
-    start : where all of them begin; stays as it is
+    start : initial state of all rollouts; not changed
     sequences : of each rollout, the commands by frame; its length is the number of frames
     measure : is given the frames of one rollout, each computed when the iterator is advanced, and
         returns the result. It may stop early
@@ -75,10 +78,19 @@ def rollouts(start: Simulation | State, sequences: Iterable[Sequence[Sequence[Co
 
     Returns
     -------
-    results in the order of the sequences, the same whatever the number of workers
+    results in the order of the sequences, the same for any number of workers
+
+    Raises
+    ------
+    InputError : ``workers`` is less than 1
+    TypeError : ``start`` is neither a simulation nor a saved state
 
     """
     state = start.save() if isinstance(start, Simulation) else start
+    if not isinstance(state, State):
+        raise TypeError(f'{start!r} is not a simulation or a state from Simulation.save()')
+    if workers is not None and workers < 1:
+        raise InputError(f'workers: must be >= 1 (got {workers})')
 
     def roll_out(sequence: Sequence[Sequence[Command]]) -> Result:
         simulation = state.simulation()

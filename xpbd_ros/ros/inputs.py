@@ -6,13 +6,11 @@ the reason.
 """
 
 from collections.abc import Callable
-from math import isfinite, sqrt
+from math import isfinite
 import struct
 from typing import NamedTuple
 
-from geometry_msgs.msg import (
-    Vector3Stamped,
-)
+from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
@@ -22,6 +20,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.read import NAME
+from xpbd_ros.sim.command_check import checked_pose, checked_twist, checked_velocity, FAR
 from xpbd_ros.sim.commands import (
     Command,
     Grasp,
@@ -39,8 +38,6 @@ from xpbd_ros.sim.commands import (
     Twist,
 )
 
-FAR = 1e6
-"""largest distance and speed that is accepted [m, m/s, rad/s]"""
 SECOND = 10**9
 """one second [ns]"""
 MOST_RESETS = 4096
@@ -48,30 +45,17 @@ MOST_RESETS = 4096
 
 
 def pose(position, orientation, what: str) -> Pose:
-    """Return a pose; refuse non-finite or far positions and quaternions not of unit length."""
-    p = (position.x, position.y, position.z)
-    q = (orientation.x, orientation.y, orientation.z, orientation.w)
-    if not all(map(isfinite, p + q)):
-        raise InputError(f'{what}: position or orientation is not finite')
-    if max(map(abs, p)) > FAR:
-        raise InputError(f'{what}: position {list(p)} is further than {FAR:g} m away')
-    square = sum(c * c for c in q)
-    if not 0.8 < square < 1.2:
-        raise InputError(f'{what}: orientation {list(q)} is not a unit quaternion')
-    if abs(square - 1.0) > 1e-12:
-        q = tuple(c / sqrt(square) for c in q)
-    return Pose(p, q)
+    """Return a checked pose with a normalized quaternion."""
+    return checked_pose(Pose(
+        (position.x, position.y, position.z),
+        (orientation.x, orientation.y, orientation.z, orientation.w)), what)
 
 
 def twist(message, what: str) -> Twist:
-    """Return a twist; refuse non-finite or too large velocities."""
-    linear = (message.linear.x, message.linear.y, message.linear.z)
-    angular = (message.angular.x, message.angular.y, message.angular.z)
-    if not all(map(isfinite, linear + angular)):
-        raise InputError(f'{what}: twist is not finite')
-    if max(map(abs, linear + angular)) > FAR:
-        raise InputError(f'{what}: twist {list(linear)}, {list(angular)} is faster than {FAR:g}')
-    return Twist(linear, angular)
+    """Return a checked twist."""
+    linear, angular = message.linear, message.angular
+    return checked_twist(Twist((linear.x, linear.y, linear.z),
+                               (angular.x, angular.y, angular.z)), what)
 
 
 def check_frame(header, frame_id: str, what: str) -> int:
@@ -201,12 +185,8 @@ def read_pose(message, frame_id: str, collider: str) -> list[Command]:
 def read_wind(message: Vector3Stamped, frame_id: str) -> list[Command]:
     """Read ``~/wind``: the velocity of the air."""
     check_frame(message.header, frame_id, 'header')
-    velocity = (message.vector.x, message.vector.y, message.vector.z)
-    if not all(map(isfinite, velocity)):
-        raise InputError('vector is not finite')
-    if max(map(abs, velocity)) > FAR:
-        raise InputError(f'vector {list(velocity)} is faster than {FAR:g} m/s')
-    return [SetWind(velocity)]
+    vector = message.vector
+    return [SetWind(checked_velocity((vector.x, vector.y, vector.z), 'vector'))]
 
 
 def read_events(message: ParameterEvent) -> list[Command]:

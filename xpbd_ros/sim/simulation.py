@@ -1,4 +1,4 @@
-"""A scene, compiled: it takes commands, computes one frame at a time, and never calls out."""
+"""A compiled scene: applies commands and computes one frame at a time; no callbacks, no I/O."""
 
 from collections.abc import Mapping, Sequence
 import copy
@@ -12,6 +12,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.threads import ThreadPool
+from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, Reset, SetKey
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
@@ -24,7 +25,7 @@ from xpbd_ros.sim.stepping.rollback import FrameRollback
 
 @dataclass(frozen=True)
 class Solver:
-    """How the constraints are solved; what ``auto`` came to, where it was asked."""
+    """Solver settings, with ``auto`` resolved."""
 
     method: str
     integrator: str
@@ -33,14 +34,14 @@ class Solver:
     precision: str = 'float64'
     threads: int = 1
     reason: str = ''
-    """why, where ``auto`` chose"""
+    """reason of the choice by ``auto``; empty without ``auto``"""
     rough_substeps: int = 0
-    """of ``line``, for frames that are too rough for ``explicit``"""
+    """substeps of ``line`` in frames where ``explicit`` is unstable"""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What the world sees after one frame; particles in natural order."""
+    """The result of one frame; particles in natural order."""
 
     index: int
     """0 is the start"""
@@ -57,19 +58,18 @@ class Frame:
     colliders: MappingProxyType
     """name: ColliderState"""
     applied: tuple[Command, ...] = ()
-    """what was asked and done before this frame"""
+    """commands applied before this frame"""
     refused: tuple[tuple[Command, str], ...] = ()
-    """what was asked and not done, and why"""
+    """commands refused before this frame, each with the reason"""
     news: tuple[str, ...] = ()
-    """what happened by itself in this frame and must be told"""
+    """events of this frame that no command caused, such as a pin that was released"""
 
 
 class Simulation:
     """
     All cloths of one scene, with the effects that it calls for.
 
-    ``retune`` turns a live key of the scene and its value into what changes: new effects by name,
-    a solver, or gravity.
+    ``retune`` maps a live scene key and its value to a ``Change``.
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
@@ -80,7 +80,7 @@ class Simulation:
         self.state = state
         self.effects = effects
         self.slot = slot
-        """where each particle is, in natural order: cloth after cloth, row after row"""
+        """slot of each particle in natural order: cloth after cloth, row after row"""
         self.notes = tuple(notes)
         """notes on the compiled scene for the user"""
         self.frame_rate = frame_rate
@@ -91,7 +91,7 @@ class Simulation:
         self.solver = solver
         self.index = 0
         self.start: Start | None = None
-        """of the last frame, if it was to be kept"""
+        """start of the last frame, if ``step`` was called with ``keep``"""
         self._retune = retune
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
@@ -108,14 +108,14 @@ class Simulation:
         return round(index * self._frame_ns)
 
     def _collect(self) -> None:
-        """Hand the kernels the effects as they stand now."""
+        """Build the tuple of all effects' data that the kernels take."""
         if self._guard is not None:
             self._guard.collect()
         self._tuple = tuple(part for built in self.effects.values() for part in built.parts)
         self._hold()
 
     def _hold(self) -> None:
-        """Tell every effect which particles are pinned."""
+        """Update the effects' lists of pinned particles."""
         if self.state.reaction is None:    # a scene without pins
             return
         for built in self.effects.values():
@@ -123,7 +123,7 @@ class Simulation:
             built.pinned_changed = False
 
     def compile(self) -> None:
-        """Compile all that a frame takes, or read it from the cache; nothing moves."""
+        """Compile all kernels of a frame, or load them from the cache; the state is unchanged."""
         self._advance(0)
         if self._guard is not None:
             self._guard.compile()
@@ -137,8 +137,8 @@ class Simulation:
         """
         Apply commands, in order, and advance by one frame.
 
-        Those of a tuple are applied together, or, where one of them cannot be, none. With
-        ``keep``, ``start`` will hold what it started from, to compute it again.
+        The commands of a tuple are applied together, or none of them if one is refused. With
+        ``keep``, ``start`` holds a copy of the state before the frame, to compute it again.
         """
         clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
                       self.frame_dt, self.solver.substeps)
@@ -146,7 +146,11 @@ class Simulation:
         refused: list[tuple[Command, str]] = []
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
-            reason = self._apply(group, clock)
+            try:
+                group = tuple(map(checked, group))
+                reason = self._apply(group, clock)
+            except InputError as error:
+                reason = str(error)
             if reason is None:
                 applied += group
             else:
@@ -182,7 +186,7 @@ class Simulation:
         return METHODS[self.solver.method](self.solver.iterations)
 
     def frame(self, applied=(), refused=(), news=()) -> Frame:
-        """Return the present frame, with what led to it."""
+        """Return the present frame."""
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
@@ -199,6 +203,8 @@ class Simulation:
 
     def _apply(self, group: tuple[Command, ...], clock: Clock) -> str | None:
         """Apply commands together, or return why not."""
+        if not group:
+            return None
         if isinstance(group[0], Reset):
             self._reset()
             return None
@@ -262,7 +268,7 @@ class Simulation:
                               for name, value in other.__dict__.items()})
 
     def save(self) -> 'SavedState':
-        """Return all that the next frames depend on."""
+        """Return a copy of the whole state."""
         return SavedState(copy.deepcopy(self))
 
     def restore(self, saved: 'SavedState') -> None:
@@ -272,8 +278,11 @@ class Simulation:
         Raises
         ------
         InputError : the state is that of a scene with other cloths or effects
+        TypeError : not a state from ``save``
 
         """
+        if not isinstance(saved, SavedState):
+            raise TypeError(f'{saved!r} is not a state from Simulation.save()')
         other = saved._simulation
         if [cloth.mesh.positions.shape for cloth in self.cloths] != [
                 cloth.mesh.positions.shape for cloth in other.cloths] or (
@@ -294,7 +303,7 @@ class Simulation:
         return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:
-        """Return what the effects have to say about the last frame."""
+        """Return the effects' statistics of the last frame, by name."""
         found = {key: value for built in self.effects.values()
                  for key, value in built.stats().items()}
         found['frames_taken_back'] = self._last.taken_back
@@ -304,7 +313,7 @@ class Simulation:
 
 
 class SavedState:
-    """A state of a simulation, which stays as it was saved."""
+    """A saved state of a simulation; read-only."""
 
     def __init__(self, simulation: Simulation):
         self._simulation = simulation

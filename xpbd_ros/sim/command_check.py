@@ -1,0 +1,154 @@
+"""Checks of commands: finite numbers within ``FAR``, unit quaternions, known shapes."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from math import inf, isfinite, sqrt
+from typing import Any
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.commands import (
+    Command,
+    Grasp,
+    MoveCollider,
+    MovePin,
+    PlaceCollider,
+    Pose,
+    Release,
+    RemoveCollider,
+    SetWind,
+    Twist,
+    Vector,
+)
+
+FAR = 1e6
+"""largest coordinate, size and speed that is accepted [m, m/s, rad/s]"""
+SIZES = {'box': 3, 'sphere': 1, 'cylinder': 2}
+"""count of numbers in the size of each shape of ``PlaceCollider`` but a mesh"""
+
+
+def checked(command: Command) -> Command:
+    """
+    Return a command with tuples for its vectors and a normalized quaternion.
+
+    Raises
+    ------
+    InputError : not a command, or a field is not finite, beyond ``FAR`` or of the wrong length
+
+    """
+    check = CHECKS.get(type(command))
+    if check is None:
+        if not isinstance(command, Command):
+            raise InputError(f'{command!r} is not a command such as MovePin or SetKey')
+        return command
+    what = f'{type(command).__name__} {_name(command)}'.rstrip()
+    try:
+        changes = check(command, what)
+    except InputError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise InputError(f'{what}: a value is not a number ({error})') from None
+    if all(value is getattr(command, key) for key, value in changes.items()):
+        return command
+    return replace(command, **changes)
+
+
+def _name(command: Command) -> str:
+    name = getattr(command, 'pin', None) or getattr(command, 'collider', '')
+    if not isinstance(name, str):
+        raise InputError(f'{type(command).__name__}: {name!r} is not a name')
+    return name
+
+
+def _move(command: MovePin | MoveCollider, what: str) -> dict[str, Any]:
+    _check_time(command.stamp_ns, what, 'stamp_ns')
+    return {'pose': checked_pose(command.pose, what),
+            'twist': command.twist and checked_twist(command.twist, what)}
+
+
+def _grasp(command: Grasp, what: str) -> dict[str, Any]:
+    _check_time(command.lifetime_ns, what, 'lifetime_ns')
+    if not 0.0 < command.radius < inf:
+        raise InputError(f'{what}: radius must be > 0 m (got {command.radius})')
+    return {'pose': checked_pose(command.pose, what)}
+
+
+def _place(command: PlaceCollider, what: str) -> dict[str, Any]:
+    _check_time(command.lifetime_ns, what, 'lifetime_ns')
+    size, shape = command.size, command.shape
+    if shape == 'mesh':
+        size = numbers(size, len(size) // 9 * 9 or 9, what, 'corners of the triangles')
+        if not all(-FAR <= c <= FAR for c in size):
+            raise InputError(f'{what}: a corner is further than {FAR:g} m away, or not finite')
+    elif shape not in SIZES:
+        raise InputError(f'{what}: unknown shape {shape!r} (known: {", ".join(SIZES)}, mesh)')
+    else:
+        size = numbers(size, SIZES[shape], what, f'size of a {shape}')
+        if not all(0.0 < c <= 2.0 * FAR for c in size):
+            raise InputError(f'{what}: size {list(size)} must be > 0 m and no more than '
+                             f'{2.0 * FAR:g}')
+    return {'pose': checked_pose(command.pose, what), 'size': size}
+
+
+def _wind(command: SetWind, what: str) -> dict[str, Any]:
+    return {'velocity': checked_velocity(command.velocity, f'{what}: velocity')}
+
+
+CHECKS: dict[type, Callable[[Any, str], dict[str, Any]]] = {
+    MovePin: _move, MoveCollider: _move, Grasp: _grasp, PlaceCollider: _place, SetWind: _wind,
+    Release: lambda command, what: {}, RemoveCollider: lambda command, what: {}}
+"""check of each kind of command: returns its fields as they are to be used"""
+
+
+def _check_time(time: int, what: str, key: str) -> None:
+    if not isinstance(time, int) or time < 0:
+        raise InputError(f'{what}: {key} must be an integer >= 0 ns (got {time!r})')
+
+
+def checked_pose(pose: Pose, what: str) -> Pose:
+    """Return a pose with a normalized quaternion; raise InputError for a bad one."""
+    if not isinstance(pose, Pose):
+        raise InputError(f'{what}: {pose!r} is not a Pose')
+    p = numbers(pose.position, 3, what, 'position')
+    q = numbers(pose.orientation, 4, what, 'orientation')
+    if not isfinite(sum(p) + sum(q)):
+        raise InputError(f'{what}: position or orientation is not finite')
+    if max(map(abs, p)) > FAR:
+        raise InputError(f'{what}: position {list(p)} is further than {FAR:g} m away')
+    square = sum(c * c for c in q)
+    if not 0.8 < square < 1.2:
+        raise InputError(f'{what}: orientation {list(q)} is not a unit quaternion')
+    if abs(square - 1.0) > 1e-12:
+        q = tuple(c / sqrt(square) for c in q)
+    return pose if p is pose.position and q is pose.orientation else Pose(p, q)
+
+
+def checked_twist(twist: Twist, what: str) -> Twist:
+    """Return a twist; raise InputError if it is not finite or faster than ``FAR``."""
+    if not isinstance(twist, Twist):
+        raise InputError(f'{what}: {twist!r} is not a Twist')
+    linear = numbers(twist.linear, 3, what, 'linear')
+    angular = numbers(twist.angular, 3, what, 'angular')
+    if not isfinite(sum(linear) + sum(angular)):
+        raise InputError(f'{what}: twist is not finite')
+    if max(map(abs, linear + angular)) > FAR:
+        raise InputError(f'{what}: twist {list(linear)}, {list(angular)} is faster than {FAR:g}')
+    return (twist if linear is twist.linear and angular is twist.angular
+            else Twist(linear, angular))
+
+
+def checked_velocity(velocity: Iterable[float], what: str) -> Vector:
+    """Return a velocity [m/s]; raise InputError if it is not finite or faster than ``FAR``."""
+    vector: Vector = numbers(velocity, 3, what, 'vector')
+    if not isfinite(sum(vector)):
+        raise InputError(f'{what} is not finite')
+    if max(map(abs, vector)) > FAR:
+        raise InputError(f'{what} {list(vector)} is faster than {FAR:g} m/s')
+    return vector
+
+
+def numbers(values: Iterable[float], count: int, what: str, key: str) -> Any:
+    """Return values as a tuple of ``count`` items; raise InputError for another count."""
+    found = values if isinstance(values, tuple) else tuple(map(float, values))
+    if len(found) != count:
+        raise InputError(f'{what}: {key} must be {count} numbers (got {values!r})')
+    return found
