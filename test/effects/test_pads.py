@@ -53,6 +53,11 @@ def forces(simulation) -> np.ndarray:
     return np.array([stats['pad_force_above_n'], stats['pad_force_below_n']])
 
 
+def warp_edges(frame) -> np.ndarray:
+    """Return the lengths of a strip's edges along x [m], shape (2, 6)."""
+    return np.linalg.norm(np.diff(frame.x.reshape(2, 7, 3), axis=1), axis=2)
+
+
 EVERY = quick_only(SETTINGS, ('line', 'bdf2'))
 
 
@@ -266,19 +271,19 @@ def test_a_pad_that_bounces_is_refused():
 @pytest.mark.parametrize('stiffness', [1e-3, 1e3, 1e7, 1e11, 1e15])
 @pytest.mark.parametrize('method, integrator', EVERY)
 def test_any_stiffness_stays_finite_and_slow(method, integrator, stiffness):
-    """Fingers that appear in the cloth; one jumps away and back. Without them it recovers."""
+    """Fingers that appear in the cloth and go through one another; without them it recovers."""
     simulation = clamped((method, integrator), colliders=fingers(
-        stiffness, indentation=(0.003, 0.003)))
+        stiffness, indentation=(0.008, 0.006)))
     for k in range(60):
-        jump = MoveCollider('above', Pose((0.0, 0.0, (0.009, 1.0)[k // 15 % 2])))
-        frame = simulation.step([jump])
+        far = MoveCollider('above', Pose((0.0, 0.0, (-1.0, 1.0)[k // 10 % 2])))
+        frame = simulation.step([far])
         assert np.isfinite(frame.x).all() and np.isfinite(frame.v).all()
-        assert np.abs(frame.v).max() < 15.0
+        assert np.abs(frame.v).max() < 12.0
+        assert warp_edges(frame).max() < 1.5 * 0.025    # no part is caught and torn along
     frame = run(simulation, 120, [RemoveAllColliders()])
     assert simulation.stats()['frames_taken_back'] == 0
     assert np.abs(frame.v).max() < 0.01
-    np.testing.assert_allclose(np.linalg.norm(np.diff(frame.x.reshape(2, 7, 3), axis=1), axis=2),
-                               0.025, rtol=1e-3)
+    np.testing.assert_allclose(warp_edges(frame), 0.025, rtol=1e-3)
 
 
 @pytest.mark.parametrize('stiffness', [1e6, 1e9, 1e13])

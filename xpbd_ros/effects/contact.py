@@ -293,9 +293,10 @@ class BuiltContact(Built):
                 places += placed.heights.size
             if self.data.bounce is not None:
                 self.data.bounce.restitution[c] = placed.entry.restitution
-            if self.colliders.stiffness is not None:
+            if self.colliders.stiffness is not None and self.colliders.depth is not None:
                 pad = placed.entry.pad
                 self.colliders.stiffness[c] = 0.0 if pad is None else pad.stiffness / self.scale
+                self.colliders.depth[c] = placed.depth
             self._write_twist(c, placed)
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)

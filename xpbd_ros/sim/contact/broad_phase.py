@@ -84,7 +84,7 @@ def check_pair(contacts, bounce, state, i, c, thickness, substep):
     contacts.overlap[k] = max(0.0, contacts.gap[k] - gap)
     contacts.push[k] = 0.0
     contacts.crossed[k] = False
-    begin_pad(contacts.pads, contacts, k, gap + DEPENETRATION * substep.h)
+    begin_pad(contacts.pads, contacts, k, gap, gap + DEPENETRATION * substep.h)
     for a in range(3):
         contacts.slip[k, a] = 0.0
     if bounce is not None:

@@ -78,6 +78,9 @@ class Colliders(NamedTuple):
     stiffness: np.ndarray | None
     """foundation modulus of each pad [Pa/m], 0 of a rigid collider, shape (capacity,); None in a
     scene without pads"""
+    depth: np.ndarray | None
+    """penetration up to which a pad presses a particle between two colliders [m], inf: always;
+    shape (capacity,); None in a scene without pads"""
 
 
 def new_colliders(capacity: int, nodes: int = 0, places: int = 0, *,
@@ -93,16 +96,16 @@ def new_colliders(capacity: int, nodes: int = 0, places: int = 0, *,
               np.zeros(capacity)) if nodes else None,
         Heights(np.zeros(places), np.zeros(capacity, np.int64),
                 np.zeros((capacity, 2), np.int64)) if places else None,
-        np.zeros(capacity) if pads else None)
+        np.zeros(capacity) if pads else None, np.zeros(capacity) if pads else None)
 
 
 @jit(inline=True)
-def is_pad(stiffness, c):
-    """Return True if collider c has a pad; ``stiffness`` is that of ``Colliders``."""
-    if stiffness is None:
+def is_soft(pads, k):
+    """Return True if a pad presses candidate k; ``pads`` is that of ``Contacts``."""
+    if pads is None:
         return False
     else:    # Numba prunes the branch that is not taken
-        return stiffness[c] > 0.0
+        return pads.soft[k]
 
 
 def write_grid(grids: Grids, c: int, field, first: int) -> None:

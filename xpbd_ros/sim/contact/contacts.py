@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import Colliders, is_pad, to_local, to_world, write_pose
+from xpbd_ros.sim.contact.colliders import Colliders, is_soft, to_local, to_world, write_pose
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
 from xpbd_ros.sim.contact.pads import Pads, press_pads
@@ -177,7 +177,7 @@ def push_once(contacts, state, back=False, eased=False):
     for n in range(count):
         k = count - 1 - n if back else n
         i, c = contacts.particle[k], contacts.collider[k]
-        if is_pad(contacts.colliders.stiffness, c):
+        if is_soft(contacts.pads, k):
             continue
         x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
         x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]

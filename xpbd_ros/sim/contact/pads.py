@@ -18,6 +18,11 @@ are linearised up to ROUNDS times. A rigid collider beside a pad takes part with
 projected again afterwards. So where a squeeze is at rest, f depends on indentation and area alone,
 not on substeps, method or masses. Friction takes d for the load, as that of rigid contact.
 
+A particle between several colliders that would be pressed deeper into one than ``Colliders.depth``
+(half of the way to its middle) passes through it, one way or the other; where neighbours part,
+cloth is caught and torn along. So all colliders of such a particle act as rigid ones in that
+substep, which let it out on the same side as its neighbours.
+
 A pad recovers at no more than DEPENETRATION, so particles that a collider was put over come out
 slowly, and keep no speed. Otherwise they keep 1 / (1 + κ) of the speed that it gives them: all of
 it where the substep resolves the pad, and where it does not as little as from a rigid collider.
@@ -33,7 +38,6 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import is_pad
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance
 from xpbd_ros.sim.geometry.mesh import cross, length, Mesh
@@ -56,6 +60,10 @@ class Pads(NamedTuple):
 
     area: np.ndarray
     """rest area of each particle [m²], shape (slots,)"""
+    soft: np.ndarray
+    """True if a pad presses it, shape (candidates,)"""
+    start: np.ndarray
+    """φ at the substep's start [m], shape (candidates,)"""
     limit: np.ndarray
     """φ up to which a pad pushes in this substep [m], shape (candidates,)"""
     ratio: np.ndarray
@@ -79,9 +87,9 @@ class Pads(NamedTuple):
 
 def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
-    return Pads(area, np.zeros(room), np.zeros(room), np.zeros(room), np.zeros(room, np.bool_),
-                np.zeros(room), np.zeros((room, 3)), np.zeros(room), np.zeros(room),
-                np.zeros(room, np.bool_))
+    return Pads(area, np.zeros(room, np.bool_), np.zeros(room), np.zeros(room), np.zeros(room),
+                np.zeros(room), np.zeros(room, np.bool_), np.zeros(room), np.zeros((room, 3)),
+                np.zeros(room), np.zeros(room), np.zeros(room, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -94,14 +102,15 @@ def surface_area(mesh: Mesh) -> np.ndarray:
 
 
 @jit
-def begin_pad(pads, contacts, k, limit):
+def begin_pad(pads, contacts, k, start, limit):
     """Prepare a candidate: a pad keeps the whole thickness, and all of its push is a load."""
     if pads is not None:
-        pads.limit[k] = limit
+        pads.start[k], pads.limit[k] = start, limit
         pads.given[k] = pads.force[k] = 0.0
         for a in range(3):
             pads.shift[k, a] = 0.0
-        if is_pad(contacts.colliders.stiffness, contacts.collider[k]):
+        pads.soft[k] = contacts.colliders.stiffness[contacts.collider[k]] > 0.0
+        if pads.soft[k]:
             contacts.gap[k] = contacts.thickness[0]
             contacts.overlap[k] = 0.0
 
@@ -112,15 +121,15 @@ def press_pads(pads, contacts, state):
     if pads is not None:
         for k in range(contacts.count[0]):
             i = contacts.particle[k]
-            if contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(contacts, k):
+            if contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
                 press(pads, contacts, k, i, state)
 
 
 @jit
-def meets_pad(contacts, k):
-    """Return True if a collider of the particle whose last candidate is k has a pad."""
+def meets_pad(pads, contacts, k):
+    """Return True if a pad presses the particle whose last candidate is k."""
     while k >= 0:
-        if is_pad(contacts.colliders.stiffness, contacts.collider[k]):
+        if pads.soft[k]:
             return True
         k = contacts.earlier[k]
     return False
@@ -135,7 +144,7 @@ def partner(pads, contacts, k):
     """
     j, n = contacts.earlier[k], contacts.normal
     if (j >= 0 and contacts.latest[contacts.particle[k]] == k and contacts.earlier[j] < 0
-            and contacts.push[j] > 0.0 and contacts.push[k] > 0.0 and meets_pad(contacts, k)
+            and contacts.push[j] > 0.0 and contacts.push[k] > 0.0 and meets_pad(pads, contacts, k)
             and n[j, 0] * n[k, 0] + n[j, 1] * n[k, 1] + n[j, 2] * n[k, 2] < OPPOSITE):
         return j
     return -1
@@ -164,6 +173,9 @@ def press(pads, contacts, last, i, state):
         at = (free[0] + u[0], free[1] + u[1], free[2] + u[2])
         if is_flat(contacts, last, at):
             break
+    if is_squeezed_out(pads, contacts, last, at):
+        become_rigid(pads, contacts, last, i, state, free)
+        return
     share = recovered(pads, contacts, last, u)
     k, moved = last, False
     while k >= 0:
@@ -178,6 +190,37 @@ def press(pads, contacts, last, i, state):
         x[a, i] = free[a] + share * u[a]
     if moved:
         invalidate_history(state.history, i)
+
+
+@jit
+def is_squeezed_out(pads, contacts, last, at):
+    """Return True if a particle between several colliders would be at the depth of a pad's."""
+    k, depth = last, contacts.colliders.depth
+    if contacts.earlier[last] < 0:
+        return False
+    while k >= 0:
+        if pads.soft[k] and contact_distance(
+                contacts, k, at[0], at[1], at[2])[0] < -depth[contacts.collider[k]]:
+            return True
+        k = contacts.earlier[k]
+    return False
+
+
+@jit
+def become_rigid(pads, contacts, last, i, state, free):
+    """Let the rest of the substep take a particle's pads for rigid; it returns to ``free``."""
+    k = last
+    while k >= 0:
+        contacts.push[k] = pads.given[k] = pads.force[k] = 0.0
+        if pads.soft[k]:
+            pads.soft[k] = False
+            contacts.gap[k] = min(contacts.thickness[0], pads.limit[k])
+            contacts.overlap[k] = max(0.0, contacts.gap[k] - pads.start[k])
+        k = contacts.earlier[k]
+    for a in range(3):
+        pads.shift[last, a] = 0.0
+        state.x[a, i] = free[a]
+    invalidate_history(state.history, i)
 
 
 @jit
@@ -208,18 +251,18 @@ def linearise(pads, contacts, last, i, state, free, at, m):
     k, before, (x, y, z), n = last, state.x_prev, at, contacts.normal
     while k >= 0:
         c = contacts.collider[k]
-        step = ((free[0] - before[0, i])**2 + (free[1] - before[1, i])**2
-                + (free[2] - before[2, i])**2)
-        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
-            detect_crossing(contacts, k, before[0, i], before[1, i], before[2, i],
-                            free[0], free[1], free[2], contacts.thickness[0])
+        for px, py, pz in (free, at):    # neither x* nor a push may lead through the collider
+            step = (px - before[0, i])**2 + (py - before[1, i])**2 + (pz - before[2, i])**2
+            if not contacts.crossed[k] and step >= contacts.slack[c]**2:
+                detect_crossing(contacts, k, before[0, i], before[1, i], before[2, i],
+                                px, py, pz, contacts.thickness[0])
         phi, (nx, ny, nz) = contact_distance(contacts, k, x, y, z)
         n[k, 0], n[k, 1], n[k, 2] = nx, ny, nz
         pads.deficit[k] = contacts.gap[k] - phi - (
             nx * (free[0] - x) + ny * (free[1] - y) + nz * (free[2] - z))
         pads.touches[k] = pads.deficit[k] > 0.0
         pads.ratio[k] = RIGID
-        if is_pad(contacts.colliders.stiffness, c):
+        if pads.soft[k]:
             pads.ratio[k] = min(m * pads.area[i] * contacts.colliders.stiffness[c], RIGID)
         k = contacts.earlier[k]
 
@@ -292,8 +335,7 @@ def recovered(pads, contacts, last, u):
     k, share, n = last, 1.0, contacts.normal
     while k >= 0:
         along = n[k, 0] * u[0] + n[k, 1] * u[1] + n[k, 2] * u[2]
-        if (is_pad(contacts.colliders.stiffness, contacts.collider[k]) and along > 0.0
-                and pads.deficit[k] > along):
+        if pads.soft[k] and along > 0.0 and pads.deficit[k] > along:
             free = contacts.gap[k] - pads.deficit[k]
             share = min(share, max(0.0, pads.limit[k] - free) / along)
         k = contacts.earlier[k]

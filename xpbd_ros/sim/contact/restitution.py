@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import is_pad
+from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import surface_motion
 
 
@@ -83,7 +83,7 @@ def calm_particle(pads, contacts, last, state, substep):
     most, strongest, k = 0.0, -1, last
     while k >= 0:
         along = pads.given[k] * (u[0] * n[k, 0] + u[1] * n[k, 1] + u[2] * n[k, 2])
-        if along > most and is_pad(contacts.colliders.stiffness, contacts.collider[k]):
+        if along > most and is_soft(pads, k):
             most, strongest = along, k
         k = contacts.earlier[k]
     if strongest >= 0:
