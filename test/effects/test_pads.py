@@ -98,7 +98,7 @@ MATRIX = quick_only(product(SETTINGS, (8, 32, 128), (0.05, 0.2, 1.0)),
 
 @pytest.mark.parametrize('setting, substeps, density', MATRIX)
 def test_a_clamped_strip_slips_at_twice_mu_times_the_force(setting, substeps, density):
-    """Within 3 %."""
+    """V31: within 3 %."""
     held, now = pulled(0.97, 300, setting, substeps=substeps, density=density)
     assert np.abs(now - held).max() < 1e-4
     held, now = pulled(1.03, 300, setting, substeps=substeps, density=density)
