@@ -117,7 +117,7 @@ def between_pads(load: float, density: float, method: str, integrator: str, subs
     stiffness, deep, size = 1e5, 1e-3, (0.1, 0.04)
     force = stiffness * deep * size[0] * size[1]
     g = 2.0 * MU * load * force / (density * size[0] * size[1])
-    pads = {name: {'box': {'size': [2.0, 2.0, 0.02]}, 'friction': MU,
+    pads = {name: {'box': {'size': [10.0, 2.0, 0.02]}, 'friction': MU,
                    'position': [0.0, 0.0, side * (0.01 + GAP - deep)],
                    'pad': {'stiffness': stiffness}}
             for name, side in (('upper', 1), ('lower', -1))}
@@ -141,6 +141,6 @@ def clamp():
         yield value(f'distance in 1 s at 0.99 of 2 μ F, {name}', 0.0, frame.x[0, 0], 'm', 1e-9,
                     absolute=True)
         sheet, _, g = between_pads(1.01, density, method, integrator, substeps)
-        frame = run(sheet, 30)
+        before, after = (run(sheet, 15).v[:, 0].mean() for _ in range(2))
         yield value(f'acceleration at 1.01 of 2 μ F, {name}', g * (1.0 - 1.0 / 1.01),
-                    float(frame.v[:, 0].mean() / 0.5), 'm/s²', 1e-6)
+                    float(after - before) / 0.25, 'm/s²', 1e-6)
