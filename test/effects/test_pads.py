@@ -242,9 +242,9 @@ def test_the_stiffness_changes_live_and_placed_colliders_are_rigid():
 
 
 @pytest.mark.parametrize('pad, text', [
-    (None, '.pad: has no value'),
-    (2e8, '.pad: must be a mapping (got 200000000.0)'),
-    ('rubber', ".pad: must be a mapping (got 'rubber')"),
+    (None, '.pad: has no value; give it {stiffness: Pa/m}, or leave it out'),
+    (2e8, '.pad: must be a mapping {stiffness: Pa/m} (got 200000000.0)'),
+    ('rubber', ".pad: must be a mapping {stiffness: Pa/m} (got 'rubber')"),
     ({}, '.pad.stiffness: missing (Pa/m)'),
     ({'stiffness': 0}, '.pad.stiffness: must be > 0 Pa/m (got 0)'),
     ({'stiffness': -2e8}, '.pad.stiffness: must be > 0 Pa/m (got -200000000.0)'),
