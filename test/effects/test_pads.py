@@ -33,6 +33,15 @@ def fingers(stiffness=2e8, *, indentation=(OVERLAP, OVERLAP), order=(1, -1), **k
         for side in order}
 
 
+def tilted(degrees, stiffness=2e8) -> dict:
+    """Return two fingers turned about y, so that they open towards +x by twice this angle."""
+    colliders = fingers(stiffness)
+    for name, side in (('above', -1), ('below', 1)):
+        half = np.radians(0.5 * degrees) * side
+        colliders[name]['orientation'] = [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
+    return colliders
+
+
 def clamped(setting=('line', 'bdf2'), *, substeps=8, density=0.2, colliders=None,
             gravity=(0, 0, 0), **options):
     """Return a strip along x of two rows, between two fingers at its start."""
@@ -56,6 +65,12 @@ def forces(simulation) -> np.ndarray:
 def warp_edges(frame) -> np.ndarray:
     """Return the lengths of a strip's edges along x [m], shape (2, 6)."""
     return np.linalg.norm(np.diff(frame.x.reshape(2, 7, 3), axis=1), axis=2)
+
+
+def forces_after(simulation, frames: int) -> float:
+    """Return the force of one finger after some frames [N]."""
+    run(simulation, frames)
+    return float(forces(simulation)[0])
 
 
 EVERY = quick_only(SETTINGS, ('line', 'bdf2'))
@@ -90,6 +105,38 @@ def pulled(load, frames, setting=('line', 'bdf2'), *, substeps=8, density=0.2, s
         assert not frame.refused
     held = frame.x[:, 0].reshape(2, 7)[:, :3].copy()
     return held, run(simulation, frames).x[:, 0].reshape(2, 7)[:, :3]
+
+
+TILTS = quick_only(product(SETTINGS, (1.0, 4.0), (1e4, 2e8)), (('line', 'bdf2'), 4.0, 2e8))
+
+
+@pytest.mark.parametrize('setting, degrees, stiffness', TILTS)
+def test_fingers_at_an_angle_hold(setting, degrees, stiffness):
+    """The wedge does not press the strip out, since its angle is below that of friction."""
+    for substeps in (8, 128):
+        simulation = clamped(setting, substeps=substeps, colliders=tilted(degrees, stiffness))
+        start = simulation.frame().x.copy()
+        frame = run(simulation, 60)
+        np.testing.assert_allclose(frame.x[:, 0], start[:, 0], atol=1e-6)
+        above, below = forces(simulation)
+        assert above == pytest.approx(below, rel=1e-6)
+        assert above > 0.0
+
+
+@pytest.mark.parametrize('method, integrator', EVERY)
+def test_fingers_at_an_angle_slip_at_mu_less_its_sine(method, integrator):
+    """Within 3 %: 2 F (μ - sin θ) towards the side where they open, 2 F (μ + sin θ) otherwise."""
+    degrees, stiffness, sine = 3.0, 1e3, np.sin(np.radians(3.0))
+    for way, limit in ((1.0, MU - sine), (-1.0, MU + sine)):
+        for load, holds in ((0.97, True), (1.03, False)):
+            simulation = clamped((method, integrator), colliders=tilted(degrees, stiffness))
+            force = 2.0 * limit * forces_after(simulation, 3)
+            weight = load * way * force / float(simulation.state.mass.sum())
+            for k in range(121):
+                frame = simulation.step([SetKey('gravity', [weight * k / 120.0, 0.0, 0.0])])
+            before = frame.x[:, 0].reshape(2, 7)[:, :3].copy()
+            moved = run(simulation, 120).x[:, 0].reshape(2, 7)[:, :3] - before
+            assert (np.abs(moved).max() < 1e-4) == holds, (way, load, moved)
 
 
 MATRIX = quick_only(product(SETTINGS, (8, 32, 128), (0.05, 0.2, 1.0)),

@@ -77,7 +77,7 @@ from xpbd_ros.sim.contact.contacts import (
     push_all,
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
-from xpbd_ros.sim.contact.pads import new_pads, surface_area
+from xpbd_ros.sim.contact.pads import areas, new_pads
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
     calm_pads,
@@ -440,14 +440,6 @@ class BuiltContact(Built):
                 'colliders_at_max_speed': sum(
                     placed.motion.limited for placed in self.placed.values()),
                 **delays('collider_target', [each.motion for each in self.placed.values()])}
-
-
-def areas(world) -> np.ndarray:
-    """Return the rest area of each particle [m²], shape (slots,)."""
-    found = np.zeros(world.slots)
-    for cloth in world.cloths:
-        found[cloth.slots] = surface_area(cloth.mesh)
-    return found
 
 
 EFFECT = Effect('contact', Parameters, BuiltContact, entry=Entry)

@@ -27,10 +27,15 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.clamp_friction import shared_friction
+from xpbd_ros.sim.contact.clamp_friction import (
+    across,
+    clamp_at,
+    place_clamped,
+    shared_friction,
+)
 from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surface_motion
 from xpbd_ros.sim.contact.corners import leave_corners
-from xpbd_ros.sim.contact.pads import is_clamped, partner
+from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage
@@ -107,6 +112,8 @@ def resist_clamped(pads, friction, state, substep):
         s = contacts.slip
         for k in range(contacts.count[0]):
             pads.clamped[k] = False
+            if hold(pads, friction, k, state, substep):
+                continue
             j = partner(pads, contacts, k)
             if j < 0:
                 continue
@@ -124,6 +131,47 @@ def resist_clamped(pads, friction, state, substep):
             x[0, i] += s[j, 0] + s[k, 0] - tx
             x[1, i] += s[j, 1] + s[k, 1] - ty
             x[2, i] += s[j, 2] + s[k, 2] - tz
+
+
+@jit
+def hold(pads, friction, k, state, substep):
+    """
+    Solve normal forces and friction of a clamped particle together; return False if it is not.
+
+    The particle's last candidate is k. The forces are those where it moves with the mean of both
+    surfaces (``contact.clamp_friction``).
+    """
+    contacts, x, s, before = friction.contacts, state.x, friction.contacts.slip, state.x_prev
+    i, j = contacts.particle[k], contacts.earlier[k]
+    if not (j >= 0 and contacts.latest[i] == k and contacts.earlier[j] < 0
+            and state.mobility[i] > 0.0 and pads.area[i] > 0.0 and meets_pad(pads, contacts, k)):
+        return False
+    now, pushed = (x[0, i], x[1, i], x[2, i]), (contacts.push[j], contacts.push[k])
+    free = without_pushes(pads, contacts, k, (
+        now[0] - s[j, 0] - s[k, 0], now[1] - s[j, 1] - s[k, 1], now[2] - s[j, 2] - s[k, 2]))
+    x[0, i], x[1, i], x[2, i] = free
+    px, py, pz = surface_motion(contacts, j, state, substep)
+    rx, ry, rz = surface_motion(contacts, k, state, substep)
+    clamp = clamp_at(pads, contacts, j, k, free, (
+        before[0, i] + 0.5 * (px + rx), before[1, i] + 0.5 * (py + ry),
+        before[2, i] + 0.5 * (pz + rz)))
+    if clamp.holds:
+        contacts.push[j], contacts.push[k] = clamp.push
+        one, other = limits(friction, j), limits(friction, k)
+        p = across(clamp, before[0, i] + px, before[1, i] + py, before[2, i] + pz)
+        r = across(clamp, before[0, i] + rx, before[1, i] + ry, before[2, i] + rz)
+        first, second = shared_friction(p, r, (one[0], other[0]), (one[1], other[1]))
+        if place_clamped(pads, contacts, j, k, i, state, clamp, free, (
+                now[0] - s[j, 0] - s[k, 0], now[1] - s[j, 1] - s[k, 1],
+                now[2] - s[j, 2] - s[k, 2]), sqrt((px - rx)**2 + (py - ry)**2 + (pz - rz)**2),
+                first, second):
+            for a in range(3):
+                s[j, a], s[k, a] = first[a], second[a]
+            pads.clamped[j] = pads.clamped[k] = True
+            return True
+    contacts.push[j], contacts.push[k] = pushed
+    x[0, i], x[1, i], x[2, i] = now
+    return False
 
 
 @stage(project_inequalities, Friction)

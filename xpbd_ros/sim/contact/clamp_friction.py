@@ -14,14 +14,131 @@ Limits: where both slide, in directions that are not on one line, the minimum is
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.contacts import shortened
+from xpbd_ros.sim.contact.corners import contact_distance
+from xpbd_ros.sim.geometry.closest_points import dot
 
+OPPOSITE = -0.9
+"""largest cosine of the angle between the normals of a clamp"""
 SAME = 1e-9
 """difference of the surfaces' motions up to which they count as one surface, relative to L"""
 ROUNDS = 16
 """fixed-point iterations where both slide"""
+
+
+class Clamp(NamedTuple):
+    """A particle between two candidates j and k, linearised where it moves with the surfaces."""
+
+    holds: bool
+    """True if both press on it there"""
+    at: tuple[float, float, float]
+    """that point [m]"""
+    axis: tuple[float, float, float]
+    """a, the direction of the mean of n_j and -n_k"""
+    normals: tuple[tuple[float, float, float], tuple[float, float, float]]
+    """n_j and n_k"""
+    deficit: tuple[float, float]
+    """r - φ of both there [m]"""
+    push: tuple[float, float]
+    """d of both there [m]"""
+    free: tuple[float, float, float]
+    """position without friction [m]: x* + Σ d n"""
+
+
+@jit
+def clamp_at(pads, contacts, j, k, free, at):
+    """Return the clamp at a point of a particle; without contacts it would be at ``free``."""
+    phi_j, n_j = contact_distance(contacts, j, at[0], at[1], at[2])
+    phi_k, n_k = contact_distance(contacts, k, at[0], at[1], at[2])
+    deficit = contacts.gap[j] - phi_j, contacts.gap[k] - phi_k
+    axis, push, holds = n_j, (0.0, 0.0), dot(n_j, n_k) < OPPOSITE
+    if holds:
+        size = sqrt(2.0 - 2.0 * dot(n_j, n_k))
+        axis = ((n_j[0] - n_k[0]) / size, (n_j[1] - n_k[1]) / size, (n_j[2] - n_k[2]) / size)
+        c = free[0] - at[0], free[1] - at[1], free[2] - at[2]
+        push = _pushes(pads, j, k, axis, (n_j, n_k), deficit, dot(axis, c), (0.0, 0.0, 0.0))[1]
+        holds = push[0] > 0.0 and push[1] > 0.0
+    return Clamp(holds, at, axis, (n_j, n_k), deficit, push, (
+        free[0] + push[0] * n_j[0] + push[1] * n_k[0],
+        free[1] + push[0] * n_j[1] + push[1] * n_k[1],
+        free[2] + push[0] * n_j[2] + push[1] * n_k[2]))
+
+
+@jit
+def _pushes(pads, j, k, axis, normals, deficit, along, z):
+    """
+    Return the position along the axis and both d, for a displacement z across it [m].
+
+    ``along`` is the position along the axis without pushes.
+    """
+    one, other = pads.ratio[j], pads.ratio[k]
+    a, b = dot(normals[0], axis), dot(normals[1], axis)
+    p, r = deficit[0] - dot(normals[0], z), deficit[1] - dot(normals[1], z)
+    y = (along + one * a * p + other * b * r) / (1.0 + one * a * a + other * b * b)
+    return y, (one * (p - a * y), other * (r - b * y))
+
+
+@jit
+def across(clamp, x, y, z):
+    """Return the way from a point to where the particle is without friction, across the axis."""
+    t = clamp.free[0] - x, clamp.free[1] - y, clamp.free[2] - z
+    along = dot(clamp.axis, t)
+    return (t[0] - along * clamp.axis[0], t[1] - along * clamp.axis[1],
+            t[2] - along * clamp.axis[2])
+
+
+@jit
+def place_clamped(pads, contacts, j, k, i, state, clamp, free, slippery, apart, first, second):
+    """
+    Move particle i to where pushes and friction leave it; return False if it is not held there.
+
+    Parameters
+    ----------
+    free, slippery : its positions without contacts, and as pads without friction leave it [m]
+    apart : distance of the surfaces' motions [m]
+    first, second : displacements by friction [m]
+
+    """
+    at, n, axis = clamp.at, clamp.normals, clamp.axis
+    x, y, z = across(clamp, at[0], at[1], at[2])
+    x, y, z = x + first[0] + second[0], y + first[1] + second[1], z + first[2] + second[2]
+    f = slippery[0] - at[0], slippery[1] - at[1], slippery[2] - at[2]
+    along, slip = dot(axis, f), sqrt(x * x + y * y + z * z)
+    most = sqrt(max(0.0, dot(f, f) - along * along)) + apart
+    if slip > most:    # never further than without friction
+        x, y, z = most / slip * x, most / slip * y, most / slip * z
+    c = free[0] - at[0], free[1] - at[1], free[2] - at[2]
+    along, d = _pushes(pads, j, k, axis, n, clamp.deficit, dot(axis, c), (x, y, z))
+    x, y, z = x + along * axis[0], y + along * axis[1], z + along * axis[2]
+    if not (d[0] > 0.0 and d[1] > 0.0) or recovers_fast(
+            pads, contacts, j, n[0], clamp.deficit[0], c, (x, y, z)) or recovers_fast(
+            pads, contacts, k, n[1], clamp.deficit[1], c, (x, y, z)):
+        return False
+    _write_push(pads, contacts, j, n[0], d[0], state.mobility[i])
+    _write_push(pads, contacts, k, n[1], d[1], state.mobility[i])
+    x, y, z = x + at[0], y + at[1], z + at[2]
+    state.x[0, i], state.x[1, i], state.x[2, i] = x, y, z
+    pads.shift[k, 0] = x - free[0] - first[0] - second[0]
+    pads.shift[k, 1] = y - free[1] - first[1] - second[1]
+    pads.shift[k, 2] = z - free[2] - first[2] - second[2]
+    return True
+
+
+@jit
+def recovers_fast(pads, contacts, k, n, deficit, c, z):
+    """Return True if a displacement from c to z makes a pad recover faster than DEPENETRATION."""
+    return (pads.soft[k] and dot(n, z) > dot(n, c)
+            and contacts.gap[k] - deficit + dot(n, z) > pads.limit[k])
+
+
+@jit
+def _write_push(pads, contacts, k, n, d, m):
+    contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
+    contacts.push[k] = pads.given[k] = d
+    pads.force[k], pads.lost[k] = d / m, pads.ratio[k] / (1.0 + pads.ratio[k])
 
 
 @jit

@@ -101,6 +101,14 @@ def surface_area(mesh: Mesh) -> np.ndarray:
                        len(mesh.positions))
 
 
+def areas(world) -> np.ndarray:
+    """Return the rest area of each particle of a scene [m²], shape (slots,)."""
+    found = np.zeros(world.slots)
+    for cloth in world.cloths:
+        found[cloth.slots] = surface_area(cloth.mesh)
+    return found
+
+
 @jit
 def begin_pad(pads, contacts, k, start, limit):
     """Prepare a candidate: a pad keeps the whole thickness, and all of its push is a load."""

@@ -12,6 +12,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import surface_motion
+from xpbd_ros.sim.geometry.closest_points import dot
 
 
 class Bounce(NamedTuple):
@@ -78,7 +79,12 @@ def calm_pads(pads, contacts, state, substep):
 @jit
 def calm_particle(pads, contacts, last, state, substep):
     """Reduce the speed relative to the pad that pushes most."""
-    u, n, v, i = pads.shift[last], contacts.normal, state.v, contacts.particle[last]
+    n, v, i, j = contacts.normal, state.v, contacts.particle[last], contacts.earlier[last]
+    u = (pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2])
+    if pads.clamped[last]:    # across the clamp, friction bears what pushes give
+        a = (n[last, 0] - n[j, 0], n[last, 1] - n[j, 1], n[last, 2] - n[j, 2])
+        share = dot(u, a) / dot(a, a)
+        u = (share * a[0], share * a[1], share * a[2])
     size = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     most, strongest, k = 0.0, -1, last
     while k >= 0:
