@@ -339,12 +339,19 @@ def solved(xx, yy, zz, yz, zx, xy, rx, ry, rz):
 
 @jit
 def recovered(pads, contacts, last, u):
-    """Return the part of u that a particle makes, so that no pad recovers too fast."""
+    """
+    Return the part of u that a particle makes, so that no pad recovers too fast.
+
+    Nor is it pressed further out of a wedge than it is too deep in all its colliders together.
+    """
     k, share, n = last, 1.0, contacts.normal
+    size, most = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]), 0.0
     while k >= 0:
         along = n[k, 0] * u[0] + n[k, 1] * u[1] + n[k, 2] * u[2]
         if pads.soft[k] and along > 0.0 and pads.deficit[k] > along:
             free = contacts.gap[k] - pads.deficit[k]
             share = min(share, max(0.0, pads.limit[k] - free) / along)
+        if pads.touches[k]:
+            most += max(0.0, pads.limit[k] - contacts.gap[k] + pads.deficit[k])
         k = contacts.earlier[k]
-    return share
+    return share if size <= most else min(share, most / size)

@@ -93,7 +93,10 @@ def calm_particle(pads, contacts, last, state, substep):
             most, strongest = along, k
         k = contacts.earlier[k]
     if strongest >= 0:
-        off = min(speed_away(contacts, strongest, state, substep), size / substep.h)
+        wx, wy, wz = surface_motion(contacts, strongest, state, substep)
+        h = substep.h
+        off = min((v[0, i] - wx / h) * u[0] + (v[1, i] - wy / h) * u[1]
+                  + (v[2, i] - wz / h) * u[2], size * size / h) / size
         if off > 0.0:
             for a in range(3):
                 v[a, i] -= off * pads.lost[strongest] * u[a] / size
