@@ -10,6 +10,7 @@ from support.meshes import box
 from support.scenes import GRAVITY, run, SETTINGS, simulate
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
@@ -305,6 +306,31 @@ def test_a_pad_without_sense_is_refused(pad, text):
     with pytest.raises(InputError) as error:
         clamped(colliders={'s': {'sphere': {'radius': 0.1}, 'pad': pad}})
     assert str(error.value) == f'small.yaml: colliders.s{text}'
+
+
+def test_cloth_too_heavy_for_its_substeps_is_reported():
+    """At once, with the number of substeps that carries it; not without pads."""
+    def notes(substeps, stiffness=2e8):
+        return clamped(('jacobi', 'bdf2'), substeps=substeps, gravity=(0.0, 0.0, -5000.0),
+                       colliders=fingers(stiffness)).notes
+
+    (text,) = notes(8)
+    assert text == ('cloths.c: 8 substeps of jacobi carry 1.15 N/m into a grip of pads, and it '
+                    'weighs 150 N/m, so it may be pulled out; take 92 substeps, or method line')
+    assert len(notes(91)) == 1
+    assert notes(92) == () == notes(8, None)
+
+
+@pytest.mark.parametrize('method, substeps', [('line', 8), slow('gauss_seidel', 8),
+                                              slow('gauss_seidel_symmetric', 8),
+                                              slow('jacobi', 32)])
+def test_a_grip_holds_the_tension_that_is_said(method, substeps):
+    """At 0.97 of 2 μ F, for a tension of 0.9 of ``carried_tension``."""
+    (cloth,) = clamped().cloths
+    tension = 0.9 * carried_tension(method, cloth, 0.2, 1.0 / (60.0 * substeps))
+    stiffness = tension * 0.02 / (0.97 * 2.0 * MU * OVERLAP * CLAMPED)
+    held, now = pulled(0.97, 120, (method, 'bdf2'), substeps=substeps, stiffness=stiffness)
+    assert np.abs(now - held).max() < 1e-3
 
 
 def test_a_pad_that_bounces_is_refused():

@@ -57,8 +57,10 @@ def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
 
 def test_the_pressure_of_a_pad_is_said():
     scene = load_scene('drape', {**COARSE_COVER, 'colliders.ball.pad': {'stiffness': 2e8}})
-    assert check(scene).notes == (
-        'colliders.ball.pad: presses with 20 N/cm² per mm of indentation (2e+08 Pa/m)',)
+    pressure, tension = check(scene).notes
+    assert pressure == (
+        'colliders.ball.pad: presses with 20 N/cm² per mm of indentation (2e+08 Pa/m)')
+    assert tension.startswith('cloths.cover: ') and tension.endswith(' into a grip of pads')
 
 
 @WITH_MESHIO
