@@ -49,7 +49,7 @@ def kernels(names=EFFECTS, *, kinds=None, without=()):
 
 
 OF_SHAPES = ['grid_distance', 'ground_distance']
-OF_PADS = ['press', 'linearise', 'calm_particle']
+OF_PADS = ['become_rigid', 'calm_particle']
 GROUND = {'g': {'heights': {'size': [1.0, 1.0], 'values': [[0.0, 0.0], [0.0, 0.0]]}}}
 
 

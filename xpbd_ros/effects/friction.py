@@ -133,7 +133,7 @@ def resist_clamped(pads, friction, state, substep):
             x[2, i] += s[j, 2] + s[k, 2] - tz
 
 
-@jit
+@jit(inline=True)
 def hold(pads, friction, k, state, substep):
     """
     Solve normal forces and friction of a clamped particle together; return False if it is not.

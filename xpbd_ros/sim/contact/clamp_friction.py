@@ -48,7 +48,7 @@ class Clamp(NamedTuple):
     """position without friction [m]: x* + Σ d n"""
 
 
-@jit
+@jit(inline=True)
 def clamp_at(pads, contacts, j, k, free, at):
     """Return the clamp at a point of a particle; without contacts it would be at ``free``."""
     phi_j, n_j = contact_distance(contacts, j, at[0], at[1], at[2])
@@ -67,7 +67,7 @@ def clamp_at(pads, contacts, j, k, free, at):
         free[2] + push[0] * n_j[2] + push[1] * n_k[2]))
 
 
-@jit
+@jit(inline=True)
 def _pushes(pads, j, k, axis, normals, deficit, along, z):
     """
     Return the position along the axis and both d, for a displacement z across it [m].
@@ -81,7 +81,7 @@ def _pushes(pads, j, k, axis, normals, deficit, along, z):
     return y, (one * (p - a * y), other * (r - b * y))
 
 
-@jit
+@jit(inline=True)
 def across(clamp, x, y, z):
     """Return the way from a point to where the particle is without friction, across the axis."""
     t = clamp.free[0] - x, clamp.free[1] - y, clamp.free[2] - z
@@ -90,7 +90,7 @@ def across(clamp, x, y, z):
             t[2] - along * clamp.axis[2])
 
 
-@jit
+@jit(inline=True)
 def place_clamped(pads, contacts, j, k, i, state, clamp, free, slippery, apart, first, second):
     """
     Move particle i to where pushes and friction leave it; return False if it is not held there.
@@ -127,14 +127,14 @@ def place_clamped(pads, contacts, j, k, i, state, clamp, free, slippery, apart, 
     return True
 
 
-@jit
+@jit(inline=True)
 def recovers_fast(pads, contacts, k, n, deficit, c, z):
     """Return True if a displacement from c to z makes a pad recover faster than DEPENETRATION."""
     return (pads.soft[k] and dot(n, z) > dot(n, c)
             and contacts.gap[k] - deficit + dot(n, z) > pads.limit[k])
 
 
-@jit
+@jit(inline=True)
 def _write_push(pads, contacts, k, n, d, m):
     contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
     contacts.push[k] = pads.given[k] = d

@@ -133,7 +133,7 @@ def press_pads(pads, contacts, state):
                 press(pads, contacts, k, i, state)
 
 
-@jit
+@jit(inline=True)
 def meets_pad(pads, contacts, k):
     """Return True if a pad presses the particle whose last candidate is k."""
     while k >= 0:
@@ -167,7 +167,7 @@ def is_clamped(pads, k):
         return pads.clamped[k]
 
 
-@jit
+@jit(inline=True)
 def press(pads, contacts, last, i, state):
     """Solve particle i, whose last candidate is ``last``, for all its colliders."""
     x, m = state.x, state.mobility[i]
@@ -200,7 +200,7 @@ def press(pads, contacts, last, i, state):
         invalidate_history(state.history, i)
 
 
-@jit
+@jit(inline=True)
 def is_squeezed_out(pads, contacts, last, at):
     """Return True if a particle between several colliders would be at the depth of a pad's."""
     k, depth = last, contacts.colliders.depth
@@ -231,7 +231,7 @@ def become_rigid(pads, contacts, last, i, state, free):
     invalidate_history(state.history, i)
 
 
-@jit
+@jit(inline=True)
 def without_pushes(pads, contacts, last, x):
     """Return x*: the particle's position without the pushes of its contacts."""
     n, u, k = contacts.normal, pads.shift[last], last
@@ -244,7 +244,7 @@ def without_pushes(pads, contacts, last, x):
     return x, y, z
 
 
-@jit
+@jit(inline=True)
 def linearise(pads, contacts, last, i, state, free, at, m):
     """
     Write normal, b and κ of each candidate of a particle, linearised at a point.
@@ -275,7 +275,7 @@ def linearise(pads, contacts, last, i, state, free, at, m):
         k = contacts.earlier[k]
 
 
-@jit
+@jit(inline=True)
 def is_flat(contacts, k, at):
     """Return True if the normals of a particle's candidates are those at a point."""
     n = contacts.normal
@@ -295,10 +295,13 @@ def push_of(pads, contacts, k, u):
         pads.deficit[k] - n[k, 0] * u[0] - n[k, 1] * u[1] - n[k, 2] * u[2]))
 
 
-@jit
+@jit(inline=True)
 def solve(pads, contacts, last):
     """Return u: solve (I + Σ κ n nᵀ) u = Σ κ b n, and again until the same colliders touch."""
     n, u = contacts.normal, (0.0, 0.0, 0.0)
+    if contacts.earlier[last] < 0:
+        d = max(0.0, pads.ratio[last] / (1.0 + pads.ratio[last]) * pads.deficit[last])
+        return d * n[last, 0], d * n[last, 1], d * n[last, 2]
     for _ in range(TURNS):
         xx, yy, zz, yz, zx, xy = 1.0, 1.0, 1.0, 0.0, 0.0, 0.0
         rx, ry, rz, k = 0.0, 0.0, 0.0, last
@@ -337,7 +340,7 @@ def solved(xx, yy, zz, yz, zx, xy, rx, ry, rz):
     return (x - b * y - c * z) / a, y, z
 
 
-@jit
+@jit(inline=True)
 def recovered(pads, contacts, last, u):
     """
     Return the part of u that a particle makes, so that no pad recovers too fast.
