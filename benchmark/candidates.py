@@ -20,9 +20,10 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.backend.threads import ThreadPool
+from xpbd_ros.sim.constraints.builders import Rows
 from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
-from xpbd_ros.sim.constraints.distance import by_place, grid_edges, mesh_edges
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, Shape
+from xpbd_ros.sim.constraints.distance import grid_edges, mesh_edges
+from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.line_solver import grid_lines, solve_warp, solve_weft
 from xpbd_ros.sim.geometry.mesh import cuthill_mckee
 from xpbd_ros.sim.particles.memory_layout import blocks, zeros
@@ -59,17 +60,17 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
         shapes = [Shape((a, b), *(range(work.n - max(ends)) for ends in zip(a, b)), family)
                   for family, (_, a, b) in enumerate(FAMILIES)]
         first = np.cumsum([0, *(len(s.rows) * len(s.columns) for s in shapes)])[:-1]
-        edges = grid_edges(grid_runs(sheet.block, shapes, sheet.slots), range(len(shapes)),
-                           work.edges.rest_length[first], [work.edges.compliance[first, None]],
-                           world=sheet)
+        edges = grid_edges([sheet.block], lambda rows, columns: shapes,
+                           [work.edges.rest_length[first]],
+                           [work.edges.compliance[first, None]], world=sheet)
         effects = (Stretch(edges, None, None),)
     else:
         sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision,
                        order=work.edges.particles)
         if threads > 1:
             raise NotAvailableError('threads share out grids only')
-        effects = (MeshStretch(mesh_edges(sheet.slot[work.edges.particles],
-                                          work.edges.rest_length, work.edges.compliance,
+        effects = (MeshStretch(mesh_edges([sheet.slot[work.edges.particles]],
+                                          [work.edges.rest_length], [work.edges.compliance],
                                           world=sheet)),)
     step, how, crew = compiled(('stretch',)), METHODS[method](1), ThreadPool(threads)
 
@@ -111,14 +112,12 @@ def _solve_lines(lines, force, state, count):
 
 def bend_passes(work: Work, *, precision: str) -> Candidate:
     """Return projections of bending, multipliers kept from pass to pass: ``bend``."""
-    n, dtype = work.n, np.dtype(precision)
-    sheet = _Sheet(n, work.x, work.inv_mass, np.zeros(3), precision)
+    sheet = _Sheet(work.n, work.x, work.inv_mass, np.zeros(3), precision, forces=True)
     effects = []
-    for kind, shapes, families in ((Curvature, curvature_shapes(n, n), 2),
-                                   (Twist, twist_shapes(n, n), 1)):
-        runs = grid_runs(sheet.block, shapes, sheet.slots)
-        alpha = by_place(runs, [np.full((len(shapes), 1), work.hinges.compliance[0])], dtype)
-        effects.append(kind(runs, alpha, zeros((3, families * sheet.slots), dtype), None))
+    for kind, shapes_of in ((Curvature, curvature_shapes), (Twist, twist_shapes)):
+        rows = Rows([sheet.block], shapes_of, sheet)
+        alpha = np.full((len(rows.families), 1), work.hinges.compliance[0])
+        effects.append(kind(**rows.common([alpha], (3,))))
     effects = tuple(effects)
     substep = Substep(FRAME_DT / SUBSTEPS, 0.0, 1.0)
     sheet.state.mobility[:] = sheet.state.inv_mass * substep.h**2
@@ -136,10 +135,10 @@ def _passes(effects, state, substep, count):
 class _Sheet:
     """The particles of a work as the simulation lays them out, and as an effect sees them."""
 
-    pins = forces = False
+    pins = False
 
-    def __init__(self, n, x, inv_mass, gravity, precision, *, order=None):
-        dtype = np.dtype(precision)
+    def __init__(self, n, x, inv_mass, gravity, precision, *, order=None, forces=False):
+        self.forces, dtype = forces, np.dtype(precision)
         shape = (n, n) if order is None else cuthill_mckee(order, len(x))
         (self.block,), self.slots = blocks([shape], dtype)
         self.slot, self.x = self.block.slots.ravel(), x

@@ -167,7 +167,8 @@ SHEET = 'grid: {size: [1, 1], resolution: [3, 3]}, density: 0.1'
 
 def outputs(*cloths: str):
     """Return what a node publishes of a scene with these cloths."""
-    pytest.importorskip('rclpy', reason='needs ROS: the messages')
+    pytest.importorskip(
+        'rclpy', reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
     from xpbd_ros.ros.outputs import Outputs
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import scene_from_text

@@ -24,9 +24,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd import lane_count
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.constraints.distance import hold_edges
 from xpbd_ros.sim.constraints.grid_batches import Runs
-from xpbd_ros.sim.constraints.pinned import hold, hold_packs
+from xpbd_ros.sim.constraints.pinned import hold_batch
 from xpbd_ros.sim.measure import elastic_energy
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.state import places, Substep
@@ -113,17 +112,6 @@ def single(data, these, c):
         *(np.array([value]) for value in (runs.base[r], runs.shape[r], place)),
         np.array([0, 1, 1]), np.array([0, 1, 2]), runs.present))
     return alone if batch_of(data) is data else data._replace(edges=alone)
-
-
-def hold_alone(data, constraint, inv_mass):
-    """Tell an effect's data with one constraint alone which particles are pinned."""
-    batch = batch_of(data)
-    if hasattr(batch, 'packs'):
-        hold_packs(batch.packs, constraint, inv_mass, batch.particles.shape[1])
-    elif hasattr(batch, 'stops'):
-        hold_edges(batch, constraint, inv_mass)
-    elif hasattr(batch, 'held'):
-        hold(batch.held, constraint, inv_mass)
 
 
 def one_by_one(built):
@@ -330,7 +318,7 @@ def test_the_force_on_a_pinned_particle_balances_the_others(name, mesh):
         inv_mass = state.inv_mass.copy()
         state.inv_mass[pinned] = 0.0
         state.reaction[:] = 0.0
-        hold_alone(data, constraint, state.inv_mass)
+        hold_batch(data, constraint, state.inv_mass)
         apply(stages.prepare, data, state)
         for pass_ in range(3):
             apply(stages.project_back if pass_ == 1 else stages.project, data, state)

@@ -5,17 +5,17 @@ import pytest
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
-from xpbd_ros.sim.particles.history import FULL, HALF, NONE, REACH, with_order_reduction
+from xpbd_ros.sim.particles.history import FULL, HALF, History, NONE, REACH, with_order_reduction
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 H, GAP = 0.1, 0.5
 
 
 @jit(cache_name='test')
-def steady(fresh, now, last, older, gap, h):
+def steady(history, now, last, older, gap, h):
     """Steady all particles."""
-    for q in range(0, len(fresh), lanes(fresh)):
-        with_order_reduction(fresh, now, last, older, gap, q, h)
+    for q in range(0, len(gap), lanes(gap)):
+        with_order_reduction(history, now, (last, older), gap, q, h)
 
 
 def freshness(before: float, *velocities) -> float:
@@ -25,7 +25,7 @@ def freshness(before: float, *velocities) -> float:
     older, last, now = (zeros((3, 16), np.float64) for _ in range(3))
     for array, v in zip((older, last, now), velocities):
         array[:] = np.reshape(v, (3, 1))
-    steady(fresh, now, last, older, gap, H)
+    steady(History(now, now, last, last, fresh), now, last, older, gap, H)
     assert (fresh == fresh[0]).all()
     return fresh[0]
 

@@ -148,4 +148,5 @@ def run_stage(stage, data, state, substep) -> None:
     """Run a stage of a part of an effect, if it takes part in it."""
     kernel = stages._KERNELS.get((stage, type(data)))
     if kernel is not None:
-        kernel(data, state, substep)
+        back = [stage is stages.project_back] if kernel in stages._SWEEPS else []
+        kernel(data, state, substep, *back)

@@ -37,25 +37,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.constraints.curvature import curvature_shapes, straighten, twist_shapes, untwist
-from xpbd_ros.sim.constraints.distance import by_place, max_compliance
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, listed, Runs
-from xpbd_ros.sim.constraints.isometric_bending import isometric_weights, project_packs
-from xpbd_ros.sim.constraints.mesh_batches import pack, padded
-from xpbd_ros.sim.constraints.pinned import hold, room_for
+from xpbd_ros.sim.backend.simd import both, fma, load, select
+from xpbd_ros.sim.backend.simd_vector3 import fma3
+from xpbd_ros.sim.constraints.builders import Packing, Rows
+from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
+from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
+from xpbd_ros.sim.constraints.grid_batches import listed, Runs
+from xpbd_ros.sim.constraints.isometric_bending import isometric_weights
+from xpbd_ros.sim.constraints.pinned import Held, Stops
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
-from xpbd_ros.sim.constraints.projection import row, zero_multipliers
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.constraints.projection import denominator, keep3, recall3, xpbd_residual
+from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.particles.records import from_records, to_records
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 
 @dataclass(frozen=True)
@@ -82,19 +76,6 @@ class Parameters:
         return warp, weft
 
 
-class Held(NamedTuple):
-    """The constraints at pinned particles, whose reaction forces are summed up."""
-
-    count: np.ndarray
-    """shape (1,)"""
-    particles: np.ndarray
-    """slots, shape (room, particles of a constraint)"""
-    index: np.ndarray
-    """index of each one's force, shape (room,)"""
-    weight: np.ndarray
-    """k_i, shape (room, particles of a constraint)"""
-
-
 class Curvature(NamedTuple):
     """Three particles in a row or a column, in runs."""
 
@@ -103,7 +84,7 @@ class Curvature(NamedTuple):
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
-    held: Held | None
+    stops: Stops | None
     """None in a scene without pins"""
 
 
@@ -115,7 +96,7 @@ class Twist(NamedTuple):
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
-    held: Held | None
+    stops: Stops | None
     """None in a scene without pins"""
 
 
@@ -131,159 +112,107 @@ class MeshBend(NamedTuple):
     """first and last + 1 of the particles' slots, shape (2,)"""
     particles: np.ndarray
     """slots: edge start, edge end, opposite, opposite; shape (4, hinges)"""
-    weight: np.ndarray
-    """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
-    compliance: np.ndarray
-    """1 / b [1/(N m)], shape (hinges,)"""
     force: np.ndarray | None
     """f [N m], shape (3, hinges); None if multipliers are not kept"""
     held: Held | None
     """None in a scene without pins"""
+    weight: np.ndarray
+    """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
+    compliance: np.ndarray
+    """1 / b [1/(N m)], shape (hinges,)"""
 
 
-@stage(prepare, Curvature)
-@stage(prepare, Twist)
-@stage(prepare, MeshBend)
-@jit
-def prepare_bend(bend, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, bend.force)
+@jit(inline=True)
+def solve(apart, force, c, residual, total, alpha, there):
+    """Return Δf = -(C + α f) / (W + α) of a vector of constraints, where ``there``; keep f."""
+    f = recall3(apart, force, c)
+    per = select(both(total > 0.0, there), -1.0 / denominator(apart, total, alpha), 0.0)
+    df = per * xpbd_residual(residual, alpha, f)
+    keep3(force, c, f, df)
+    return df
 
 
-@stage(project, Curvature, shared=True)
-@jit
-def project_curvature(bend, state, substep):
-    """One Gauss-Seidel pass, run after run."""
-    straighten(bend, state, False)
+@constraint(Curvature, particles=3)
+@jit(inline=True)
+def solve_curvature(bend, apart, at, x, m):
+    """Solve a vector of three particles in a line."""
+    alpha = load(bend.compliance, at.number)
+    df = solve(apart, bend.force, at.c, fma3(-2.0, x[1], x[0] + x[2]),
+               fma(4.0, m[1], m[0] + m[2]), alpha, both(alpha >= 0.0, at.there))
+    return (1.0, df), (-2.0, df), (1.0, df)
 
 
-@stage(project_back, Curvature, shared=True)
-@jit
-def project_curvature_back(bend, state, substep):
-    """The same pass in reverse order."""
-    straighten(bend, state, True)
+@constraint(Twist, particles=4)
+@jit(inline=True)
+def solve_twist(bend, apart, at, x, m):
+    """Solve a vector of cells."""
+    alpha = load(bend.compliance, at.number)
+    df = solve(apart, bend.force, at.c, (x[0] - x[1]) - (x[2] - x[3]),
+               (m[0] + m[1]) + (m[2] + m[3]), alpha, both(alpha >= 0.0, at.there))
+    return (1.0, df), (-1.0, df), (-1.0, df), (1.0, df)
 
 
-@stage(project, Twist, shared=True)
-@jit
-def project_twist(bend, state, substep):
-    """One Gauss-Seidel pass, run after run."""
-    untwist(bend, state, False)
+@constraint(MeshBend, particles=4)
+@jit(inline=True)
+def solve_hinges(bend, apart, c, x, m):
+    """Solve a vector of hinges from index c on."""
+    count, alpha = len(bend.compliance), load(bend.compliance, c)
+    k0, k1 = load(bend.weight, c), load(bend.weight, count + c)
+    k2, k3 = load(bend.weight, 2 * count + c), load(bend.weight, 3 * count + c)
+    total = fma(k0, k0 * m[0], fma(k1, k1 * m[1], fma(k2, k2 * m[2], k3 * (k3 * m[3]))))
+    residual = fma3(k0, x[0], fma3(k1, x[1], fma3(k2, x[2], k3 * x[3])))
+    df = solve(apart, bend.force, c, residual, total, alpha, total > 0.0)
+    return (k0, df), (k1, df), (k2, df), (k3, df)
 
 
-@stage(project_back, Twist, shared=True)
-@jit
-def project_twist_back(bend, state, substep):
-    """The same pass in reverse order."""
-    untwist(bend, state, True)
+@dataclass(eq=False)
+class Linear(Constraints):
+    """The constraints one by one: the definition in NumPy."""
 
+    weight: np.ndarray
+    """k_i, shape (constraints, particles of each)"""
 
-@stage(project, MeshBend)
-@jit
-def project_mesh_bend(bend, state, substep):
-    """One pass over all hinges."""
-    _project_mesh(bend, state, False)
-
-
-@stage(project_back, MeshBend)
-@jit
-def project_mesh_bend_back(bend, state, substep):
-    """The same pass in reverse order."""
-    _project_mesh(bend, state, True)
-
-
-@jit
-def _project_mesh(bend, state, reverse):
-    first_, last = bend.slots[0], bend.slots[1]
-    to_records(state, bend.records, first_, last)
-    project_packs(bend.records, state.apart, bend.particles, bend.weight, bend.compliance,
-                  row(bend.force, 0), row(bend.force, 1), row(bend.force, 2), reverse)
-    from_records(state, bend.records, first_, last)
-
-
-@stage(accumulate_reactions, Curvature)
-@stage(accumulate_reactions, Twist)
-@stage(accumulate_reactions, MeshBend)
-@jit
-def react_bend(bend, state, substep):
-    """Forces on pinned particles: k_i f."""
-    part, held = substep.end - substep.begin, bend.held
-    for h in range(held.count[0]):
-        for p in range(held.particles.shape[1]):
-            i = held.particles[h, p]
-            for k in range(3):
-                state.reaction[k, i] += part * held.weight[h, p] * bend.force[k, held.index[h]]
-
-
-class Linear:
-    """The constraints one by one, in sweep order: the definition in NumPy."""
-
-    def __init__(self, particles, index, weight, compliance):
-        self.particles = particles
-        self.index = index
-        self.weight = weight.astype(float)
-        self.compliance = compliance.astype(float)
-
-    @staticmethod
-    def of(data: Curvature | Twist | MeshBend) -> 'Linear':
+    @classmethod
+    def of(cls, batch: Curvature | Twist | MeshBend) -> 'Linear':
         """Return the constraints of a batch."""
-        if isinstance(data, MeshBend):
-            index = np.flatnonzero(data.particles[0] != data.particles[1])
-            return Linear(data.particles[:, index].T.astype(np.int64), index,
-                          data.weight[:, index].T, data.compliance[index])
-        particles, index, shape, place = listed(data.runs)
-        return Linear(particles, index, np.tile(WEIGHTS[type(data)], (len(index), 1)),
-                      data.compliance[shape, place])
+        if isinstance(batch, MeshBend):
+            return super().of(batch)
+        particles, index, shape, place = listed(batch.runs)
+        return Linear(particles, index, batch.compliance[shape, place].astype(float),
+                      np.tile(WEIGHTS[type(batch)], (len(index), 1)))
 
-    @staticmethod
-    def joined(lists: list['Linear']) -> 'Linear':
+    @classmethod
+    def joined(cls, lists: list['Linear']) -> 'Linear':
         """
         Return the constraints of several batches with four particles each.
 
         Those of three particles list the middle one first as well, with weight 0. ``index`` counts
         within each batch.
         """
-        wide = [each if each.particles.shape[1] == 4 else Linear(
-            each.particles[:, [1, 0, 1, 2]], each.index,
-            np.pad(each.weight, ((0, 0), (1, 0))), each.compliance) for each in lists]
-        return Linear(*(np.concatenate([getattr(each, name) for each in wide]) for name in (
-            'particles', 'index', 'weight', 'compliance')))
+        return super().joined([each if each.particles.shape[1] == 4 else Linear(
+            each.particles[:, [1, 0, 1, 2]], each.index, each.compliance,
+            np.pad(each.weight, ((0, 0), (1, 0)))) for each in lists])
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C, shape (constraints, 3), from the definition; x has shape (3, slots)."""
-        return (self.weight[:, :, None] * x.T[self.particles]).sum(1)
-
-    def energy(self, x: np.ndarray) -> float:
-        """Return Σ |C|² / (2 α) [J]."""
-        return float((0.5 * self.residual(x)**2 / self.compliance[:, None]).sum())
+        """Return C, shape (constraints, 3); x has shape (3, slots)."""
+        return (self.weight[:, :, None] * self.corners(x)).sum(1)
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return Σ |k_i| Σ |k_j| / α at each particle [N/m], shape (slots, 3, 3)."""
         weight = np.abs(self.weight)
-        total = np.zeros(x.shape[1])
-        np.add.at(total, self.particles, weight * weight.sum(1, keepdims=True)
-                  / self.compliance[:, None])
-        return total[:, None, None] * np.eye(3)
+        return isotropic(x, self.particles,
+                         weight * weight.sum(1, keepdims=True) / self.compliance[:, None])
 
 
 def _on_grids(cloths, world) -> list[Curvature | Twist]:
     found = []
-    for kind, shapes_of, families, compliance_of in (
-            (Curvature, curvature_shapes, 2, _curvature_compliance),
-            (Twist, twist_shapes, 1, _twist_compliance)):
-        runs, alpha = [], []
-        for number, (cloth, chosen) in enumerate(cloths):
-            shapes = shapes_of(cloth.block.rows, cloth.block.columns)
-            runs.append(grid_runs(cloth.block, shapes, world.slots, families=families * number,
-                                  shapes_before=len(shapes) * number))
-            alpha.append(world.compliance_scale * compliance_of(cloth, *chosen.rigidity))
-        runs = join(runs)
-        count = len(listed(runs)[1])
-        if count:
-            dtype, size = world.state.x.dtype, (3, families * len(cloths) * world.slots)
-            found.append(kind(runs, by_place(runs, alpha, dtype),
-                              zeros(size, dtype) if world.forces else None,
-                              _room(count, len(WEIGHTS[kind])) if world.pins else None))
+    for kind, shapes_of, compliance_of in ((Curvature, curvature_shapes, _curvature_compliance),
+                                           (Twist, twist_shapes, _twist_compliance)):
+        rows = Rows([cloth.block for cloth, _ in cloths], shapes_of, world)
+        if len(listed(rows.runs)[1]):
+            found.append(kind(**rows.common([
+                world.compliance_scale * compliance_of(cloth, *chosen.rigidity)
+                for cloth, chosen in cloths], (3,))))
     return found
 
 
@@ -308,31 +237,20 @@ def _twist_compliance(cloth, warp: float, weft: float) -> np.ndarray:
 
 def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
     """Return the hinges of meshes, and notes on rigidities that they cannot represent."""
-    dtype, notes, compliance = world.state.x.dtype, [], []
-    particles = np.concatenate([cloth.slots[cloth.mesh.hinges] for cloth, _ in cloths])
-    weight = np.concatenate([isometric_weights(cloth.mesh.positions[cloth.mesh.hinges])
-                             for cloth, _ in cloths])
+    particles, weight, compliance, notes = [], [], [], []
     for cloth, chosen in cloths:
-        found = plate(cloth.mesh, *chosen.rigidity)
+        hinges, found = cloth.mesh.hinges, plate(cloth.mesh, *chosen.rigidity)
+        particles.append(cloth.slots[hinges])
+        weight.append(isometric_weights(cloth.mesh.positions[hinges]))
         with np.errstate(over='ignore', divide='ignore'):
             compliance.append(world.compliance_scale / found.rigidity)
         short = shortfall(found, *chosen.rigidity)
         notes += [f'cloths.{cloth.name}.effects.bend: {short}'] if short else []
-    if not len(particles):
+    if not sum(map(len, particles)):
         return [], notes
-    compliance, order = np.concatenate(compliance), pack(particles)
-    return [MeshBend(
-        world.records,
-        np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
-        padded(particles, order, world.slots - 1, np.int32).T.copy(),
-        padded(weight, order, 0.0, dtype).T.copy(),
-        padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype), dtype),
-        zeros((3, len(order)), dtype) if world.forces else None,
-        _room(len(order), 4) if world.pins else None)], notes
-
-
-def _room(count: int, width: int) -> Held:
-    return Held(*room_for(count, width), np.zeros((count, width)))
+    packing = Packing(particles, world)
+    return [MeshBend(**packing.common((3,)), weight=packing.column(weight),
+                     compliance=packing.compliance(compliance))], notes
 
 
 class BuiltBend(Built):
@@ -340,9 +258,7 @@ class BuiltBend(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        on_grids, on_meshes = ([(cloth, chosen) for cloth, chosen in parameters.items()
-                                if (cloth.mesh.grid is not None) == of_kind]
-                               for of_kind in (True, False))
+        on_grids, on_meshes = by_kind(parameters, is_grid)
         parts: list[Any] = _on_grids(on_grids, world) if on_grids else []
         if on_meshes:
             more, self.notes = _on_meshes(on_meshes, world)
@@ -351,11 +267,7 @@ class BuiltBend(Built):
         self.lists = [Linear.of(part) for part in parts]
         none = np.zeros(0, np.int64)
         self.constraints = Linear.joined([
-            Linear(none.reshape(0, 4), none, none.reshape(0, 4), none), *self.lists])
-
-    def hold(self, inv_mass):
-        for part, constraints in zip(self.parts, self.lists):
-            hold(part.held, constraints, inv_mass)
+            Linear(none.reshape(0, 4), none, none, none.reshape(0, 4)), *self.lists])
 
 
 EFFECT = Effect('bend', Parameters, BuiltBend)

@@ -16,21 +16,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, slenderness
-from xpbd_ros.sim.constraints.pinned_edges import react_edges
-from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import dot, length
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import elastic_edges
 
 
 @dataclass(frozen=True)
@@ -41,38 +32,11 @@ class Parameters:
                                 doc='bending rigidity B, exact at a fold of 90°')
 
 
+@elastic_edges
 class CrossBend(NamedTuple):
     """Data of the kernels."""
 
     edges: distance.MeshEdges
-
-
-@stage(prepare, CrossBend)
-@jit
-def prepare_cross_bend(bend, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, bend.edges.force)
-
-
-@stage(project, CrossBend)
-@jit
-def project_cross_bend(bend, state, substep):
-    """One pass over all edges."""
-    distance.project_packs(bend.edges, state, substep, False)
-
-
-@stage(project_back, CrossBend)
-@jit
-def project_cross_bend_back(bend, state, substep):
-    """The same pass in reverse order."""
-    distance.project_packs(bend.edges, state, substep, True)
-
-
-@stage(accumulate_reactions, CrossBend)
-@jit
-def react_cross_bend(bend, state, substep):
-    """Forces between pinned particles."""
-    react_edges(bend.edges.packs.held, bend.edges.force, state, substep)
 
 
 def crossings(mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -117,12 +81,8 @@ class BuiltCrossBend(Built):
             rest.append(lengths)
             with np.errstate(over='ignore', divide='ignore'):
                 compliance.append(world.compliance_scale / (chosen.stiffness * k))
-        self.data = CrossBend(distance.mesh_edges(
-            *map(np.concatenate, (particles, rest, compliance)), world=world))
+        self.data = CrossBend(distance.mesh_edges(particles, rest, compliance, world=world))
         self.constraints = distance.Edges.of(self.data.edges)
-
-    def hold(self, inv_mass):
-        distance.hold_edges(self.data.edges, self.constraints, inv_mass)
 
 
 EFFECT = Effect('cross_bend', Parameters, BuiltCrossBend)

@@ -35,7 +35,7 @@ from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.effect import Built, Effect
-from xpbd_ros.sim.geometry.mesh import cross, length
+from xpbd_ros.sim.geometry.mesh import triangle_areas
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import invalidate_history, step_at
 from xpbd_ros.sim.particles.memory_layout import zeros
@@ -186,8 +186,7 @@ def react_drag(drag, state, substep):
 
 def areas(mesh) -> np.ndarray:
     """Return the area of each particle's triangles at rest [m²], shape (particles,)."""
-    corners = mesh.positions[mesh.triangles]
-    area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    area = triangle_areas(mesh.positions[mesh.triangles])
     return np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.positions))
 
 

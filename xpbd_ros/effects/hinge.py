@@ -21,44 +21,26 @@ Limits: a fold turns by less than half a turn per substep. On a curved irregular
 depends on the triangles: on a cylinder 1.04 to 1.43 of B (doc/numerics.md 5.7).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import both, fma, lanes, load, nearest, root, select, store
-from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.backend.simd import both, fma, load, nearest, root, select, store
+from xpbd_ros.sim.backend.simd_vector3 import fma3, fused_cross
 from xpbd_ros.sim.constraints.atan2 import angle_of
-from xpbd_ros.sim.constraints.distance import max_compliance
+from xpbd_ros.sim.constraints.builders import Packing
+from xpbd_ros.sim.constraints.definitions import Constraints
 from xpbd_ros.sim.constraints.hinges import all_hinges, dihedral, rigidity, slenderness
-from xpbd_ros.sim.constraints.mesh_batches import pack, padded
-from xpbd_ros.sim.constraints.pinned import (
-    collect,
-    hold_packs,
-    Packs,
-    packs_for,
-    remember,
-    room_for,
-    segment,
-    segment_count,
-)
+from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
-from xpbd_ros.sim.constraints.projection import (
-    denominator,
-    keep,
-    recall,
-    xpbd_residual,
-    zero_multipliers,
-)
+from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.effect import Built, Effect
-from xpbd_ros.sim.geometry.closest_points import cross as cross_3, dot as dot_3
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.particles.records import from_records, put_records, to_records
-from xpbd_ros.sim.stepping.stages import prepare, project, project_back, stage
+from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 
 @dataclass(frozen=True)
@@ -95,160 +77,71 @@ class Hinge(NamedTuple):
     """first and last + 1 of the particles' slots, shape (2,)"""
     particles: np.ndarray
     """slots: edge start, edge end, opposite, opposite; shape (4, hinges)"""
+    force: np.ndarray | None
+    """f [N m], shape (hinges,); None if multipliers are not kept"""
+    held: Held | None
+    """hinges at pinned particles; None in a scene without pins"""
     rest_angle: np.ndarray
     """[rad], shape (hinges,)"""
     compliance: np.ndarray
     """[1/(N m)], shape (hinges,)"""
     angle: np.ndarray
     """last angle [rad], with whole turns; shape (hinges,)"""
-    force: np.ndarray | None
-    """f [N m], shape (hinges,); None if multipliers are not kept"""
-    packs: Packs | None
-    """hinges at pinned particles; None in a scene without pins"""
 
 
-@stage(prepare, Hinge)
-@jit
-def prepare_hinge(hinge, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, hinge.force)
-
-
-@stage(project, Hinge)
-@jit
-def project_hinge(hinge, state, substep):
-    """One pass over all hinges."""
-    _project(hinge, state, substep, False)
-
-
-@stage(project_back, Hinge)
-@jit
-def project_hinge_back(hinge, state, substep):
-    """The same pass in reverse order."""
-    _project(hinge, state, substep, True)
-
-
-@jit
-def _project(hinge, state, substep, reverse):
-    first, last = hinge.slots[0], hinge.slots[1]
-    to_records(state, hinge.records, first, last)
-    for number in range(segment_count(hinge.packs)):
-        begin, end, a, b = segment(hinge.packs, number, len(hinge.rest_angle), reverse)
-        _note(hinge.packs, a, b, hinge.records, state.apart, hinge.force)
-        _project_packs(hinge.records, state.apart, hinge.particles, hinge.rest_angle,
-                       hinge.compliance, hinge.angle, hinge.force,
-                       (4096.0 * np.finfo(state.x.dtype).eps)**2, begin, end, reverse)
-        collect(hinge.packs, a, b, hinge.force, substep.end - substep.begin, state.reaction)
-    from_records(state, hinge.records, first, last)
-
-
-@jit
-def _project_packs(records, apart, particles, rest_angle, compliance, angle, force, flat,
-                   begin, end, reverse):
-    i0, i1, i2, i3 = particles[0], particles[1], particles[2], particles[3]
-    step = lanes(rest_angle)
-    for p in range(begin, end, step):
-        q = begin + end - step - p if reverse else p
-        x0, y0, z0, m0 = load_records(records, i0, q)
-        x1, y1, z1, m1 = load_records(records, i1, q)
-        x2, y2, z2, m2 = load_records(records, i2, q)
-        x3, y3, z3, m3 = load_records(records, i3, q)
-        ex, ey, ez = x1 - x0, y1 - y0, z1 - z0
-        ax, ay, az = x2 - x0, y2 - y0, z2 - z0
-        bx, by, bz = x3 - x0, y3 - y0, z3 - z0
-        nx, ny, nz = fma(ey, az, -(ez * ay)), fma(ez, ax, -(ex * az)), fma(ex, ay, -(ey * ax))
-        ox, oy, oz = fma(by, ez, -(bz * ey)), fma(bz, ex, -(bx * ez)), fma(bx, ey, -(by * ex))
-        square = fma(ex, ex, fma(ey, ey, ez * ez))
-        n_n = fma(nx, nx, fma(ny, ny, nz * nz))
-        o_o = fma(ox, ox, fma(oy, oy, oz * oz))
-        n_o = fma(nx, ox, fma(ny, oy, nz * oz))
-        n_b = fma(nx, bx, fma(ny, by, nz * bz))
-        least = flat * square * square
-        open_ = both(n_n > least, o_o > least)
-        l = select(open_, root(square), 1.0)
-        r1, r2 = 1.0 / select(open_, n_n, 1.0), 1.0 / select(open_, o_o, 1.0)
-        last = load(angle, q)
-        now = angle_of(-(l * n_b), n_o)
-        now = fma(2.0 * pi, nearest((last - now) * (0.5 / pi)), now)
-        now = select(open_, now, last)
-        store(angle, q, now)
-
-        t1 = fma(ax, ex, fma(ay, ey, az * ez)) / l
-        t2 = fma(bx, ex, fma(by, ey, bz * ez)) / l
-        s1, s2, mixed = l - t1, l - t2, 2.0 * n_o * r1 * r2
-        w0 = fma(s1 * s1, r1, fma(s2 * s2, r2, s1 * s2 * mixed))
-        w1 = fma(t1 * t1, r1, fma(t2 * t2, r2, t1 * t2 * mixed))
-        total = fma(m0, w0, fma(m1, w1, square * fma(m2, r1, m3 * r2)))
-        alpha, f = load(compliance, q), recall(apart, force, q)
-        df = select(both(open_, total > 0.0), -xpbd_residual(now - load(rest_angle, q), alpha, f)
-                    / denominator(apart, total, alpha), 0.0)
-        keep(force, q, f, df)
-        ux, uy, uz = r1 * nx, r1 * ny, r1 * nz
-        vx, vy, vz = r2 * ox, r2 * oy, r2 * oz
-        d0, d1, dl = m0 * df, m1 * df, -(l * df)
-        put_records(records, apart, i0, q, x0, y0, z0, m0, d0, fma(s1, ux, s2 * vx),
-                    fma(s1, uy, s2 * vy), fma(s1, uz, s2 * vz))
-        put_records(records, apart, i1, q, x1, y1, z1, m1, d1, fma(t1, ux, t2 * vx),
-                    fma(t1, uy, t2 * vy), fma(t1, uz, t2 * vz))
-        put_records(records, apart, i2, q, x2, y2, z2, m2, m2 * dl, ux, uy, uz)
-        put_records(records, apart, i3, q, x3, y3, z3, m3, m3 * dl, vx, vy, vz)
-
-
+@constraint(Hinge, particles=4)
 @jit(inline=True)
-def way(x, i, j):
-    """Return the vector from record i to record j."""
-    return x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+def solve_hinge(hinge, apart, c, x, m):
+    """Solve a vector of hinges from index c on."""
+    e, a, b = x[1] - x[0], x[2] - x[0], x[3] - x[0]
+    n1, n2 = fused_cross(e, a), fused_cross(b, e)
+    square, n1_n1, n2_n2, n1_n2 = dot(e, e), dot(n1, n1), dot(n2, n2), dot(n1, n2)
+    least = (4096.0 * np.finfo(hinge.angle.dtype).eps)**2 * square * square
+    open_ = both(n1_n1 > least, n2_n2 > least)
+    l = select(open_, root(square), 1.0)
+    r1, r2 = 1.0 / select(open_, n1_n1, 1.0), 1.0 / select(open_, n2_n2, 1.0)
+    last = load(hinge.angle, c)
+    now = angle_of(-(l * dot(n1, b)), n1_n2)
+    now = fma(2.0 * pi, nearest((last - now) * (0.5 / pi)), now)
+    now = select(open_, now, last)
+    store(hinge.angle, c, now)
+
+    t1, t2 = dot(a, e) / l, dot(b, e) / l
+    s1, s2, mixed = l - t1, l - t2, 2.0 * n1_n2 * r1 * r2
+    w0 = fma(s1 * s1, r1, fma(s2 * s2, r2, s1 * s2 * mixed))
+    w1 = fma(t1 * t1, r1, fma(t2 * t2, r2, t1 * t2 * mixed))
+    total = fma(m[0], w0, fma(m[1], w1, square * fma(m[2], r1, m[3] * r2)))
+    alpha, f = load(hinge.compliance, c), recall(apart, hinge.force, c)
+    residual = xpbd_residual(now - load(hinge.rest_angle, c), alpha, f)
+    df = select(both(open_, total > 0.0), -residual / denominator(apart, total, alpha), 0.0)
+    keep(hinge.force, c, f, df)
+    u, v, dl = r1 * n1, r2 * n2, -(l * df)
+    return (df, fma3(s1, u, s2 * v)), (df, fma3(t1, u, t2 * v)), (dl, u), (dl, v)
 
 
-@jit
-def _note(packs, first, last, records, apart, force):
-    """Note g_i of the hinges of a pack; those without an angle keep their multiplier."""
-    if packs is not None:
-        remember(packs, first, last, apart, force)
-        for h in range(first, last):
-            i0, i1, i2, i3 = packs.held.particles[h]
-            e, a, b = way(records, i0, i1), way(records, i0, i2), way(records, i0, i3)
-            n, o = cross_3(e, a), cross_3(b, e)
-            l, n_n, o_o = np.sqrt(dot_3(e, e)), dot_3(n, n), dot_3(o, o)
-            if n_n == 0.0 or o_o == 0.0:
-                continue
-            t1, t2, g = dot_3(a, e) / l, dot_3(b, e) / l, packs.gradient[h - first, 0]
-            for k in range(3):
-                u, v = n[k] / n_n, o[k] / o_o
-                g[0, k], g[1, k] = (l - t1) * u + (l - t2) * v, t1 * u + t2 * v
-                g[2, k], g[3, k] = -l * u, -l * v
+@dataclass(eq=False)
+class Angles(Constraints):
+    """The hinges one by one: the definition in NumPy."""
 
+    rest_angle: np.ndarray
+    """[rad], shape (hinges,)"""
+    angle: np.ndarray
+    """last angles of the batch [rad], which sweeps update"""
 
-class Angles:
-    """The hinges one by one, in sweep order: the definition in NumPy."""
-
-    def __init__(self, particles, index, rest_angle, compliance, angle):
-        self.particles = particles
-        self.index = index
-        self.rest_angle = rest_angle.astype(float)
-        self.compliance = compliance.astype(float)
-        self._angle = angle
-
-    @staticmethod
-    def of(data: Hinge) -> 'Angles':
+    @classmethod
+    def of(cls, batch: Hinge) -> 'Angles':
         """Return the hinges of a batch."""
-        index = np.flatnonzero(data.particles[0] != data.particles[1])
-        return Angles(data.particles[:, index].T.astype(np.int64), index,
-                      data.rest_angle[index], data.compliance[index], data.angle)
+        return replace(super().of(batch), angle=batch.angle)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Return C [rad], shape (hinges,), from the definition, nearest to the last angle."""
-        angle = dihedral(x.T.astype(float)[self.particles])
-        turns = np.round((self._angle[self.index] - angle) / (2.0 * pi))
+        """Return C [rad], shape (hinges,), nearest to the last angle."""
+        angle = dihedral(self.corners(x))
+        turns = np.round((self.angle[self.index] - angle) / (2.0 * pi))
         return angle + 2.0 * pi * turns - self.rest_angle
-
-    def energy(self, x: np.ndarray) -> float:
-        """Return Σ C² / (2 α) [J]."""
-        return float((0.5 * self.residual(x)**2 / self.compliance).sum())
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return 4 Σ g_i g_iᵀ / α at each particle [N/m], shape (slots, 3, 3): K is no more."""
-        x0, x1, x2, x3 = (x.T.astype(float)[self.particles[:, k]] for k in range(4))
+        x0, x1, x2, x3 = self.corners(x).swapaxes(0, 1)
         e, a, b = x1 - x0, x2 - x0, x3 - x0
         l = length(e)[:, None]
         u, v = cross(e, a), cross(b, e)
@@ -281,25 +174,11 @@ class BuiltHinge(Built):
             rest.append(dihedral(corners))
             with np.errstate(over='ignore', divide='ignore'):
                 compliance.append(world.compliance_scale / (b * slenderness(corners)))
-        dtype = world.state.x.dtype
-        particles, rest, compliance = map(np.concatenate, (particles, rest, compliance))
-        order = pack(particles)
-        rest = padded(rest, order, 0.0, dtype)
-        angle = zeros(len(order), dtype)
-        angle[:] = rest
-        self.data = Hinge(
-            world.records,
-            np.array([particles.min(initial=0), particles.max(initial=-1) + 1]),
-            padded(particles, order, world.slots - 1, np.int32).T.copy(), rest,
-            padded(np.minimum(compliance, max_compliance(dtype)), order, max_compliance(dtype),
-                   dtype), angle,
-            zeros(len(order), dtype) if world.forces else None,
-            packs_for(room_for(len(order), 4)) if world.pins else None)
-        self._before = angle.copy()
+        packing = Packing(particles, world)
+        self.data = Hinge(**packing.common(), rest_angle=packing.column(rest),
+                          compliance=packing.compliance(compliance), angle=packing.column(rest))
+        self._before = self.data.angle.copy()
         self.constraints = Angles.of(self.data)
-
-    def hold(self, inv_mass):
-        hold_packs(self.data.packs, self.constraints, inv_mass, len(self.data.rest_angle))
 
     def begin(self, clock, state):
         self._before[:] = self.data.angle

@@ -26,7 +26,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.constraints.distance import max_compliance
+from xpbd_ros.sim.constraints.projection import max_compliance
 from xpbd_ros.sim.effect import Built, Cloth, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.stepping.stages import (

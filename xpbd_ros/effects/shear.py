@@ -17,27 +17,19 @@ oblong ones. Meshes have no diagonals; their edges resist shear as they stretch.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, shear_cells
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.pinned_edges import react_edges
-from xpbd_ros.sim.constraints.projection import zero_multipliers
+from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.shear_cells import Slant
-from xpbd_ros.sim.effect import Built, Effect
-from xpbd_ros.sim.geometry.mesh import is_square
+from xpbd_ros.sim.effect import Built, by_kind, Effect
+from xpbd_ros.sim.geometry.mesh import is_square, Mesh
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import constraint, elastic_edges
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, stage
 
 
 @dataclass(frozen=True)
@@ -47,99 +39,51 @@ class Parameters:
     stiffness: float = quantity(unit='N/m', above=0.0, live=True, doc='shear modulus C66')
 
 
+@elastic_edges
 class Shear(NamedTuple):
     """Data of the kernels for square cells."""
 
     edges: distance.GridEdges
 
 
-@stage(prepare, Shear)
-@jit
-def prepare_shear(shear, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, shear.edges.force)
+constraint(Slant, particles=4)(shear_cells.solve_slants)
+stage(accumulate_reactions, Slant)(shear_cells.react_slants)
 
 
-@stage(project, Shear, shared=True)
-@jit
-def project_shear(shear, state, substep):
-    """One pass over all diagonals."""
-    distance.project_edges(shear.edges, state, substep, False)
+def has_square_cells(mesh: Mesh) -> bool:
+    """Return True for a grid whose cells are square."""
+    return mesh.spacing is not None and is_square(mesh.spacing)
 
 
-@stage(project_back, Shear, shared=True)
-@jit
-def project_shear_back(shear, state, substep):
-    """The same pass in reverse order."""
-    distance.project_edges(shear.edges, state, substep, True)
-
-
-@stage(accumulate_reactions, Shear)
-@jit
-def react_shear(shear, state, substep):
-    """Forces between pinned particles."""
-    react_edges(shear.edges.stops.held, shear.edges.force, state, substep)
-
-
-@stage(prepare, Slant)
-@jit
-def prepare_slant(slants, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, slants.force)
-
-
-@stage(project, Slant, shared=True)
-@jit
-def project_slant(slants, state, substep):
-    """One pass over all oblong cells."""
-    shear_cells.project_slants(slants, state, substep, False)
-
-
-@stage(project_back, Slant, shared=True)
-@jit
-def project_slant_back(slants, state, substep):
-    """The same pass in reverse order."""
-    shear_cells.project_slants(slants, state, substep, True)
-
-
-@stage(accumulate_reactions, Slant)
-@jit
-def react_slant(slants, state, substep):
-    """Forces between pinned particles."""
-    shear_cells.react_slants(slants, state, substep)
+def diagonals(rows: int, columns: int) -> list[Shape]:
+    """Return the shapes of the rising and the falling diagonals of cells."""
+    return [Shape(((0, 0), (1, 1)), range(rows - 1), range(columns - 1), 0),
+            Shape(((0, 1), (1, 0)), range(rows - 1), range(columns - 1), 1)]
 
 
 def _on_square_cells(cloths, world) -> Shear:
-    """Return the rising and the falling diagonals of square cells."""
-    runs, rest, alpha, time = [], [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
-        block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        rows, columns = range(block.rows)[:-1], range(block.columns)[:-1]
-        runs.append(grid_runs(block, [Shape(((0, 0), (1, 1)), rows, columns, 0),
-                                      Shape(((0, 1), (1, 0)), rows, columns, 1)],
-                              world.slots, families=2 * number, shapes_before=2 * number))
+    """Return the diagonals of square cells."""
+    rest, alpha = [], []
+    for cloth, chosen in cloths:
+        dx, dy = cloth.mesh.spacing
         square = dx * dx + dy * dy
-        rest += [np.sqrt(square)] * 2
-        time += [distance.relaxation(world, cloth)] * 2
+        rest.append([np.sqrt(square)] * 2)
         alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
                              / (chosen.stiffness * square)))
-    return Shear(distance.grid_edges(join(runs), range(len(rest)), rest, alpha, world=world,
-                                     time=distance.times(time)))
+    return Shear(distance.grid_edges([cloth.block for cloth, _ in cloths], diagonals, rest, alpha,
+                                     world=world, time=distance.times(cloths, world)))
 
 
 def _on_oblong_cells(cloths, world) -> Slant:
     """Return the oblong cells."""
-    runs, alpha, time = [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
-        block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        shape = shear_cells.slant_shape(block.rows, block.columns)
-        runs.append(grid_runs(block, [shape], world.slots, families=number,
-                              shapes_before=number))
-        time.append(distance.relaxation(world, cloth))
+    alpha = []
+    for cloth, chosen in cloths:
+        dx, dy = cloth.mesh.spacing
         with np.errstate(over='ignore'):
             alpha.append(np.full((1, 1), world.compliance_scale * 4.0 * dx * dy
                                  / (chosen.stiffness * (dx * dx + dy * dy))))
-    return shear_cells.slants(join(runs), alpha, world=world, time=distance.times(time))
+    return shear_cells.slants([cloth.block for cloth, _ in cloths], alpha, world=world,
+                              time=distance.times(cloths, world))
 
 
 class BuiltShear(Built):
@@ -152,21 +96,15 @@ class BuiltShear(Built):
                 raise InputError(f'cloths.{cloth.name}.effects.shear: a mesh has no diagonals; '
                                  'its edges resist shear as they stretch, and membrane takes '
                                  'moduli')
-        parts = []
-        for make, square in ((_on_square_cells, True), (_on_oblong_cells, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if is_square(cloth.mesh.spacing) == square]
-            if cloths:
-                parts.append(make(cloths, world))
+        parts: list[Any] = [make(cloths, world) for make, cloths in zip(
+            (_on_square_cells, _on_oblong_cells),
+            by_kind(parameters, has_square_cells)) if cloths]
         self.data, *self.also = parts
         self.lists = [shear_cells.Slants.of(part) if isinstance(part, Slant)
                       else distance.Edges.of(part.edges) for part in parts]
         self.constraints = shear_cells.Slants.joined(self.lists)
         self.cells = [these for these in self.lists if isinstance(these, shear_cells.Slants)]
 
-    def hold(self, inv_mass):
-        for part, these in zip(self.parts, self.lists):
-            distance.hold_edges(getattr(part, 'edges', part), these, inv_mass)
 
 
 EFFECT = Effect('shear', Parameters, BuiltShear)

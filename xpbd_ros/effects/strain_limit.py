@@ -32,10 +32,10 @@ from xpbd_ros.sim.constraints.inextensible_edges import EASE, FEW, FINE, shorten
 from xpbd_ros.sim.constraints.inextensible_lines import tighten
 from xpbd_ros.sim.constraints.line_solver import grid_lines, Lines
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
-from xpbd_ros.sim.constraints.pinned import hold, hold_packs, Packs, packs_for
-from xpbd_ros.sim.constraints.pinned_edges import react_edges, room, Stops
+from xpbd_ros.sim.constraints.pinned import hold
+from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, Held, react_edges, room
 from xpbd_ros.sim.constraints.projection import zero_multipliers
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -78,7 +78,7 @@ class Pulled(NamedTuple):
     """The edges one by one."""
 
     particles: np.ndarray
-    """slots of both ends, shape (2, edges)"""
+    """slots of both ends, shape (edges, 2)"""
     index: np.ndarray
     """index of each one's force, shape (edges,)"""
     longest: np.ndarray
@@ -95,7 +95,7 @@ class StrainLimit(NamedTuple):
     pulled: Pulled
     taut: overextended_lines.Taut | None
     """None in a scene without pins"""
-    stops: Stops | None
+    stops: EdgeStops | None
     """edges at pinned particles; None in a scene without pins"""
     trend: np.ndarray | None
     """repetitions in this iteration, the largest excess PATIENCE repetitions ago (relative), and 1
@@ -121,7 +121,7 @@ class MeshStrainLimit(NamedTuple):
     force_before: np.ndarray
     """f [N] after the last pair of passes, shape (edges,)"""
     pulled: Pulled
-    packs: Packs | None
+    held: Held | None
     """edges at pinned particles; None in a scene without pins"""
     pull: np.ndarray | None
     """impulse on each pinned particle in this repetition, over h [N], shape (3, slots)"""
@@ -133,7 +133,7 @@ class MeshStrainLimit(NamedTuple):
 
 @stage(prepare, StrainLimit)
 @jit
-def prepare_lines(limit, state, substep):
+def prepare_limit(limit, state, substep):
     """Zero the forces, except of overextended lines."""
     zero_multipliers(None, limit.force)
     overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
@@ -210,11 +210,11 @@ def forget_turns(trend):
 @jit
 def is_unmet(limit, state, turn):
     """Tell whether later effects have pulled an edge beyond its limit, and may be repeated."""
-    (i, j), longest = limit.pulled.particles, limit.pulled.longest
+    particles, longest = limit.pulled.particles, limit.pulled.longest
     if may_turn(limit.trend, turn):
         x, w = state.x, state.inv_mass
         for c in range(len(longest)):
-            a, b, most = i[c], j[c], (1.0 + AGREED) * longest[c]
+            a, b, most = particles[c, 0], particles[c, 1], (1.0 + AGREED) * longest[c]
             square = (x[0, a] - x[0, b])**2 + (x[1, a] - x[1, b])**2 + (x[2, a] - x[2, b])**2
             if square > most**2 and w[a] + w[b] > 0.0:
                 return True
@@ -235,8 +235,8 @@ def _stop(pulled, force, state):
     """Let the particles of taut edges end the substep with backward Euler."""
     for c in range(len(pulled.index)):
         if force[pulled.index[c]] < 0.0:
-            invalidate_history(state.history, pulled.particles[0, c])
-            invalidate_history(state.history, pulled.particles[1, c])
+            invalidate_history(state.history, pulled.particles[c, 0])
+            invalidate_history(state.history, pulled.particles[c, 1])
 
 
 @stage(accumulate_reactions, StrainLimit)
@@ -265,11 +265,11 @@ def _on_grids(cloths, world) -> StrainLimit:
     for g, (block, (cloth, chosen))  in enumerate(zip(blocks, cloths)):
         slots = block.slots
         for along, (a, b) in enumerate(((slots[:, :-1], slots[:, 1:]), (slots[:-1], slots[1:]))):
-            ends.append(np.stack([a.ravel(), b.ravel()]))
+            ends.append(np.stack([a.ravel(), b.ravel()], 1))
             index.append(lines.force[g, along] + a.ravel())
             longest.append(np.full(a.size, (1.0 + chosen.max) * cloth.mesh.spacing[along]))
     return StrainLimit(lines, zeros(2 * len(blocks) * world.slots, world.state.x.dtype),
-                       Pulled(np.concatenate(ends, 1), *map(np.concatenate, (index, longest))),
+                       Pulled(np.concatenate(ends), *map(np.concatenate, (index, longest))),
                        overextended_lines.room_for(blocks) if world.pins else None,
                        stops_of(sum(map(len, index))) if world.pins else None, None)
 
@@ -287,24 +287,15 @@ def _on_meshes(cloths, world) -> MeshStrainLimit:
         padded(particles, order, world.slots - 1, np.int32).T.copy(),
         padded(longest, order, 1.0, dtype), zeros(len(order), dtype),
         new_records(world.slots, dtype), zeros(len(order), dtype),
-        Pulled(particles[order[index]].T.astype(np.int64), index, longest[order[index]]),
-        packs_for(room(len(order))) if world.pins else None,
+        Pulled(particles[order[index]].astype(np.int64), index, longest[order[index]]),
+        room(len(order)) if world.pins else None,
         zeros((3, world.slots), dtype) if world.pins else None,
         zeros((3, world.slots), dtype) if world.pins else None, None)
 
 
-def stops_of(count: int) -> Stops:
+def stops_of(count: int) -> EdgeStops:
     """Return room for so many edges at pinned particles."""
-    return Stops(room(count), np.zeros(0, np.int64), np.zeros((count, 3)), np.zeros(count))
-
-
-class Listed(NamedTuple):
-    """Edges one by one, in sweep order."""
-
-    particles: np.ndarray
-    """slots, shape (edges, 2)"""
-    index: np.ndarray
-    """index of each one's force, shape (edges,)"""
+    return EdgeStops(room(count), np.zeros(0, np.int64), np.zeros((count, 3)), np.zeros(count))
 
 
 class BuiltStrainLimit(Built):
@@ -315,31 +306,23 @@ class BuiltStrainLimit(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        made = []
-        for make, of_kind in ((_on_grids, True), (_on_meshes, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if (cloth.mesh.grid is not None) == of_kind]
-            if cloths:
-                made.append(make(cloths, world))
-        self.data, *self.also = made
+        self.data, *self.also = [make(cloths, world) for make, cloths in zip(
+            (_on_grids, _on_meshes), by_kind(parameters, is_grid)) if cloths]
         self._edges = []
         for cloth, chosen in parameters.items():
             edges, x = limited_edges(cloth.mesh), cloth.mesh.positions
             self._edges.append((cloth.slots[edges].T, length(x[edges[:, 0]] - x[edges[:, 1]]),
                                 chosen.max))
         self._state = world.state
-        self._blocks = [cloth.block for cloth in parameters if cloth.mesh.grid is not None]
+        self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
 
     def hold(self, inv_mass):
         if self._blocks:
             overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
         for part in self.parts:
-            edges = Listed(part.pulled.particles.T, part.pulled.index)
-            if isinstance(part, StrainLimit):
-                assert part.stops is not None
-                hold(part.stops.held, edges, inv_mass)
-            else:
-                hold_packs(part.packs, edges, inv_mass, len(part.force))
+            lists = part.stops if isinstance(part, StrainLimit) else part
+            assert lists is not None
+            hold(lists.held, part.pulled, inv_mass)
 
     def take_turns(self) -> None:
         """Enable repetitions, because effects that follow may pull edges beyond the limit."""

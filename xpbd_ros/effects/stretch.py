@@ -19,26 +19,19 @@ fewer substeps than a wave needs to cross an edge it is softer than given (doc/n
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
-from xpbd_ros.sim.constraints.grid_batches import grid_runs, join, Shape
-from xpbd_ros.sim.constraints.pinned_edges import react_edges
+from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.projection import zero_multipliers
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
 from xpbd_ros.sim.geometry.mesh import edge_areas
 from xpbd_ros.sim.parameters import need_one_or_two, quantity
-from xpbd_ros.sim.stepping.stages import (
-    accumulate_reactions,
-    prepare,
-    project,
-    project_back,
-    solve_lines,
-    stage,
-)
+from xpbd_ros.sim.stepping.constraint_stages import elastic_edges
+from xpbd_ros.sim.stepping.stages import prepare, solve_lines, stage
 
 
 @dataclass(frozen=True)
@@ -58,6 +51,7 @@ class Parameters:
                         either='warp and weft (N/m) or compliance (m/N)')
 
 
+@elastic_edges
 class Stretch(NamedTuple):
     """Data of the kernels for grids."""
 
@@ -67,6 +61,7 @@ class Stretch(NamedTuple):
     """None in a scene without pins"""
 
 
+@elastic_edges
 class MeshStretch(NamedTuple):
     """Data of the kernels for other meshes."""
 
@@ -81,41 +76,6 @@ def prepare_stretch(stretch, state, substep):
     overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
-@stage(prepare, MeshStretch)
-@jit
-def prepare_mesh_stretch(stretch, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, stretch.edges.force)
-
-
-@stage(project, Stretch, shared=True)
-@jit
-def project_stretch(stretch, state, substep):
-    """One pass over all edges."""
-    distance.project_edges(stretch.edges, state, substep, False)
-
-
-@stage(project, MeshStretch)
-@jit
-def project_mesh_stretch(stretch, state, substep):
-    """One pass over all edges."""
-    distance.project_packs(stretch.edges, state, substep, False)
-
-
-@stage(project_back, Stretch, shared=True)
-@jit
-def project_stretch_back(stretch, state, substep):
-    """The same pass in reverse order."""
-    distance.project_edges(stretch.edges, state, substep, True)
-
-
-@stage(project_back, MeshStretch)
-@jit
-def project_mesh_stretch_back(stretch, state, substep):
-    """The same pass in reverse order."""
-    distance.project_packs(stretch.edges, state, substep, True)
-
-
 @stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):
@@ -123,72 +83,57 @@ def solve_stretch(stretch, state, substep):
     line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
 
 
-@stage(accumulate_reactions, Stretch)
-@jit
-def react_stretch(stretch, state, substep):
-    """Forces between pinned particles."""
-    react_edges(stretch.edges.stops.held, stretch.edges.force, state, substep)
+def edge_shapes(rows: int, columns: int) -> list[Shape]:
+    """Return the shapes of warp edges, inside and along the rim, and of weft edges."""
+    inside, rim = (range(1, rows - 1), range(0, rows, rows - 1)) if rows > 1 else (
+        range(1), range(0))
+    return [Shape(((0, 0), (0, 1)), inside, range(columns - 1), 0),
+            Shape(((0, 0), (0, 1)), rim, range(columns - 1), 0),
+            Shape(((0, 0), (1, 0)), range(rows - 1), range(columns), 1)]
 
 
-@stage(accumulate_reactions, MeshStretch)
-@jit
-def react_mesh_stretch(stretch, state, substep):
-    """Forces between pinned particles."""
-    react_edges(stretch.edges.packs.held, stretch.edges.force, state, substep)
+def _compliance(given, modulus, along: float, across: float, lines: int) -> np.ndarray:
+    """Return the compliance of the edges of each line [m/N], shape (lines,)."""
+    if given is not None:
+        return np.full(lines, given)
+    share = np.ones(lines)
+    if lines > 1:
+        share[[0, -1]] = 0.5
+    with np.errstate(over='ignore', divide='ignore'):
+        return along / (modulus * (share * across))
 
 
 def _on_grids(cloths, world) -> Stretch:
     """Return warp and weft edges; those along the rim have half of the stiffness."""
-    runs, family, rest, alpha, line_alpha, time = [], [], [], [], [], []
-    for number, (cloth, chosen) in enumerate(cloths):
+    rest, alpha, line_alpha = [], [], []
+    for cloth, chosen in cloths:
         block, (dx, dy) = cloth.block, cloth.mesh.spacing
-        rows, columns = block.rows, block.columns
-
-        def compliance(modulus, along, across, chosen=chosen):
-            return world.compliance_scale * (
-                chosen.compliance if chosen.compliance is not None else along / (modulus * across))
-
-        warp, warp_rim = (compliance(chosen.warp, dx, share * dy) for share in (1.0, 0.5))
-        weft, weft_rim = (compliance(chosen.weft, dy, share * dx) for share in (1.0, 0.5))
-        by_row, by_column = np.full(rows, warp), np.full(columns, weft)
-        if rows > 1:
-            by_row[[0, -1]] = warp_rim
-        if columns > 1:
-            by_column[[0, -1]] = weft_rim
-        inside = range(1, rows - 1) if rows > 1 else range(1)
-        shapes = [Shape(((0, 0), (0, 1)), inside, range(columns - 1), 0),
-                  Shape(((0, 0), (0, 1)), range(0, rows, max(rows - 1, 1)) if rows > 1 else
-                        range(0), range(columns - 1), 0),
-                  Shape(((0, 0), (1, 0)), range(rows - 1), range(columns), 1)]
-        runs.append(grid_runs(block, shapes, world.slots, families=2 * number,
-                              shapes_before=len(shapes) * number))
-        family += [2 * number, 2 * number, 2 * number + 1]
-        rest += [dx, dx, dy]
-        time += [distance.relaxation(world, cloth)] * 3
+        by_row = _compliance(chosen.compliance, chosen.warp, dx, dy, block.rows)
+        by_column = _compliance(chosen.compliance, chosen.weft, dy, dx, block.columns)
+        rest.append([dx, dx, dy])
         table = np.zeros((3, block.row_stride))
-        table[0], table[1] = warp, warp_rim
+        table[0], table[1] = by_row[len(by_row) // 2], by_row[0]
         table[2, block.slots[0] - block.first] = by_column
-        alpha.append(table)
-        line_alpha.append((by_row, by_column))
-    cloths = [cloth for cloth, _ in cloths]
-    edges = distance.grid_edges(join(runs), family, rest, alpha, world=world,
-                                time=distance.times(time))
-    blocks = [c.block for c in cloths]
-    return Stretch(edges, line_solver.grid_lines(
-        blocks, [c.mesh.spacing for c in cloths], line_alpha, slots=world.slots,
-        dtype=world.state.x.dtype, threads=world.threads),
+        alpha.append(world.compliance_scale * table)
+        line_alpha.append((world.compliance_scale * by_row, world.compliance_scale * by_column))
+    blocks = [cloth.block for cloth, _ in cloths]
+    return Stretch(
+        distance.grid_edges(blocks, edge_shapes, rest, alpha, world=world,
+                            time=distance.times(cloths, world)),
+        line_solver.grid_lines(blocks, [cloth.mesh.spacing for cloth, _ in cloths], line_alpha,
+                               slots=world.slots, dtype=world.state.x.dtype,
+                               threads=world.threads),
         overextended_lines.room_for(blocks) if world.pins else None)
 
 
 def _on_meshes(cloths, world) -> MeshStretch:
     """Return all edges of meshes."""
-    particles, rest, alpha, time = [], [], [], []
+    particles, rest, alpha = [], [], []
     for cloth, chosen in cloths:
         mesh, ends = cloth.mesh, cloth.mesh.edges
         d = mesh.positions[ends[:, 1]] - mesh.positions[ends[:, 0]]
         square = (d**2).sum(1)
         particles.append(cloth.slots[ends])
-        time += [distance.relaxation(world, cloth)] * len(ends)
         rest.append(np.sqrt(square))
         if chosen.compliance is not None:
             alpha.append(np.full(len(ends), world.compliance_scale * chosen.compliance))
@@ -197,8 +142,8 @@ def _on_meshes(cloths, world) -> MeshStretch:
             area = edge_areas(mesh.triangles, ends, mesh.positions)
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
-    return MeshStretch(distance.mesh_edges(*map(np.concatenate, (particles, rest, alpha)),
-                                           world=world, time=distance.times(time)))
+    return MeshStretch(distance.mesh_edges(particles, rest, alpha, world=world,
+                                           time=distance.times(cloths, world)))
 
 
 class BuiltStretch(Built):
@@ -206,22 +151,17 @@ class BuiltStretch(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
-        parts = []
-        for make, of_kind in ((_on_grids, True), (_on_meshes, False)):
-            cloths = [(cloth, chosen) for cloth, chosen in parameters.items()
-                      if (cloth.mesh.grid is not None) == of_kind]
-            if cloths:
-                parts.append(make(cloths, world))
+        parts: list[Any] = [make(cloths, world) for make, cloths in zip(
+            (_on_grids, _on_meshes), by_kind(parameters, is_grid)) if cloths]
         self.data, *self.also = parts
-        self._blocks = [cloth.block for cloth in parameters if cloth.mesh.grid is not None]
+        self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
         self.lists = [distance.Edges.of(part.edges) for part in parts]
         self.constraints = distance.Edges.joined(self.lists)
         self.loaded_edges = [(part.edges.force, edges) for part, edges in zip(parts, self.lists)
                              if part.edges.force is not None]
 
     def hold(self, inv_mass):
-        for part, edges in zip(self.parts, self.lists):
-            distance.hold_edges(part.edges, edges, inv_mass)
+        super().hold(inv_mass)
         if self._blocks:
             overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.constraints.pinned import hold_batch
 from xpbd_ros.sim.geometry.mesh import Mesh
 from xpbd_ros.sim.particles.memory_layout import Block, Span
 from xpbd_ros.sim.particles.records import new_records
@@ -107,6 +108,17 @@ class BuildContext:
         return self.state.x.shape[1]
 
 
+def by_kind(parameters: dict[Cloth, Any], is_first: Callable[[Mesh], bool]) -> tuple[list, list]:
+    """Return the cloths with their parameters: those with a mesh of the first kind, the others."""
+    return tuple([item for item in parameters.items() if is_first(item[0].mesh) == first]
+                 for first in (True, False))    # type: ignore[return-value]
+
+
+def is_grid(mesh: Mesh) -> bool:
+    """Return True if a mesh is a grid."""
+    return mesh.grid is not None
+
+
 class Built:
     """
     An effect compiled for one scene.
@@ -184,6 +196,8 @@ class Built:
 
     def hold(self, inv_mass: np.ndarray) -> None:
         """Learn which particles are pinned now."""
+        for part, these in zip(self.parts, self.by_part):
+            hold_batch(part, these, inv_mass)
 
     def reported(self, frame_dt: float) -> dict[str, Mapping[str, Any]]:
         """Return what the effect reports in a ``Frame``, by field."""

@@ -32,6 +32,21 @@ class Writer:
         k = kind.fields.index(k) if isinstance(k, str) else k
         return kind.types[k], self.builder.extract_value(found, k)
 
+    def tuple(self, values):
+        """Return a tuple of values."""
+        return self._made(types.BaseTuple.from_types([kind for kind, _ in values]), values)
+
+    def named(self, kind: type, *values):
+        """Return a NamedTuple of values."""
+        return self._made(types.NamedTuple([each for each, _ in values], kind), values)
+
+    def _made(self, kind, values):
+        return kind, self.context.make_tuple(self.builder, kind, [found for _, found in values])
+
+    def truth(self, value: bool):
+        """Return a truth value."""
+        return types.boolean, self.context.get_constant(types.boolean, value)
+
     def number(self, value: float):
         """Return a number."""
         return types.float64, self.context.get_constant(types.float64, value)

@@ -17,6 +17,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import inline
 from xpbd_ros.sim.backend.simd import fma, load
 from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.backend.simd_vector3 import dot, vector3
 
 
 class Past(NamedTuple):
@@ -50,11 +51,11 @@ def apart_before(damping, i, j):
     """Return vectors x̄_i - x̄_j of the particles from slots i and j on."""
 
 
-def records_before(damping, i, j, c):
-    """Return vectors x̄_i - x̄_j of mesh constraints from index c on, with slots i[c], j[c]."""
+def records_before(damping, particles, c):
+    """Return vectors x̄_i - x̄_j of mesh edges from index c on; ``particles``: slots, (2, edges)."""
 
 
-def lag(xpbd_residual, gamma, before, dx, dy, dz, l):
+def lag(xpbd_residual, gamma, before, d, l):
     """Return C + α f + γ n·(d - d̄) for an edge d = l n, where ``before`` is d̄."""
 
 
@@ -88,32 +89,29 @@ def _apart_before(damping, i, j):
     def apart(damping, i, j):
         x = damping.past.x
         n = x.shape[1]
-        return (load(x, i) - load(x, j), load(x, n + i) - load(x, n + j),
-                load(x, 2 * n + i) - load(x, 2 * n + j))
+        return vector3(load(x, i) - load(x, j), load(x, n + i) - load(x, n + j),
+                       load(x, 2 * n + i) - load(x, 2 * n + j))
     return apart
 
 
 @inline(records_before)
-def _records_before(damping, i, j, c):
+def _records_before(damping, particles, c):
     if _none(damping):
-        return lambda damping, i, j, c: None
+        return lambda damping, particles, c: None
 
-    def apart(damping, i, j, c):
-        xi, yi, zi, _ = load_records(damping.past.records, i, c)
-        xj, yj, zj, _ = load_records(damping.past.records, j, c)
-        return xi - xj, yi - yj, zi - zj
+    def apart(damping, particles, c):
+        xi, yi, zi, _ = load_records(damping.past.records, particles[0], c)
+        xj, yj, zj, _ = load_records(damping.past.records, particles[1], c)
+        return vector3(xi - xj, yi - yj, zi - zj)
     return apart
 
 
 @inline(lag)
-def _lag(xpbd_residual, gamma, before, dx, dy, dz, l):
+def _lag(xpbd_residual, gamma, before, d, l):
     if _none(gamma):
-        return lambda xpbd_residual, gamma, before, dx, dy, dz, l: xpbd_residual
-
-    def lagging(xpbd_residual, gamma, before, dx, dy, dz, l):
-        along = fma(dx, before[0], fma(dy, before[1], dz * before[2])) / l
-        return fma(gamma, l - along, xpbd_residual)
-    return lagging
+        return lambda xpbd_residual, gamma, before, d, l: xpbd_residual
+    return lambda xpbd_residual, gamma, before, d, l: fma(
+        gamma, l - dot(d, before) / l, xpbd_residual)
 
 
 @inline(shared)

@@ -15,12 +15,16 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lane_count
 from xpbd_ros.sim.backend.threads import share
-from xpbd_ros.sim.particles.memory_layout import Block
+from xpbd_ros.sim.constraints.projection import max_compliance
+from xpbd_ros.sim.particles.memory_layout import Block, zeros
 
 STRIP = 8
 """rows of a strip: few enough to stay in the cache, more than a constraint spans"""
 PHASES = 2
+ABSENT = -1.0
+"""compliance where there is no constraint"""
 COLUMNS = 8
 """number of the fields of ``Runs`` that have one entry per run"""
 
@@ -146,6 +150,34 @@ def join(runs: list[Runs]) -> Runs:
     present = np.concatenate(
         [np.pad(r.present, ((0, 0), (0, places - r.present.shape[1]))) for r in runs])
     return Runs._make((*columns, strip, phase, present))
+
+
+def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
+    """
+    Return the compliances of grids as one table, ABSENT where there is no constraint.
+
+    Parameters
+    ----------
+    runs : runs of all grids
+    compliance : of each grid, by its shapes and places in a row, (shapes, places) or (shapes, 1)
+    dtype : of the table
+
+    Returns
+    -------
+    shape (shapes, places), padded by a vector
+
+    """
+    table = zeros((len(runs.present), runs.present.shape[1] + lane_count(dtype)), dtype)
+    table[:] = ABSENT
+    first_ = 0
+    for each in compliance:
+        each = np.minimum(each, max_compliance(dtype))
+        there = np.s_[first_:first_ + len(each), :runs.present.shape[1]]
+        width = each.shape[1] if each.shape[1] > 1 else runs.present.shape[1]
+        table[there][:, :width] = each
+        first_ += len(each)
+    table[:, :runs.present.shape[1]][~runs.present] = ABSENT
+    return table
 
 
 @jit(inline=True)

@@ -21,15 +21,14 @@ from xpbd_ros.sim.backend.simd import (
     lanes,
     larger,
     load,
-    root,
     select,
     splat,
     store,
 )
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.backend.simd_vector3 import lane_of, length, vector3
 from xpbd_ros.sim.constraints.inextensible_lines import per_euler
-from xpbd_ros.sim.constraints.pinned import collect, segment, segment_count
-from xpbd_ros.sim.constraints.pinned_edges import note_packs
+from xpbd_ros.sim.constraints.pinned import listed_between, listed_range
 from xpbd_ros.sim.particles.records import to_positions, to_records
 
 EASE = 3e-3
@@ -85,28 +84,46 @@ def shorten(limit, state, substep, passes):
 @jit
 def _sweep(limit, state, reverse):
     """Project all edges once; return the largest relative excess over the limit found."""
-    most, packs = 0.0, limit.packs
-    for number in range(segment_count(packs)):
-        begin, end, a, b = segment(packs, number, len(limit.longest), reverse)
-        note_packs(packs, a, b, limit.records, None, limit.force)
-        scale_gradients(packs, a, b, state)
-        most = max(most, _project_edges(
-            limit.records, limit.particles[0], limit.particles[1], limit.longest, limit.force,
-            begin, end, reverse))
-        collect(packs, a, b, limit.force, 1.0, limit.pull)
-    return most
+    records, particles, longest, force = (limit.records, limit.particles, limit.longest,
+                                          limit.force)
+    step, most = lanes(longest), splat(longest, 0.0)
+    next_, past = listed_range(limit.held)
+    for p in range(0, len(longest), step):
+        q = len(longest) - step - p if reverse else p
+        xi, yi, zi, mi = load_records(records, particles[0], q)
+        xj, yj, zj, mj = load_records(records, particles[1], q)
+        d, total = vector3(xi - xj, yi - yj, zi - zj), mi + mj
+        limit_, l, f = load(longest, q), length(d), load(force, q)
+        moves = both(l > 0.0, total > 0.0)
+        over = select(moves, l - limit_, 0.0)
+        most = larger(most, over / limit_)
+        pulled = f - over / select(moves, total, 1.0)
+        pulled = select(both(moves, pulled < 0.0), pulled, 0.0)
+        g = (pulled - f) / select(moves, l, 1.0)
+        gi, gj = g * mi, -g * mj
+        store_records(records, particles[0], q, fma(gi, d.x, xi), fma(gi, d.y, yi),
+                      fma(gi, d.z, zi), mi)
+        store_records(records, particles[1], q, fma(gj, d.x, xj), fma(gj, d.y, yj),
+                      fma(gj, d.z, zj), mj)
+        store(force, q, pulled)
+        if next_ < past:
+            stop, on = listed_between(limit.held, next_, past, q, q + step, reverse)
+            _pull(limit.held, stop, on, q, g * d, state, limit.pull)
+            next_, past = (next_, stop) if reverse else (on, past)
+    return highest(most)
 
 
 @jit
-def scale_gradients(packs, first, last, state):
-    """Scale the recorded gradients of a pack to forces (see ``per_euler``)."""
-    if packs is not None:
+def _pull(held, first, last, start, impulse, state, pull):
+    """Add the forces of the listed edges first:last on pinned particles (see ``per_euler``)."""
+    if held is not None:
         for k in range(first, last):
-            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
+            i, j, lane = held.particles[k, 0], held.particles[k, 1], held.index[k] - start
             share = per_euler(state, i, j)
-            for p in range(2):
-                for a in range(3):
-                    packs.gradient[k - first, 0, p, a] *= share
+            for a, each in enumerate((impulse.x, impulse.y, impulse.z)):
+                change = share * lane_of(each, lane)
+                pull[a, i] += change
+                pull[a, j] -= change
 
 
 @jit
@@ -145,26 +162,3 @@ def _extrapolate(numbers, before, first, last, share):
         if share > 0.0:    # 0 · nan would be nan
             store(numbers, q, fma(share, now - load(before, q), now))
         store(before, q, now)
-
-
-@jit
-def _project_edges(records, i, j, longest, force, begin, end, reverse):
-    """Project the edges begin:end; return the largest relative excess over the limit found."""
-    step, most = lanes(longest), splat(longest, 0.0)
-    for p in range(begin, end, step):
-        q = begin + end - step - p if reverse else p
-        xi, yi, zi, mi = load_records(records, i, q)
-        xj, yj, zj, mj = load_records(records, j, q)
-        dx, dy, dz, total, longest_ = xi - xj, yi - yj, zi - zj, mi + mj, load(longest, q)
-        l, f = root(fma(dx, dx, fma(dy, dy, dz * dz))), load(force, q)
-        moves = both(l > 0.0, total > 0.0)
-        over = select(moves, l - longest_, 0.0)
-        most = larger(most, over / longest_)
-        pulled = f - over / select(moves, total, 1.0)
-        pulled = select(both(moves, pulled < 0.0), pulled, 0.0)
-        g = (pulled - f) / select(moves, l, 1.0)
-        gi, gj = g * mi, -g * mj
-        store_records(records, i, q, fma(gi, dx, xi), fma(gi, dy, yi), fma(gi, dz, zi), mi)
-        store_records(records, j, q, fma(gj, dx, xj), fma(gj, dy, yj), fma(gj, dz, zj), mj)
-        store(force, q, pulled)
-    return highest(most)

@@ -46,8 +46,8 @@ from xpbd_ros.sim.backend.simd import (
     transpose,
 )
 from xpbd_ros.sim.backend.threads import share, wait, worker
-from xpbd_ros.sim.constraints.distance import max_compliance
 from xpbd_ros.sim.constraints.pinned_edges import gather_line_reaction, note_line
+from xpbd_ros.sim.constraints.projection import max_compliance
 from xpbd_ros.sim.particles.memory_layout import Block, zeros
 
 TINY = 1e-4

@@ -2,27 +2,27 @@
 Reaction forces of constraints on pinned particles.
 
 A constraint's impulse on each of its particles is ∇C Δf, with the gradient of its projection; the
-gradient at the substep's end differs, and would violate the balance of momentum. A sweep therefore
-stops before each pack with constraints at pinned particles: their gradients and multipliers are
-recorded (``remember``, ``…_gradients`` of each effect), the pack is projected like any other, and
-the changes of the multipliers times the recorded gradients are added to ``state.reaction``
-(``collect``). Constraints of a pack share no particle, so the vector width makes no difference.
+gradient at the substep's end differs, and would violate the balance of momentum. So sweeps
+(``constraints.sweeps``) add the impulses of the constraints at pinned particles, which are listed
+here, to ``state.reaction`` as they project them. Constraints of a vector share no particle, so its
+width makes no difference.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import inline, jit
-from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.constraints.projection import at_the_end
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd_vector3 import lane_of
+from xpbd_ros.sim.constraints.grid_batches import first_of_runs, listed, Runs
 
 
 class Held(NamedTuple):
     """
-    List of constraints at pinned particles.
+    List of constraints at pinned particles, in sweep order.
 
-    Effects that need more data of them define a list of their own that begins with these fields.
+    Kinds that need more data of them define a list of their own that begins with these fields.
     """
 
     count: np.ndarray
@@ -33,19 +33,13 @@ class Held(NamedTuple):
     """position of each multiplier in ``force``, shape (capacity,)"""
 
 
-class Packs(NamedTuple):
-    """Segments of a sweep over packs, and the record of one pack."""
+class Stops(NamedTuple):
+    """List of constraints at pinned particles, by run."""
 
     held: Any
-    """constraints at pinned particles, in sweep order"""
-    segments: np.ndarray
-    """number of segments, shape (1,)"""
-    segment: np.ndarray
-    """first constraint, last + 1, and the same as positions in ``held``, shape (capacity, 4)"""
-    gradient: np.ndarray
-    """∇C of each multiplier, shape (PACK, multipliers, particles, 3)"""
-    before: np.ndarray
-    """multipliers before the projection, shape (PACK, multipliers)"""
+    """``Held``"""
+    first: np.ndarray
+    """position in ``held`` of each run's first constraint, and their number; shape (runs + 1,)"""
 
 
 def room_for(count: int, width: int) -> Held:
@@ -54,11 +48,10 @@ def room_for(count: int, width: int) -> Held:
                 np.zeros(count, np.int64))
 
 
-def packs_for(held: Any, multipliers: int = 1) -> Packs:
-    """Return the segments of a sweep over packs, for constraints with so many multipliers each."""
-    count, width = held.particles.shape
-    return Packs(held, np.zeros(1, np.int64), np.zeros((2 * (count // PACK) + 1, 4), np.int64),
-                 np.zeros((PACK, multipliers, width, 3)), np.zeros((PACK, multipliers)))
+def stops_for(runs: Runs, room: Callable = room_for) -> Stops:
+    """Return an empty list for all constraints of some runs."""
+    return Stops(room(len(listed(runs)[1]), runs.offset.shape[1]),
+                 np.zeros(len(runs.start) + 1, np.int64))
 
 
 def hold(held: Any, constraints: Any, inv_mass: np.ndarray) -> np.ndarray:
@@ -84,83 +77,73 @@ def hold(held: Any, constraints: Any, inv_mass: np.ndarray) -> np.ndarray:
     return found
 
 
-def hold_packs(packs: Packs, constraints: Any, inv_mass: np.ndarray, count: int) -> None:
-    """
-    Update the list and the segments of a sweep over packs.
-
-    Parameters as of ``hold``; ``count`` is the number of constraints including the packs' padding.
-    """
-    hold(packs.held, constraints, inv_mass)
-    held = packs.held.index[:packs.held.count[0]]
-    numbers, first = np.unique(held // PACK, return_index=True)
-    found, begin = [], 0
-    for number, a, b in zip((PACK * numbers).tolist(), first.tolist(),
-                            [*first[1:].tolist(), len(held)]):
-        if begin < number:
-            found.append((begin, number, a, a))
-        found.append((number, number + PACK, a, b))
-        begin = number + PACK
-    if begin < count:
-        found.append((begin, count, 0, 0))
-    packs.segments[0] = len(found)
-    packs.segment[:len(found)] = np.reshape(found, (-1, 4))
+def hold_batch(data: Any, constraints: Any, inv_mass: np.ndarray) -> None:
+    """Update the list of an effect's batch, if it has one; parameters as of ``hold``."""
+    batch = getattr(data, 'edges', data)
+    held, stops = (getattr(batch, name, None) for name in ('held', 'stops'))
+    if stops is not None:
+        found = hold(stops.held, constraints, inv_mass)
+        stops.first[:] = np.searchsorted(found, first_of_runs(batch.runs))
+    elif held is not None:
+        hold(held, constraints, inv_mass)
 
 
 @jit(inline=True)
-def segment_count(packs):
-    """Return the number of segments of a sweep over all packs."""
-    if packs is None:
-        return 1
+def listed_range(held):
+    """Return the range (first, last + 1) of all listed constraints at pinned particles."""
+    if held is None:
+        return 0, 0
     else:
-        return packs.segments[0]
+        return 0, held.count[0]
 
 
 @jit(inline=True)
-def segment(packs, number, count, reverse):
-    """Return a segment: first constraint, last + 1, and the same as positions in ``held``."""
-    if packs is None:
-        return 0, count, 0, 0
+def listed_range_of(stops, run):
+    """Return the range (first, last + 1) of a run's constraints at pinned particles."""
+    if stops is None:
+        return 0, 0
     else:
-        k = packs.segments[0] - 1 - number if reverse else number
-        row = packs.segment[k]
-        return row[0], row[1], row[2], row[3]
-
-
-def multiplier(force, m, c):
-    """Return multiplier m of constraint c; ``force`` has the shape (n,) or (multipliers, n)."""
-
-
-@inline(multiplier)
-def _multiplier(force, m, c):
-    if force.ndim == 1:
-        return lambda force, m, c: force[c]
-    return lambda force, m, c: force[m, c]
+        return stops.first[run], stops.first[run + 1]
 
 
 @jit
-def remember(packs, first, last, apart, force):
-    """Record the multipliers of the listed constraints first:last, all of one pack."""
+def listed_between(held, first, last, begin, end, reverse):
+    """
+    Return the part of the range first:last of a list whose multipliers are in force[begin:end].
+
+    A sweep calls it vector by vector: the part begins at ``first``, or ends at ``last`` if
+    ``reverse``.
+    """
+    if held is None:
+        return first, first
+    index = held.index
+    if reverse:
+        k = last
+        while k > first and index[k - 1] >= begin:
+            k -= 1
+        return k, last
+    k = first
+    while k < last and index[k] < end:
+        k += 1
+    return first, k
+
+
+@jit
+def add_reactions(particles, index, p, first, last, start, part, impulse, reaction):
+    """
+    Add the impulses of the listed constraints first:last on their particle p.
+
+    Parameters
+    ----------
+    particles, index : of the list
+    start : index of the multiplier in lane 0
+    part : the substep's fraction of the frame: ``reaction`` is the mean over the frame
+    impulse : ∇C_p Δf [N], a Vector3
+    reaction : [N], shape (3, slots)
+
+    """
     for k in range(first, last):
-        for m in range(packs.before.shape[1]):
-            packs.before[k - first, m] = (multiplier(force, m, packs.held.index[k])
-                                          if at_the_end(apart) else 0.0)
-
-
-@jit
-def collect(packs, first, last, force, part, reaction):
-    """
-    Add the forces ∇C Δf that the listed constraints first:last exerted since ``remember``.
-
-    ``part`` is the substep's fraction of the frame: ``reaction`` is the mean over the frame [N],
-    shape (3, slots).
-    """
-    if packs is not None:
-        gradient = packs.gradient
-        for k in range(first, last):
-            for m in range(packs.before.shape[1]):
-                df = part * (multiplier(force, m, packs.held.index[k])
-                             - packs.before[k - first, m])
-                for p in range(gradient.shape[2]):
-                    for a in range(3):
-                        reaction[a, packs.held.particles[k, p]] += (
-                            df * gradient[k - first, m, p, a])
+        i, lane = particles[k, p], index[k] - start
+        reaction[0, i] += part * lane_of(impulse.x, lane)
+        reaction[1, i] += part * lane_of(impulse.y, lane)
+        reaction[2, i] += part * lane_of(impulse.z, lane)

@@ -1,8 +1,8 @@
 """
 Reaction forces of edges on pinned particles, along the directions of projection.
 
-As in ``constraints.pinned``, for edges on grids: a sweep over runs records the direction n and the
-multiplier of each edge at a pinned particle before its projection, and adds n Δf afterwards.
+As in ``constraints.pinned``, for line solves: the direction n and the multiplier of each edge at a
+pinned particle are recorded before the solve, and n Δf is added afterwards.
 """
 
 from typing import Any, NamedTuple
@@ -11,8 +11,8 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, wait
-from xpbd_ros.sim.constraints.grid_batches import listed, Runs
-from xpbd_ros.sim.constraints.pinned import remember, room_for
+from xpbd_ros.sim.constraints.grid_batches import Runs
+from xpbd_ros.sim.constraints.pinned import room_for, stops_for
 from xpbd_ros.sim.constraints.projection import at_the_end
 
 
@@ -31,8 +31,8 @@ class Held(NamedTuple):
     """[m/N], shape (capacity,)"""
 
 
-class Stops(NamedTuple):
-    """Edges at pinned particles by run, and the record of their directions and multipliers."""
+class EdgeStops(NamedTuple):
+    """``Stops`` of edges, and the record of their directions and multipliers for line solves."""
 
     held: Any
     """the edges, in sweep order"""
@@ -44,16 +44,16 @@ class Stops(NamedTuple):
     """f of each edge before its projection [N], shape (capacity,)"""
 
 
-def room(count: int) -> Held:
+def room(count: int, width: int = 2) -> Held:
     """Return an empty list for ``count`` edges."""
-    return Held(*room_for(count, 2), np.zeros(count), np.zeros(count))
+    return Held(*room_for(count, width), np.zeros(count), np.zeros(count))
 
 
-def stops_for(runs: Runs) -> Stops:
-    """Return empty ``Stops`` for all edges of some runs."""
-    count = len(listed(runs)[1])
-    return Stops(room(count), np.zeros(len(runs.start) + 1, np.int64), np.zeros((count, 3)),
-                 np.zeros(count))
+def edge_stops_for(runs: Runs) -> EdgeStops:
+    """Return empty lists for all edges of some runs."""
+    stops = stops_for(runs, room)
+    count = len(stops.held.index)
+    return EdgeStops(*stops, np.zeros((count, 3)), np.zeros(count))
 
 
 @jit
@@ -109,21 +109,6 @@ def gather_line_reaction(stops, base, state, force, part):
                 if base <= stops.held.index[k] < base + state.x.shape[1]:
                     gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
         wait(state.team)
-
-
-@jit
-def note_packs(packs, first_, last, x, apart, force):
-    """Record multipliers and gradients n, -n of the listed edges first_:last, all of one pack."""
-    if packs is not None:
-        remember(packs, first_, last, apart, force)
-        for k in range(first_, last):
-            i, j = packs.held.particles[k, 0], packs.held.particles[k, 1]
-            dx, dy, dz = x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
-            l = np.sqrt(dx * dx + dy * dy + dz * dz)
-            per = 1.0 / l if l > 0.0 else 0.0
-            for a, d in enumerate((dx, dy, dz)):
-                packs.gradient[k - first_, 0, 0, a] = per * d
-                packs.gradient[k - first_, 0, 1, a] = -per * d
 
 
 @jit

@@ -35,7 +35,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints.isometric_bending import isometric_weights
-from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
+from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh, triangle_areas
 
 FLAT = 1e-6
 """largest height of a flat mesh, relative to its size"""
@@ -103,7 +103,8 @@ def _fitted(mesh: Mesh, ratio: float) -> Plate:
     s, t = here[..., 0], here[..., 1]
     a = np.stack([(weights * m).sum(1) for m in (0.5 * s * s, 0.5 * t * t, s * t)], 1)
     share = _areas(mesh)
-    b *= share / (_area(corners[:, [0, 1, 2]]) + _area(corners[:, [0, 1, 3]])) * 3.0
+    b *= share / (triangle_areas(corners[:, [0, 1, 2]])
+                  + triangle_areas(corners[:, [0, 1, 3]])) * 3.0
     counted = np.where(free[hinges].any(1), share, 0.0)
     asked = np.array([along_warp, along_weft, 2.0, 0.0, 0.0])
     least, most, best = LEAST * b, MOST * b, np.inf
@@ -185,11 +186,6 @@ def _inside(mesh: Mesh) -> np.ndarray:
     return ~beside
 
 
-def _area(corners: np.ndarray) -> np.ndarray:
-    """Return the area of triangles [m²], shape (triangles,); corners [m], (triangles, 3, 3)."""
-    return 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-
-
 def _areas(mesh: Mesh) -> np.ndarray:
     """Return the tributary area of each hinge [m²]: triangles are divided among their hinges."""
     count = len(mesh.positions)
@@ -198,7 +194,7 @@ def _areas(mesh: Mesh) -> np.ndarray:
     order = np.argsort(keys)
     place = np.minimum(np.searchsorted(keys, sides, sorter=order), len(keys) - 1)
     there = keys[order[place]] == sides
-    part = _area(mesh.positions[mesh.triangles]) / np.maximum(there.sum(1), 1)
+    part = triangle_areas(mesh.positions[mesh.triangles]) / np.maximum(there.sum(1), 1)
     return np.bincount(order[place][there], np.repeat(part[:, None], 3, 1)[there], len(keys))
 
 

@@ -15,10 +15,17 @@ from operator import getitem
 
 from numba import types
 from numba.extending import intrinsic
+import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline
 from xpbd_ros.sim.backend.simd import fma, load, store
+from xpbd_ros.sim.backend.simd_vector3 import fma3, Vector3, vector3
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
+
+
+def max_compliance(dtype) -> float:
+    """Return the largest compliance [m/N]: finite, so that its product with a zero f is 0."""
+    return float(np.sqrt(np.finfo(dtype).max))
 
 
 def _kind(apart):
@@ -43,6 +50,14 @@ def recall(apart, force, c):
 
 def keep(force, c, f, df):
     """Store multipliers f + Δf from index c on, if multipliers are kept."""
+
+
+def recall3(apart, force, c):
+    """Return a Vector3 of the multipliers in three rows; None if they are 0 before the pass."""
+
+
+def keep3(force, c, f, df):
+    """Store multipliers f + Δf in three rows, given as Vector3, if multipliers are kept."""
 
 
 def xpbd_residual(residual, alpha, f):
@@ -89,10 +104,35 @@ def _keep(force, c, f, df):
     return lambda force, c, f, df: store(force, c, f + df)
 
 
+@inline(recall3)
+def _recall3(apart, force, c):
+    if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
+        return lambda apart, force, c: None
+    return lambda apart, force, c: vector3(
+        load(force[0], c), load(force[1], c), load(force[2], c))
+
+
+@inline(keep3)
+def _keep3(force, c, f, df):
+    if isinstance(force, types.NoneType):
+        return lambda force, c, f, df: None
+
+    if not isinstance(f, types.NoneType):
+        return lambda force, c, f, df: keep3(force, c, None, f + df)
+
+    def overwrite(force, c, f, df):
+        store(force[0], c, df.x)
+        store(force[1], c, df.y)
+        store(force[2], c, df.z)
+    return overwrite
+
+
 @inline(xpbd_residual)
 def _xpbd_residual(residual, alpha, f):
     if isinstance(f, types.NoneType):
         return lambda residual, alpha, f: residual
+    if isinstance(f, Vector3):
+        return lambda residual, alpha, f: fma3(alpha, f, residual)
     return lambda residual, alpha, f: fma(alpha, f, residual)
 
 

@@ -5,6 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
+from xpbd_ros.sim.backend.simd_vector3 import cross, dot, length  # noqa: F401  (for users of meshes)
+
 SQUARE = 1e-3
 """largest relative difference of the sides of a square cell"""
 
@@ -177,8 +179,7 @@ def edge_areas(triangles: np.ndarray, edges: np.ndarray, positions: np.ndarray) 
     positions : [m], shape (particles, 3)
 
     """
-    corners = positions[triangles]
-    area = 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
+    area = triangle_areas(positions[triangles])
     sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
     count = len(positions)
     keys = np.sort(edges, 1) @ [count, 1]
@@ -187,19 +188,6 @@ def edge_areas(triangles: np.ndarray, edges: np.ndarray, positions: np.ndarray) 
     return np.bincount(place, np.repeat(area, 3), len(edges))
 
 
-def length(vectors: np.ndarray) -> np.ndarray:
-    """Return Euclidean norms along the last axis."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    return np.sqrt(x * x + y * y + z * z)
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return cross products along the last axis."""
-    return np.stack([a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-                     a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-                     a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]], -1)
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return scalar products along the last axis."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+def triangle_areas(corners: np.ndarray) -> np.ndarray:
+    """Return areas [m²], shape (triangles,); corners [m], (triangles, 3, 3)."""
+    return 0.5 * length(cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))

@@ -76,30 +76,68 @@ def invalidate_history(history, i):
         history.fresh[i] = TOUCHED
 
 
-def weights(older, w, fresh, h):
+def earlier_positions(history):
+    """Return the arrays x_{n-1} and x_{n-2}; None where the integrator has none."""
+
+
+def velocities(history, v):
+    """Return the array v_n, and (v_{n-1}, v_{n-2}): the oldest is v, until it is overwritten."""
+
+
+def age(history, q):
+    """Return the vector ``fresh`` from slot q on; None with backward Euler."""
+
+
+@inline(earlier_positions)
+def _earlier_positions(history):
+    if isinstance(history, types.NoneType):
+        return lambda history: (None, None)
+    return lambda history: (history.x, history.older_x)
+
+
+@inline(velocities)
+def _velocities(history, v):
+    if isinstance(history, types.NoneType):
+        return lambda history, v: (v, (None, None))
+    if isinstance(history[history.fields.index('older_v')], types.NoneType):
+        return lambda history, v: (history.v, (v, None))
+    return lambda history, v: (history.v, (history.older_v, v))
+
+
+@inline(age)
+def _age(history, q):
+    if isinstance(history, types.NoneType):
+        return lambda history, q: None
+    return lambda history, q: load(history.fresh, q)
+
+
+def weights(past, w, fresh, h):
     """
     Return H, a, b of x̄ = x_n + a (x_n - x_{n-1}) - b (x_{n-1} - x_{n-2}) for a vector ``fresh``.
 
-    ``older`` is ``History.older_x`` (None with BDF2); ``w`` is any array of the state's dtype.
+    ``past`` is as of ``earlier_positions``; ``w`` is any array of the state's dtype.
     """
 
 
 @inline(weights)
-def _weights(older, w, fresh, h):
-    def bdf2(older, w, fresh, h):
+def _weights(past, w, fresh, h):
+    if isinstance(fresh, types.NoneType):
+        return lambda past, w, fresh, h: (h, None, None)
+
+    def bdf2(past, w, fresh, h):
         has = fresh < HALF
         return (select(has, splat(w, 2.0 / 3.0 * h), h), select(has, splat(w, 1.0 / 3.0), 0.0),
                 splat(w, 0.0))
 
-    def ndf2(older, w, fresh, h):
+    def ndf2(past, w, fresh, h):
         has, half = fresh < HALF, fresh < NONE
         return (select(has, splat(w, 0.6 * h), select(half, splat(w, 2.0 / 3.0 * h), h)),
                 select(has, splat(w, 0.5), select(half, splat(w, 1.0 / 3.0), 0.0)),
                 select(has, splat(w, 0.1), 0.0))
-    return bdf2 if isinstance(older, types.NoneType) else ndf2
+    return bdf2 if isinstance(past[1], types.NoneType) else ndf2
 
 
-def with_order_reduction(fresh, now, last, older, gap, q, h):
+def with_order_reduction(history, now, past, gap, q, h):
     """
     Return the vector ``fresh`` from slot q on, raised to HALF for period-two oscillations.
 
@@ -107,8 +145,8 @@ def with_order_reduction(fresh, now, last, older, gap, q, h):
 
     Parameters
     ----------
-    fresh : shape (slots,)
-    now, last, older : v_n, v_{n-1} (None with BDF2), v_{n-2} [m/s], shape (3, slots)
+    history : None with backward Euler
+    now, past : v_n, and (v_{n-1}, v_{n-2}), of which BDF2 has one [m/s], each (3, slots)
     gap : distance of neighbours [m], shape (slots,)
     q : slot
     h : substep [s]
@@ -117,11 +155,12 @@ def with_order_reduction(fresh, now, last, older, gap, q, h):
 
 
 @inline(with_order_reduction)
-def _with_order_reduction(fresh, now, last, older, gap, q, h):
-    if isinstance(last, types.NoneType):
-        return lambda fresh, now, last, older, gap, q, h: load(fresh, q)
+def _with_order_reduction(history, now, past, gap, q, h):
+    if isinstance(past[1], types.NoneType):
+        return lambda history, now, past, gap, q, h: age(history, q)
 
-    def of_ndf2(fresh, now, last, older, gap, q, h):
+    def of_ndf2(history, now, past, gap, q, h):
+        fresh, (last, older) = history.fresh, past
         slots, known, along = len(fresh), load(fresh, q), splat(fresh, 0.0)
         for k in range(3):
             i = k * slots + q
@@ -143,23 +182,24 @@ def _with_order_reduction(fresh, now, last, older, gap, q, h):
     return of_ndf2
 
 
-def mean(now, last, older, i, a, b):
+def mean(now, past, i, a, b):
     """
     Return x̄, or v̄, as a vector of the components from i on.
 
-    ``now`` is the vector x_n; ``last`` and ``older`` are the arrays x_{n-1} and x_{n-2} (None with
-    BDF2); a and b as in ``weights``.
+    ``now`` is the vector x_n; ``past`` as of ``earlier_positions``; a and b as of ``weights``.
     """
 
 
 @inline(mean)
-def _mean(now, last, older, i, a, b):
-    if isinstance(older, types.NoneType):
-        return lambda now, last, older, i, a, b: now + a * (now - load(last, i))
+def _mean(now, past, i, a, b):
+    if isinstance(past[0], types.NoneType):
+        return lambda now, past, i, a, b: now
+    if isinstance(past[1], types.NoneType):
+        return lambda now, past, i, a, b: now + a * (now - load(past[0], i))
 
-    def mean_of_three(now, last, older, i, a, b):
-        before = load(last, i)
-        return now + a * (now - before) - b * (before - load(older, i))
+    def mean_of_three(now, past, i, a, b):
+        before = load(past[0], i)
+        return now + a * (now - before) - b * (before - load(past[1], i))
     return mean_of_three
 
 
@@ -196,12 +236,34 @@ def restore_history(home, home_v, history, older_v, v, i):
     store(home.v, i, before)
 
 
-def next_history_age(older, w, fresh):
-    """Return the vector ``fresh`` of the next substep; parameters as in ``weights``."""
+def end_age(history, w, q):
+    """
+    Update ``fresh`` from slot q on for the next substep.
+
+    Return the mask of the particles whose velocity was predicted by the history, and ``fresh`` of
+    this substep, where pinned particles count as TOUCHED: v = (x - x_n) / h.
+    """
 
 
-@inline(next_history_age)
-def _next_history_age(older, w, fresh):
+@inline(end_age)
+def _end_age(history, w, q):
+    if isinstance(history, types.NoneType):
+        return lambda history, w, q: (load(w, q) > 0.0, None)
+
+    def end(history, w, q):
+        fresh = load(history.fresh, q)
+        store(history.fresh, q, _next_age(history.older_x, w, fresh))
+        fresh = select(load(w, q) > 0.0, fresh, TOUCHED)
+        return fresh < TOUCHED, fresh
+    return end
+
+
+def _next_age(older, w, fresh):
+    """Return the vector ``fresh`` of the next substep; ``older`` is None with BDF2."""
+
+
+@inline(_next_age)
+def _next_age_of(older, w, fresh):
     if isinstance(older, types.NoneType):
         return lambda older, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
     return lambda older, w, fresh: select(
@@ -213,7 +275,7 @@ def step_of(history, w, q, h):
     """Return the vector H [s] of the particles from slot q on."""
     if history is None:
         return splat(w, h)
-    return weights(history.older_x, w, load(history.fresh, q), h)[0]
+    return weights(earlier_positions(history), w, age(history, q), h)[0]
 
 
 @jit

@@ -14,11 +14,13 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
 from xpbd_ros.sim.backend.threads import share, wait
 from xpbd_ros.sim.particles.history import (
+    age,
+    earlier_positions,
+    end_age,
     mean,
-    next_history_age,
     restore_history,
     rotate_history,
-    TOUCHED,
+    velocities,
     weights,
     with_order_reduction,
 )
@@ -90,75 +92,30 @@ def update_velocity_and_begin(state, substep):
 
 @jit(inline=True)
 def _begin(state, history, q, h):
-    if history is None:
-        _begin_euler(state, q, h)
-    else:
-        _begin_multistep(state, history, history.older_x, history.older_v, q, h)
-
-
-@jit(inline=True)
-def _begin_euler(state, q, h):
-    v, slots = state.v, len(state.inv_mass)
+    slots = len(state.inv_mass)
     w = load(state.inv_mass, q)
     free = w > 0.0
-    store(state.mobility, q, w * (h * h))
-    for k in range(3):
-        i = k * slots + q
-        xi, vi = load(state.x_prev, i), load(v, i)
-        vi = select(free, vi + h * state.gravity[k], vi)
-        store(v, i, vi)
-        store(state.x, i, select(free, xi + h * vi, xi))
-
-
-@jit(inline=True)
-def _begin_multistep(state, history, older_x, older_v, q, h):
-    w, slots = load(state.inv_mass, q), len(state.inv_mass)
-    free = w > 0.0
-    fresh = with_order_reduction(history.fresh, history.v, older_v, state.v, state.gap, q, h)
-    step, a, b = weights(older_x, state.inv_mass, fresh, h)
+    past, (v, past_v) = earlier_positions(history), velocities(history, state.v)
+    fresh = with_order_reduction(history, v, past_v, state.gap, q, h)
+    step, a, b = weights(past, state.inv_mass, fresh, h)
     store(state.mobility, q, w * (step * step))
     for k in range(3):
         i = k * slots + q
-        xi, vi = load(state.x_prev, i), load(history.v, i)
-        x_mean = mean(xi, history.x, older_x, i, a, b)
-        moved = _mean_velocity(vi, older_v, state.v, i, a, b) + step * state.gravity[k]
+        xi, vi = load(state.x_prev, i), load(v, i)
+        moved = mean(vi, past_v, i, a, b) + step * state.gravity[k]
         store(state.v, i, select(free, moved, vi))
-        store(state.x, i, select(free, x_mean + step * moved, xi))
+        store(state.x, i, select(free, mean(xi, past, i, a, b) + step * moved, xi))
 
 
 @jit(inline=True)
 def _predict(state, history, q, h):
-    if history is None:
-        _predict_euler(state, q, h)
-    else:
-        _predict_multistep(state, history, history.older_x, q, h)
-
-
-@jit(inline=True)
-def _predict_euler(state, q, h):
     free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
+    past = earlier_positions(history)
+    step, a, b = weights(past, state.inv_mass, age(history, q), h)
     for k in range(3):
         i = k * slots + q
-        moved = load(state.x_prev, i) + h * load(state.v, i)
-        store(state.x, i, select(free, moved, load(state.x, i)))
-
-
-@jit(inline=True)
-def _predict_multistep(state, history, older_x, q, h):
-    free, slots = load(state.inv_mass, q) > 0.0, len(state.inv_mass)
-    step, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
-    for k in range(3):
-        i = k * slots + q
-        start = mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        start = mean(load(state.x_prev, i), past, i, a, b)
         store(state.x, i, select(free, start + step * load(state.v, i), load(state.x, i)))
-
-
-@jit(inline=True)
-def _mean_velocity(now, older_v, oldest, i, a, b):
-    if older_v is None:
-        return mean(now, oldest, None, i, a, b)
-    else:
-        return mean(now, older_v, oldest, i, a, b)
 
 
 @jit(inline=True)
@@ -175,34 +132,14 @@ def velocity(v, now, start, step, per_step):
 
 @jit(inline=True)
 def _update_velocity(state, history, q, h):
-    if history is None:
-        _update_euler(state, q, h)
-    else:
-        _update_multistep(state, history, history.older_x, q, h)
-
-
-@jit(inline=True)
-def _update_euler(state, q, h):
-    v, slots, per_h = state.v, len(state.inv_mass), 1.0 / h
-    free = load(state.inv_mass, q) > 0.0
-    for k in range(3):
-        i = k * slots + q
-        xi, xp = load(state.x, i), load(state.x_prev, i)
-        store(v, i, select(free, velocity(load(v, i), xi, xp, h, per_h), (xi - xp) * per_h))
-
-
-@jit(inline=True)
-def _update_multistep(state, history, older_x, q, h):
-    v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
-    fresh = load(history.fresh, q)
-    store(history.fresh, q, next_history_age(older_x, w, fresh))
-    fresh = select(load(w, q) > 0.0, fresh, TOUCHED)    # pinned: v = (x - x_n) / h
-    as_predicted = fresh < TOUCHED
-    step, a, b = weights(older_x, w, fresh, h)
+    v, slots = state.v, len(state.inv_mass)
+    past = earlier_positions(history)
+    as_predicted, fresh = end_age(history, state.inv_mass, q)
+    step, a, b = weights(past, state.inv_mass, fresh, h)
     per_step = 1.0 / step
     for k in range(3):
         i = k * slots + q
-        xi, start = load(state.x, i), mean(load(state.x_prev, i), history.x, older_x, i, a, b)
+        xi, start = load(state.x, i), mean(load(state.x_prev, i), past, i, a, b)
         store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
                            (xi - start) * per_step))
 
@@ -216,20 +153,11 @@ def write_starts(state, target, h):
 
 @jit(inline=True)
 def _write_start(state, history, target, q, h):
-    if history is None:
-        for k in range(3):
-            i = k * len(state.inv_mass) + q
-            store(target, i, load(state.x_prev, i))
-    else:
-        _write_mean(state, history, history.older_x, target, q, h)
-
-
-@jit(inline=True)
-def _write_mean(state, history, older_x, target, q, h):
-    _, a, b = weights(older_x, state.inv_mass, load(history.fresh, q), h)
+    past = earlier_positions(history)
+    _, a, b = weights(past, state.inv_mass, age(history, q), h)
     for k in range(3):
         i = k * len(state.inv_mass) + q
-        store(target, i, mean(load(state.x_prev, i), history.x, older_x, i, a, b))
+        store(target, i, mean(load(state.x_prev, i), past, i, a, b))
 
 
 @jit

@@ -6,55 +6,17 @@ records as a vector has lanes are transposed in registers into vectors x, y, z, 
 four by four: any other order takes twice the shuffles.
 """
 
-from numba import types
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import inline, jit
-from xpbd_ros.sim.backend.simd import fma, lanes, load, store
-from xpbd_ros.sim.backend.simd_records import (
-    _FIELDS,
-    load_records,
-    load_row,
-    store_records,
-    store_row,
-)
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lanes, load, store
+from xpbd_ros.sim.backend.simd_records import _FIELDS, load_row, store_row
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 
 def new_records(slots: int, dtype) -> np.ndarray:
     """Return zeroed records for all slots, shape (slots, 4)."""
     return zeros((slots, _FIELDS), dtype)
-
-
-def put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
-    """
-    Store x + step dx of a vector of particles, or add step dx to the accumulator.
-
-    Parameters
-    ----------
-    records : shape (slots, 4)
-    apart : accumulator (``particles.accumulators``) or None
-    index, start : the particles are index[start:start + lanes]
-    x, y, z, m : vectors of their positions [m] and mobilities [m/N]
-    step : multiplier step
-    dx, dy, dz : vectors of displacement per unit of step
-
-    """
-
-
-@inline(put_records)
-def _put_records(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
-    if isinstance(apart, types.NoneType):
-        def put(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
-            store_records(records, index, start, fma(step, dx, x), fma(step, dy, y),
-                          fma(step, dz, z), m)
-        return put
-
-    def add(records, apart, index, start, x, y, z, m, step, dx, dy, dz):
-        sx, sy, sz, rest = load_records(apart.records, index, start)
-        store_records(apart.records, index, start, fma(step, dx, sx), fma(step, dy, sy),
-                      fma(step, dz, sz), rest)
-    return add
 
 
 @jit

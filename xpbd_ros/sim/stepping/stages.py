@@ -93,6 +93,7 @@ def lap_integration(effects, state):
 
 _KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: set[Callable] = set()
+_SWEEPS: set[Callable] = set()
 
 
 def stage(stub: Callable, kind: type, *, shared: bool = False) -> Callable:
@@ -108,6 +109,17 @@ def stage(stub: Callable, kind: type, *, shared: bool = False) -> Callable:
             _SHARED.add(kernel)
         return kernel
     return register
+
+
+def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool = False) -> None:
+    """
+    Register one kernel for ``project`` and ``project_back``.
+
+    Its fourth argument is True in ``project_back``.
+    """
+    for stub in (project, project_back):
+        stage(stub, kind, shared=shared)(kernel)
+    _SWEEPS.add(kernel)
 
 
 def kernel_of(stub: Callable, effect) -> Callable | None:
@@ -131,7 +143,8 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
             apart = not (shared or isinstance(team[0], types.NoneType))
             with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
                 for k, kernel in group:
-                    writer.call(kernel, writer.item(effects, k), state, substep)
+                    writer.call(kernel, writer.item(effects, k), state, substep,
+                                *[writer.truth(backwards)] * (kernel in _SWEEPS))
                     write_lap(writer, state, k)
             if apart:
                 writer.call(wait, team)

@@ -43,10 +43,10 @@ class Guard:
 GUARDS = (
     Guard('H5', 'gauss_seidel backward_euler 8x1 all of them',
           'edges of length 0 open along an axis', 'sim/constraints/distance.py',
-          'select(apart_, dx, ux)', 'dx'),
+          'select(far, d.x, axis[0])', 'd.x'),
     Guard('H2', 'line bdf2 8x1 float32 1e+300 m/N',
           'compliances are limited so that their squares are finite',
-          'sim/constraints/distance.py',
+          'sim/constraints/projection.py',
           'float(np.sqrt(np.finfo(dtype).max))', 'np.inf'),
     Guard('H7', 'line bdf2 8x1 a book that shuts further', 'hinge angles count whole turns',
           'effects/hinge.py', '2.0 * pi, nearest((last - now) * (0.5 / pi))', '0.0, last'),

@@ -1,0 +1,70 @@
+"""
+The stages of elastic constraints: multipliers to zero and sweeps, by one registration.
+
+    @constraint(Area, particles=3)
+    @jit(inline=True)
+    def solve_area(area, apart, c, x, m):
+
+registers the kernel for one vector of constraints (``constraints.sweeps``) and, for the type of
+their batch, the stages ``prepare``, ``project`` and ``project_back``.
+"""
+
+from collections.abc import Callable
+from types import FunctionType
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.constraints.distance import GridEdges
+from xpbd_ros.sim.constraints.pinned_edges import react_edges
+from xpbd_ros.sim.constraints.projection import zero_multipliers
+from xpbd_ros.sim.constraints.sweeps import (
+    batch_of,
+    held_of,
+    projection,
+    sweep_packs,
+    sweep_runs,
+)
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, prepare, stage, stage_of_sweeps
+
+
+def _prepare(data, state, substep):
+    """Zero the multipliers."""
+    zero_multipliers(state.apart, batch_of(data).force)
+
+
+def _react(data, state, substep):
+    """Add the forces of edges between two immobile particles."""
+    batch = batch_of(data)
+    react_edges(held_of(batch), batch.force, state, substep)
+
+
+def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
+    """
+    Return a kernel for one type of data, with a name of its own.
+
+    The name separates it in machine code and in the disk cache, since reading a cache with the
+    types of other effects would import these.
+    """
+    own = FunctionType(function.__code__, function.__globals__, f'{stage_}_{kind.__name__}')
+    own.__module__, own.__qualname__ = function.__module__, own.__name__
+    return jit(own)
+
+
+def _sweep(kind: type, *, on_grids: bool) -> None:
+    stage(prepare, kind)(_kernel_for(kind, 'prepare', _prepare))
+    stage_of_sweeps(kind, _kernel_for(kind, 'project', sweep_runs if on_grids else sweep_packs),
+                    shared=on_grids)
+
+
+def constraint(kind: type, *, particles: int) -> Callable:
+    """Register the kernel for a vector of constraints, and the stages of their batch."""
+    def register(kernel):
+        _sweep(kind, on_grids='runs' in kind._fields)    # type: ignore[attr-defined]
+        return projection(kind, particles=particles)(kernel)
+    return register
+
+
+def elastic_edges(kind: type) -> type:
+    """Register the stages of data whose field ``edges`` holds elastic edges."""
+    _sweep(kind, on_grids=kind.__annotations__['edges'] is GridEdges)
+    stage(accumulate_reactions, kind)(_kernel_for(kind, 'react', _react))
+    return kind
