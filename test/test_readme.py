@@ -135,6 +135,15 @@ def test_collider_example_runs(tmp_path):
     assert simulation.effects['friction'].data.static is not None
 
 
+def test_pad_example_has_two_pads():
+    scene, more = yaml.safe_load(block('yaml', 'scenes')), yaml.safe_load(indented('Pads'))
+    simulation = compile_scene(scene_from_text(yaml.safe_dump({**scene, **more}), where='README',
+                                               name='readme'))
+    np.testing.assert_array_equal(simulation.effects['contact'].colliders.stiffness[:2], 2e8)
+    assert set(simulation.effects['contact'].pad_forces()) == {
+        'pad_force_finger_a_n', 'pad_force_finger_b_n'}
+
+
 def test_material_example_means_denim():
     (cloth,) = scene_from_text(indented('Materials'), where='README',
                                name='readme').cloth_effects.values()

@@ -49,13 +49,14 @@ def kernels(names=EFFECTS, *, kinds=None, without=()):
 
 
 OF_SHAPES = ['grid_distance', 'ground_distance']
+OF_PADS = ['become_rigid', 'calm_particle']
 GROUND = {'g': {'heights': {'size': [1.0, 1.0], 'values': [[0.0, 0.0], [0.0, 0.0]]}}}
 
 
 def look(names, cache, **more):
     """Run a scene with these effects in a process of its own; say what was there."""
     path = os.pathsep.join([str(ROOT), str(ROOT / 'test')])
-    arguments = json.dumps([{**SCENES[names], **more}, [*kernels(), *OF_SHAPES]])
+    arguments = json.dumps([{**SCENES[names], **more}, [*kernels(), *OF_SHAPES, *OF_PADS]])
     child = subprocess.run(
         [sys.executable, '-c', CHILD, arguments], check=True, capture_output=True, text=True,
         env={**os.environ, 'PYTHONPATH': path, 'NUMBA_CACHE_DIR': str(cache)}, timeout=300)
@@ -92,6 +93,13 @@ def test_machine_code_holds_the_shapes_of_the_colliders_only(tmp_path):
     """Ground is, once there is some; the test above has seen that a scene without has neither."""
     assert OF_SHAPES[1:] == [name for name in look(
         ('contact',), tmp_path, colliders=GROUND)['kernels'] if name in OF_SHAPES]
+
+
+@pytest.mark.slow
+def test_machine_code_holds_pads_only_where_a_collider_has_one(tmp_path):
+    """The quick test above has seen that contact without pads has none of their kernels."""
+    seen = look(('contact',), tmp_path, colliders={'s': {'plane': {}, 'pad': {'stiffness': 1e8}}})
+    assert [name for name in seen['kernels'] if name in OF_PADS] == OF_PADS
 
 
 def test_a_step_from_the_cache_imports_nothing_more():

@@ -33,7 +33,7 @@ def one_collider(shape, size, start, goal):
     return Colliders(np.array([1]), np.array([shape]), np.array([size]), np.array([-1.0]),
                      np.array([np.inf]),
                      np.array([start]), np.array([goal]), np.array([start != goal]),
-                     np.zeros((1, 6)), np.zeros(1, np.bool_), None, None)
+                     np.zeros((1, 6)), np.zeros(1, np.bool_), None, None, None, None)
 
 
 def distance(shape, size, points):

@@ -14,7 +14,7 @@ from xpbd_ros.sim.contact.signed_distance import grid_distance, shape_distance
 def look_up(field, points):
     """Return φ and the normals at some points."""
     grids = Grids(field.values.ravel(), np.array([0]), np.array([field.values.shape]),
-                  field.origin[None], np.array([field.spacing]), np.array([field.pad]))
+                  field.origin[None], np.array([field.spacing]), np.array([field.clearance]))
     found = np.array([grid_distance(grids, 0, *p) for p in points.tolist()])
     return found[:, 0], found[:, 1:]
 
@@ -56,7 +56,7 @@ def test_off_the_grid_it_is_never_more_than_the_distance():
     field = distance_field(*box_surface(), gap=0.01, spacing=0.05)
     expected, _ = exact(BOX, (0.3, 0.5, 0.2), points)
     phi, normals = look_up(field, points)
-    out = expected > field.pad + 0.2
+    out = expected > field.clearance + 0.2
     assert (phi <= expected + 0.02).all()
     assert (phi[out] > 0.1 * expected[out]).all()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)

@@ -21,6 +21,12 @@ from pose to pose and carry the cloth along.
 A collider's restitution e changes the normal velocity of an approaching particle to -e times that
 at the substep's end (Müller et al. 2020), unless the approach is slower than 2 g h.
 
+A collider with a ``pad`` is an elastic foundation (``contact.pads``; doc/numerics.md 7.7):
+
+    f = K A max(0, -C)
+
+on a particle of rest area A, so that a squeeze has a force.
+
 A particle that moves, relative to a collider, by more than a quarter of the collider's thickness
 in a substep is followed along its way (``contact.continuous_detection``): from the first point
 within r on, it stays in front of the surface's tangent plane there. So it ends on the side that it
@@ -71,7 +77,14 @@ from xpbd_ros.sim.contact.contacts import (
     push_all,
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
-from xpbd_ros.sim.contact.restitution import Bounce, drive_away, rebound, speed_away
+from xpbd_ros.sim.contact.pads import areas, new_pads
+from xpbd_ros.sim.contact.restitution import (
+    Bounce,
+    calm_pads,
+    drive_away,
+    rebound,
+    speed_away,
+)
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
@@ -166,6 +179,7 @@ def calm(contact, state, substep):
             if excess > 0.0:
                 drive_away(contacts, k, state, -excess)
     rebound(contact.bounce, contacts, state, substep)
+    calm_pads(contacts.pads, contacts, state, substep)
 
 
 @stage(add_explicit_forces, Contact)
@@ -199,9 +213,11 @@ class BuiltContact(Built):
         nodes = parameters.mesh_nodes + sum(
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
-        self.colliders: Colliders = new_colliders(capacity, nodes, places)
-        self.contacts = new_contacts(self.colliders, room, parameters.thickness,
-                                     world.slots)
+        self.scale = world.compliance_scale
+        pads = any(entry.pad is not None for entry in self.entries.values())
+        self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads)
+        self.contacts = new_contacts(self.colliders, room, parameters.thickness, world.slots,
+                                     new_pads(room, areas(world)) if pads else None)
         if 'self_collision' in world.built:
             world.built['self_collision'].heed(self.contacts)
         if 'strain_limit' in world.built:
@@ -277,6 +293,10 @@ class BuiltContact(Built):
                 places += placed.heights.size
             if self.data.bounce is not None:
                 self.data.bounce.restitution[c] = placed.entry.restitution
+            if self.colliders.stiffness is not None and self.colliders.depth is not None:
+                pad = placed.entry.pad
+                self.colliders.stiffness[c] = 0.0 if pad is None else pad.stiffness / self.scale
+                self.colliders.depth[c] = placed.depth
             self._write_twist(c, placed)
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
@@ -396,10 +416,23 @@ class BuiltContact(Built):
             np.subtract(placed.motion.pose.position, placed.motion.start.position) / frame_dt)
             for name, placed in self.placed.items()})}
 
+    def pad_forces(self) -> dict[str, float]:
+        """Return the normal force of each pad in the last substep [N]."""
+        pads = self.contacts.pads
+        if pads is None:
+            return {}
+        found = max(0, self.contacts.count[0])
+        forces = np.bincount(self.contacts.collider[:found], pads.force[:found],
+                             len(self.colliders.shape))
+        return {f'pad_force_{name}_n': float(force)
+                for (name, placed), force in zip(self.placed.items(), forces)
+                if placed.entry.pad is not None}
+
     def stats(self):
         found = max(0, self.contacts.count[0])
         grids = self.colliders.grids
         return {**({} if grids is None else {'collider_grid_bytes': grids.values.nbytes}),
+                **self.pad_forces(),
                 'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
                 'contacts_squeezed': int(self.contacts.count[4]),

@@ -27,8 +27,15 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.clamp_friction import (
+    across,
+    clamp_at,
+    place_clamped,
+    shared_friction,
+)
 from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surface_motion
 from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage
@@ -76,26 +83,113 @@ def holds(static, a, c, kinetic):
         return static[a, c]
 
 
+@jit(inline=True)
+def tangential(contacts, k, state, substep):
+    """Return Δp_t of contact k [m]."""
+    i, n, x, before = contacts.particle[k], contacts.normal, state.x, state.x_prev
+    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
+    pz = x[2, i] - before[2, i] - uz
+    pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
+    return px - pn * n[k, 0], py - pn * n[k, 1], pz - pn * n[k, 2]
+
+
+@jit(inline=True)
+def limits(friction, k):
+    """Return μ_s d and μ_k d of contact k [m]."""
+    contacts = friction.contacts
+    load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
+    a, c = friction.cloth[contacts.particle[k]], contacts.collider[k]
+    mu = friction.coefficient[a, c]
+    return holds(friction.static, a, c, mu) * load, mu * load
+
+
+@jit
+def resist_clamped(pads, friction, state, substep):
+    """Do so for particles between two colliders, at once for both (``contact.clamp_friction``)."""
+    if pads is not None:
+        contacts, x = friction.contacts, state.x
+        s = contacts.slip
+        for k in range(contacts.count[0]):
+            pads.clamped[k] = False
+            if hold(pads, friction, k, state, substep):
+                continue
+            j = partner(pads, contacts, k)
+            if j < 0:
+                continue
+            pads.clamped[j] = pads.clamped[k] = True
+            i = contacts.particle[k]
+            px, py, pz = tangential(contacts, j, state, substep)
+            rx, ry, rz = tangential(contacts, k, state, substep)
+            tx, ty, tz = s[j, 0] + s[k, 0], s[j, 1] + s[k, 1], s[j, 2] + s[k, 2]
+            one, other = limits(friction, j), limits(friction, k)
+            first, second = shared_friction(
+                (px - tx, py - ty, pz - tz), (rx - tx, ry - ty, rz - tz),
+                (one[0], other[0]), (one[1], other[1]))
+            for a in range(3):
+                s[j, a], s[k, a] = first[a], second[a]
+            x[0, i] += s[j, 0] + s[k, 0] - tx
+            x[1, i] += s[j, 1] + s[k, 1] - ty
+            x[2, i] += s[j, 2] + s[k, 2] - tz
+
+
+@jit(inline=True)
+def hold(pads, friction, k, state, substep):
+    """
+    Solve normal forces and friction of a clamped particle together; return False if it is not.
+
+    The particle's last candidate is k. The forces are those where it moves with the mean of both
+    surfaces (``contact.clamp_friction``).
+    """
+    contacts, x, s, before = friction.contacts, state.x, friction.contacts.slip, state.x_prev
+    i, j = contacts.particle[k], contacts.earlier[k]
+    if not (j >= 0 and contacts.latest[i] == k and contacts.earlier[j] < 0
+            and state.mobility[i] > 0.0 and pads.area[i] > 0.0 and meets_pad(pads, contacts, k)):
+        return False
+    now, pushed = (x[0, i], x[1, i], x[2, i]), (contacts.push[j], contacts.push[k])
+    free = without_pushes(pads, contacts, k, (
+        now[0] - s[j, 0] - s[k, 0], now[1] - s[j, 1] - s[k, 1], now[2] - s[j, 2] - s[k, 2]))
+    x[0, i], x[1, i], x[2, i] = free
+    px, py, pz = surface_motion(contacts, j, state, substep)
+    rx, ry, rz = surface_motion(contacts, k, state, substep)
+    clamp = clamp_at(pads, contacts, j, k, free, (
+        before[0, i] + 0.5 * (px + rx), before[1, i] + 0.5 * (py + ry),
+        before[2, i] + 0.5 * (pz + rz)))
+    if clamp.holds:
+        contacts.push[j], contacts.push[k] = clamp.push
+        one, other = limits(friction, j), limits(friction, k)
+        p = across(clamp, before[0, i] + px, before[1, i] + py, before[2, i] + pz)
+        r = across(clamp, before[0, i] + rx, before[1, i] + ry, before[2, i] + rz)
+        first, second = shared_friction(p, r, (one[0], other[0]), (one[1], other[1]))
+        if place_clamped(pads, contacts, j, k, i, state, clamp, free, (
+                now[0] - s[j, 0] - s[k, 0], now[1] - s[j, 1] - s[k, 1],
+                now[2] - s[j, 2] - s[k, 2]), sqrt((px - rx)**2 + (py - ry)**2 + (pz - rz)**2),
+                first, second):
+            for a in range(3):
+                s[j, a], s[k, a] = first[a], second[a]
+            pads.clamped[j] = pads.clamped[k] = True
+            return True
+    contacts.push[j], contacts.push[k] = pushed
+    x[0, i], x[1, i], x[2, i] = now
+    return False
+
+
 @stage(project_inequalities, Friction)
 @jit
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
-    contacts, x, before = friction.contacts, state.x, state.x_prev
-    n, s = contacts.normal, contacts.slip
+    contacts, x = friction.contacts, state.x
+    s = contacts.slip
+    resist_clamped(contacts.pads, friction, state, substep)
     for k in range(contacts.count[0]):
         if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
             continue
+        if is_clamped(contacts.pads, k):
+            continue
         i = contacts.particle[k]
-        ux, uy, uz = surface_motion(contacts, k, state, substep)
-        px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
-        pz = x[2, i] - before[2, i] - uz
-        pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
-        sx, sy = s[k, 0] - (px - pn * n[k, 0]), s[k, 1] - (py - pn * n[k, 1])
-        sz = s[k, 2] - (pz - pn * n[k, 2])
-        load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
-        a, c = friction.cloth[i], contacts.collider[k]
-        mu = friction.coefficient[a, c]
-        sx, sy, sz = shortened(sx, sy, sz, holds(friction.static, a, c, mu) * load, mu * load)
+        tx, ty, tz = tangential(contacts, k, state, substep)
+        sticks, slides = limits(friction, k)
+        sx, sy, sz = shortened(s[k, 0] - tx, s[k, 1] - ty, s[k, 2] - tz, sticks, slides)
         x[0, i] += sx - s[k, 0]
         x[1, i] += sy - s[k, 1]
         x[2, i] += sz - s[k, 2]

@@ -9,6 +9,7 @@ import numpy as np
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.auto import resolve
+from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
@@ -73,6 +74,7 @@ def compile_scene(scene: Scene) -> Simulation:
                      for text in cloth.mesh.notes),
                    *(text for built in effects.values() for text in built.notes),
                    *_too_coarse(cloths, state),
+                   *weak_grips(scene, cloths, solver.method, solver.substeps),
                    *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:
         raise InputError(f'{scene.where}: sizes, stiffnesses or densities are too large or too '

@@ -1,6 +1,6 @@
 """A scene file as frozen dataclasses."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 from xpbd_ros.errors import InputError
@@ -128,11 +128,12 @@ def live_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
     def walk(prefix: str, values: Any) -> None:
         for field in fields(values):
             value = getattr(values, field.name)
-            if field.metadata.get('live') and value is not None:
+            if is_dataclass(value):
+                walk(f'{prefix}{field.name}.', value)
+            elif field.metadata.get('live') and value is not None:
                 found[f'{prefix}{field.name}'] = (field, value)
 
     walk('', scene.top)
-    walk('solver.', scene.top.solver)
     for name, cloth in scene.cloths.items():
         walk(f'cloths.{name}.', cloth)
         for effect, parameters in scene.cloth_effects[name].items():

@@ -79,11 +79,15 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
     if get_origin(kind) in (Union, types.UnionType):
         kinds = [k for k in get_args(kind) if k is not type(None)]
         if value is None:
-            raise InputError(f'{path}: has no value')
+            form = _form(kinds[0])
+            raise InputError(f'{path}: has no value' + (
+                f'; give it {form}, or leave it out' if form else ''))
         fits = [k for k in kinds if (get_origin(k) is tuple and isinstance(value, list))
                 or (is_dataclass(k) and isinstance(value, dict))]
         kind = fits[0] if fits else kinds[0]
     if isinstance(kind, type) and is_dataclass(kind):
+        if value is not None and not isinstance(value, dict) and _form(kind):
+            raise InputError(f'{path}: must be a mapping {_form(kind)} (got {_short(value)})')
         return read(kind, value, path)
     if get_origin(kind) is tuple:
         return _tuple(get_args(kind), value, path, metadata)
@@ -98,6 +102,15 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
             raise InputError(f'{path}: must be true or false (got {_short(value)})')
         return value
     return _number(kind, value, path, metadata)
+
+
+def _form(kind: Any) -> str:
+    """Return the required keys of a dataclass with their units, such as '{radius: m}'; or ''."""
+    if not (isinstance(kind, type) and is_dataclass(kind)):
+        return ''
+    needed = [f'{field.name}: {field.metadata.get("unit") or "…"}' for field in fields(kind)
+              if field.default is MISSING and field.default_factory is MISSING]
+    return f'{{{", ".join(needed)}}}' if needed else ''
 
 
 def _tuple(kinds: tuple, value: Any, path: str, metadata) -> tuple:

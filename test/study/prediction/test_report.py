@@ -22,6 +22,7 @@ from xpbd_ros.study.prediction.stiffness import stiffness
 from xpbd_ros.study.prediction.substeps import stretch_error
 
 COARSE = {'cloths.sheet.grid.resolution': [9, 9]}
+COARSE_COVER = {'cloths.cover.grid.resolution': [9, 9]}
 SOFT = {'solver.method': 'gauss_seidel', 'solver.substeps': 16}
 
 
@@ -53,6 +54,14 @@ def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
                     f"{found.substeps_for['0.1']} substeps would do")
     cured = check(load_scene('balloon', {'solver.substeps': found.substeps_for['0.1']}))
     assert cured.ok, cured.warnings
+
+
+def test_the_pressure_of_a_pad_is_said():
+    scene = load_scene('drape', {**COARSE_COVER, 'colliders.ball.pad': {'stiffness': 2e8}})
+    pressure, tension = check(scene).notes
+    assert pressure == (
+        'colliders.ball.pad: presses with 20 N/cm² per mm of indentation (2e+08 Pa/m)')
+    assert tension.startswith('cloths.cover: ') and tension.endswith(' into a grip of pads')
 
 
 @WITH_MESHIO

@@ -35,7 +35,7 @@ def test_case_at_the_default_setting(case):
 
 
 def test_every_number_of_the_list_has_a_case():
-    assert {one.id for one in EVERY} | set(NODE_CASES) == {f'H{n}' for n in range(1, 35)}
+    assert {one.id for one in EVERY} | set(NODE_CASES) == {f'H{n}' for n in range(1, 36)}
     for family in FAMILIES:
         assert any(one.family == family for one in EVERY), family
 

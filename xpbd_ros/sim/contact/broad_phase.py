@@ -6,6 +6,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, lanes, load, root
 from xpbd_ros.sim.contact.colliders import to_local
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
+from xpbd_ros.sim.contact.pads import begin_pad
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 
 
@@ -83,6 +84,7 @@ def check_pair(contacts, bounce, state, i, c, thickness, substep):
     contacts.overlap[k] = max(0.0, contacts.gap[k] - gap)
     contacts.push[k] = 0.0
     contacts.crossed[k] = False
+    begin_pad(contacts.pads, contacts, k, gap, gap + DEPENETRATION * substep.h)
     for a in range(3):
         contacts.slip[k, a] = 0.0
     if bounce is not None:

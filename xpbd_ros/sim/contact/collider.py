@@ -1,6 +1,7 @@
 """Colliders outside the kernels: shape, motion and lifetime of each."""
 
 from dataclasses import dataclass, field
+from math import inf
 
 import numpy as np
 
@@ -52,6 +53,13 @@ class Placed:
             rows, columns = self.heights.shape
             return 0.5 * min(across / (columns - 1), along / (rows - 1))
         return inner(SHAPES[self.entry.shape], np.array(shape_size(self.entry)))
+
+    @property
+    def depth(self) -> float:
+        """Penetration up to which its pad presses a particle between two colliders [m]."""
+        if self.field is not None:
+            return 0.5 * max(self.field.spacing, -float(self.field.values.min()))
+        return inf if self.heights is not None else self.inner
 
 
 @dataclass(frozen=True)

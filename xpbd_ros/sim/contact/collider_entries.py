@@ -98,6 +98,14 @@ def table(rows) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Pad:
+    """An elastic foundation on the surface, such as the rubber of a finger."""
+
+    stiffness: float = quantity(unit='Pa/m', above=0.0, live=True, doc=(
+        "pressure over indentation: the rubber's modulus over its thickness"))
+
+
+@dataclass(frozen=True)
 class Entry:
     """One entry of the scene's ``colliders``: exactly one shape, its pose and surface."""
 
@@ -116,6 +124,7 @@ class Entry:
         None, minimum=0.0, live=True, doc='coefficient while it sticks; friction unless given')
     restitution: float = quantity(0.0, minimum=0.0, maximum=1.0,
                                   doc='speed after a bounce / speed before')
+    pad: Pad | None = quantity(None, doc='a soft surface; rigid unless given')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
     max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
@@ -128,6 +137,9 @@ class Entry:
                              f'(got {", ".join(given) or "none"})')
         check_static(self.static_friction, self.friction)
         check_motion(self.motion)
+        if self.pad is not None and self.restitution > 0.0:
+            raise InputError(f'restitution: must be 0 beside a pad (got {self.restitution:g}); '
+                             'leave out one of the two')
 
     @property
     def shape(self) -> str:

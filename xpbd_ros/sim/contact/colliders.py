@@ -30,7 +30,7 @@ class Grids(NamedTuple):
     """position of the first node in the collider's axes [m], shape (capacity, 3)"""
     spacing: np.ndarray
     """[m], shape (capacity,)"""
-    pad: np.ndarray
+    clearance: np.ndarray
     """least distance from the boundary of the grid to the surface [m], shape (capacity,)"""
 
 
@@ -75,9 +75,16 @@ class Colliders(NamedTuple):
     """None without capacity for meshes"""
     heights: Heights | None
     """None without capacity for height fields"""
+    stiffness: np.ndarray | None
+    """foundation modulus of each pad [Pa/m], 0 of a rigid collider, shape (capacity,); None in a
+    scene without pads"""
+    depth: np.ndarray | None
+    """penetration up to which a pad presses a particle between two colliders [m], inf: always;
+    shape (capacity,); None in a scene without pads"""
 
 
-def new_colliders(capacity: int, nodes: int = 0, places: int = 0) -> Colliders:
+def new_colliders(capacity: int, nodes: int = 0, places: int = 0, *,
+                  pads: bool = False) -> Colliders:
     """Return an empty set with capacity for colliders, grid nodes and height field nodes."""
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))
     return Colliders(
@@ -88,7 +95,17 @@ def new_colliders(capacity: int, nodes: int = 0, places: int = 0) -> Colliders:
               np.zeros((capacity, 3), np.int64), np.zeros((capacity, 3)), np.zeros(capacity),
               np.zeros(capacity)) if nodes else None,
         Heights(np.zeros(places), np.zeros(capacity, np.int64),
-                np.zeros((capacity, 2), np.int64)) if places else None)
+                np.zeros((capacity, 2), np.int64)) if places else None,
+        np.zeros(capacity) if pads else None, np.zeros(capacity) if pads else None)
+
+
+@jit(inline=True)
+def is_soft(pads, k):
+    """Return True if a pad presses candidate k; ``pads`` is that of ``Contacts``."""
+    if pads is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return pads.soft[k]
 
 
 def write_grid(grids: Grids, c: int, field, first: int) -> None:
@@ -96,7 +113,8 @@ def write_grid(grids: Grids, c: int, field, first: int) -> None:
     values = field.values.ravel()
     grids.values[first:first + values.size] = values
     grids.first[c], grids.nodes[c] = first, field.values.shape
-    grids.origin[c], grids.spacing[c], grids.pad[c] = field.origin, field.spacing, field.pad
+    grids.origin[c], grids.spacing[c] = field.origin, field.spacing
+    grids.clearance[c] = field.clearance
 
 
 def write_heights(heights: Heights, c: int, values: np.ndarray, first: int) -> None:

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import Colliders, to_local, to_world, write_pose
+from xpbd_ros.sim.contact.colliders import Colliders, is_soft, to_local, to_world, write_pose
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
+from xpbd_ros.sim.contact.pads import Pads, press_pads
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 from xpbd_ros.sim.particles.history import invalidate_history
 
@@ -72,9 +73,12 @@ class Contacts(NamedTuple):
     side: np.ndarray
     """if so, the plane that the particle stays in front of: unit normal, offset [m]; shape
     (capacity, 4)"""
+    pads: Pads | None
+    """None in a scene without pads"""
 
 
-def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) -> Contacts:
+def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
+                 pads: Pads | None = None) -> Contacts:
     """Return an empty list with the capacity of ``room`` candidates."""
     capacity = len(colliders.shape)
     return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
@@ -86,7 +90,7 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int) 
                     np.zeros(room, np.int64),
                     np.zeros(room), np.zeros(room), np.zeros(room),
                     np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
-                    np.zeros((room, 4)))
+                    np.zeros((room, 4)), pads)
 
 
 @jit(inline=True)
@@ -149,6 +153,8 @@ def push_all(contacts, state, eased=False):
 
     If ``eased``, only penetration is prevented, not the full thickness kept.
     """
+    if not eased:
+        press_pads(contacts.pads, contacts, state)
     for _ in range(CORNER):
         push_once(contacts, state, False, eased)
         if not contacts.count[2]:
@@ -171,6 +177,8 @@ def push_once(contacts, state, back=False, eased=False):
     for n in range(count):
         k = count - 1 - n if back else n
         i, c = contacts.particle[k], contacts.collider[k]
+        if is_soft(contacts.pads, k):
+            continue
         x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
         x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
         step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2

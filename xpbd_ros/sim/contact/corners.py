@@ -17,7 +17,7 @@ Limits: if the sine of the angle between two normals is below FLAT the particle 
 from math import sqrt
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import to_local
+from xpbd_ros.sim.contact.colliders import is_soft, to_local
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.geometry.quaternion import rotate
@@ -53,8 +53,10 @@ def contact_distance(contacts, k, x, y, z):
 
 @jit(inline=True)
 def is_penetrating(contacts, k, state):
-    """Return True if candidate k is inside its collider or behind its tangent plane."""
+    """Return True if candidate k is inside its rigid collider or behind its tangent plane."""
     i = contacts.particle[k]
+    if is_soft(contacts.pads, k):
+        return False
     phi, _ = contact_distance(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
     return phi < min(0.0, contacts.gap[k] - SHORT * contacts.thickness[0])
 
@@ -117,6 +119,8 @@ def deepest(contacts, k, x, y, z):
     while k >= 0:
         phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
+        if is_soft(contacts.pads, k):
+            short = 0.0
         if short > max(most, 0.1 * enough):
             most, normal = short, n
         k = contacts.earlier[k]

@@ -49,7 +49,7 @@ class Field:
     """position of node (0, 0, 0) [m], shape (3,)"""
     spacing: float
     """[m]"""
-    pad: float
+    clearance: float
     """least distance from the boundary of the grid to the surface [m]"""
     reach: float
     """radius of the bounding sphere around the origin [m]"""
@@ -118,7 +118,7 @@ def _is_resolved(field: Field, usual: float) -> bool:
 
 def _field(vertices, triangles, gap: float, spacing: float | None, room: int) -> Field:
     low, high = vertices.min(0), vertices.max(0)
-    shape, spacing, pad = grid_around(vertices, gap=gap, spacing=spacing)
+    shape, spacing, clearance = grid_around(vertices, gap=gap, spacing=spacing)
     if prod(shape) > room:
         raise NoRoomError(shape, spacing, room)
     origin = low - 0.5 * (spacing * (np.array(shape) - 1) - (high - low))
@@ -132,7 +132,7 @@ def _field(vertices, triangles, gap: float, spacing: float | None, room: int) ->
     _count_crossings(corners, crossings, *ASIDE)
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
-    return Field(values, origin, spacing, pad, float(np.sqrt((vertices**2).sum(1).max())),
+    return Field(values, origin, spacing, clearance, float(np.sqrt((vertices**2).sum(1).max())),
                  tuple((high - low).tolist()))
 
 
@@ -140,8 +140,9 @@ def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = Non
     """Return shape, spacing [m] and padding [m] of a surface's grid."""
     extent = vertices.max(0) - vertices.min(0)
     spacing = spacing or max(gap, float(extent.max()) / FINEST)
-    pad = max(4.0 * gap, 2.0 * spacing)
-    return tuple(ceil(c / spacing) + 1 for c in (extent + 2.0 * pad).tolist()), spacing, pad
+    clearance = max(4.0 * gap, 2.0 * spacing)
+    shape = tuple(ceil(c / spacing) + 1 for c in (extent + 2.0 * clearance).tolist())
+    return shape, spacing, clearance
 
 
 def _closed(vertices, triangles):

@@ -1,4 +1,8 @@
-"""Newton's law of restitution for contacts, compiled only if a collider has a coefficient."""
+"""
+Velocities of contacts: Newton's law of restitution, and the recovery of pads.
+
+Each is compiled only if a collider of the scene has a coefficient, or a pad.
+"""
 
 from math import sqrt
 from typing import NamedTuple
@@ -6,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import surface_motion
+from xpbd_ros.sim.geometry.closest_points import dot
 
 
 class Bounce(NamedTuple):
@@ -55,3 +61,42 @@ def rebound(bounce, contacts, state, substep):
                 missing = -e * before - speed_away(contacts, k, state, substep)
                 if missing > 0.0:
                     drive_away(contacts, k, state, missing)
+
+
+@jit
+def calm_pads(pads, contacts, state, substep):
+    """
+    Reduce the speed at which pads push particles off (see ``contact.pads``).
+
+    It is that along the sum u of all pushes, so where two pads balance there is none.
+    """
+    if pads is not None:
+        for k in range(contacts.count[0]):
+            if contacts.latest[contacts.particle[k]] == k:
+                calm_particle(pads, contacts, k, state, substep)
+
+
+@jit
+def calm_particle(pads, contacts, last, state, substep):
+    """Reduce the speed relative to the pad that pushes most."""
+    n, v, i, j = contacts.normal, state.v, contacts.particle[last], contacts.earlier[last]
+    u = (pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2])
+    if pads.clamped[last]:    # across the clamp, friction bears what pushes give
+        a = (n[last, 0] - n[j, 0], n[last, 1] - n[j, 1], n[last, 2] - n[j, 2])
+        share = dot(u, a) / dot(a, a)
+        u = (share * a[0], share * a[1], share * a[2])
+    size = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    most, strongest, k = 0.0, -1, last
+    while k >= 0:
+        along = pads.given[k] * (u[0] * n[k, 0] + u[1] * n[k, 1] + u[2] * n[k, 2])
+        if along > most and is_soft(pads, k):
+            most, strongest = along, k
+        k = contacts.earlier[k]
+    if strongest >= 0:
+        wx, wy, wz = surface_motion(contacts, strongest, state, substep)
+        h = substep.h
+        off = min((v[0, i] - wx / h) * u[0] + (v[1, i] - wy / h) * u[1]
+                  + (v[2, i] - wz / h) * u[2], size * size / h) / size
+        if off > 0.0:
+            for a in range(3):
+                v[a, i] -= off * pads.lost[strongest] * u[a] / size

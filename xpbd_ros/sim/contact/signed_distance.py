@@ -90,7 +90,7 @@ def grid_distance(grids, c, x, y, z):
     ew = w - min(max(w, 0.0), n[c, 2] - 1.0)
     out = sqrt(eu * eu + ev * ev + ew * ew)
     if out != 0.0:    # true for nan too
-        return out * s + grids.pad[c], eu / out, ev / out, ew / out
+        return out * s + grids.clearance[c], eu / out, ev / out, ew / out
     i, j = min(int(u), n[c, 0] - 2), min(int(v), n[c, 1] - 2)
     k = min(int(w), n[c, 2] - 2)
     a, b, g = u - i, v - j, w - k

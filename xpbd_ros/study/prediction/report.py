@@ -8,6 +8,7 @@ import numpy as np
 
 from xpbd_ros.scene.auto import cost, INTEGRATOR
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.contact.collider_entries import Entry
 from xpbd_ros.sim.contact.distance_field import Field
@@ -40,7 +41,7 @@ class Report:
     """frame period [ms]"""
     warnings: list[str]
     notes: tuple[str, ...] = ()
-    """repairs of meshes from files, and effects without a prediction"""
+    """repairs of meshes from files, effects without a prediction, and the pressure of pads"""
 
     @property
     def ok(self) -> bool:
@@ -60,12 +61,29 @@ def check(scene: Scene) -> Report:
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
-                  simulation.notes + _unpredicted(simulation))
+                  (*simulation.notes, *_unpredicted(simulation), *_pads(scene, simulation)))
 
 
 def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
     return tuple(f'{name}: no stiffness is predicted: {why}'
                  for name, why in UNPREDICTED.items() if name in simulation.effects)
+
+
+def _pads(scene: Scene, simulation: Simulation) -> list[str]:
+    """Return the pressure of each pad for a millimetre, and the tension that a grip can take."""
+    found = [f'colliders.{name}.pad: presses with {1e-7 * entry.pad.stiffness:.4g} N/cm² per mm '
+             f'of indentation ({entry.pad.stiffness:g} Pa/m)'
+             for name, entry in scene.sections.get('colliders', {}).items()
+             if entry.pad is not None]
+    solver = simulation.solver
+    for cloth in simulation.cloths if found and solver.method != 'explicit' else ():
+        density = scene.cloths[cloth.name].density
+        if density is not None and not len(cloth.mesh.tetrahedra):
+            tension = carried_tension(solver.method, cloth, density,
+                                      simulation.frame_dt / solver.substeps)
+            found.append(f'cloths.{cloth.name}: {solver.substeps} substeps of {solver.method} '
+                         f'carry up to {tension:.3g} N/m into a grip of pads')
+    return found
 
 
 def frame_ms(simulation: Simulation, solver: Solver) -> float:

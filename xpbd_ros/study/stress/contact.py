@@ -149,6 +149,30 @@ def many():
         yield Trial(setting, scene, 2.0, end_speed=1e-3, check=moved, label=f'{n * n} particles')
 
 
+@hard('H35', 'pads from soft to rigid')
+def pads():
+    """Of two pads that squeeze a sheet one jumps away and back; nothing flies off or jitters."""
+    def jump(t):
+        return {'above': (0.0, 0.0, 3.0 if 1.0 <= t < 1.5 else 0.0)}
+
+    def held(track):
+        z = np.abs(track.x[-1][:, 2]).max()
+        return '' if z <= 1e-4 else f'{z:.2g} m off the middle'
+
+    for stiffness in (1e-3, 1e4, 2e8, 1e15):
+        blocks = {name: {'box': {'size': [1.0, 1.0, 0.2]}, 'friction': 0.4,
+                         'position': [0.2, 0.2, side * (0.1 + GAP - 0.001)],
+                         'pad': {'stiffness': stiffness}}
+                  for name, side in (('below', -1.0), ('above', 1.0))}
+        firm = stiffness > 1e6
+        scene = sheet(pose=FLAT, pins={}, colliders=blocks, gravity=-9.80665 if firm else 0.0)
+        for setting in USUAL:
+            yield Trial(setting, scene, 4.0, colliders=jump, cause_end=2.2, speed=15.0,
+                        end_speed=1e-3, strain=0.5, check=held if firm else None, textbook=False,
+                        reports=('colliders_at_max_speed',) if firm else (),
+                        label=f'{stiffness:g} Pa/m')
+
+
 def on_table(mu: float, angle: float, **keys) -> dict:
     """Return a sheet on a plane, with gravity tilted towards +x by an angle [degrees]."""
     a = np.radians(angle)

@@ -1,4 +1,4 @@
-"""Contact and friction: Coulomb's law on inclines and around a cylinder."""
+"""Contact and friction: Coulomb's law on inclines, around a cylinder and between pads."""
 
 import numpy as np
 
@@ -106,3 +106,41 @@ def capstan():
     for n in (20, 140, 200):
         yield value(f'pull over hold, turned, {n} edges', np.exp(TURNED * np.pi), turned(n), '',
                     0.01)
+
+
+def between_pads(load: float, density: float, method: str, integrator: str, substeps: int):
+    """
+    Return a sheet between two pads that press it 1 mm deep, and its weight along x over 2 μ F.
+
+    ``load`` is that weight; F is the foundation modulus times the indentation and the area.
+    """
+    stiffness, deep, size = 1e5, 1e-3, (0.1, 0.04)
+    force = stiffness * deep * size[0] * size[1]
+    g = 2.0 * MU * load * force / (density * size[0] * size[1])
+    pads = {name: {'box': {'size': [10.0, 2.0, 0.02]}, 'friction': MU,
+                   'position': [0.0, 0.0, side * (0.01 + GAP - deep)],
+                   'pad': {'stiffness': stiffness}}
+            for name, side in (('upper', 1), ('lower', -1))}
+    sheet = build((6, 3), size, {'stretch': {'warp': 500.0, 'weft': 500.0}}, density=density,
+                  gravity=(g, 0.0, 0.0), friction=MU, method=method, integrator=integrator,
+                  substeps=substeps, colliders=pads,
+                  effects_={'contact': {'thickness': GAP}, 'friction': {}})
+    return sheet, force, g
+
+
+@case('V31', 'squeeze between pads')
+def clamp():
+    """The force is stiffness times indentation and area; the sheet slips at 2 μ F."""
+    for method, integrator, substeps, density in (
+            ('line', 'bdf2', 4, 0.2), ('line', 'ndf2', 32, 0.05),
+            ('gauss_seidel', 'backward_euler', 16, 1.0), ('explicit', 'leapfrog', 64, 0.2)):
+        name = f'{method}, {substeps} substeps, {density:g} kg/m²'
+        sheet, force, _ = between_pads(0.99, density, method, integrator, substeps)
+        frame = run(sheet, 60)
+        yield value(f'force, {name}', force, sheet.stats()['pad_force_upper_n'], 'N', 1e-9)
+        yield value(f'distance in 1 s at 0.99 of 2 μ F, {name}', 0.0, frame.x[0, 0], 'm', 1e-9,
+                    absolute=True)
+        sheet, _, g = between_pads(1.01, density, method, integrator, substeps)
+        before, after = (run(sheet, 15).v[:, 0].mean() for _ in range(2))
+        yield value(f'acceleration at 1.01 of 2 μ F, {name}', g * (1.0 - 1.0 / 1.01),
+                    float(after - before) / 0.25, 'm/s²', 1e-6)
