@@ -88,7 +88,7 @@ def test_brute_force_finds_the_same_particles():
         keep = 0.02
         if near.cloth[i] == near.cloth[j]:
             keep = min(keep, 0.5 * np.linalg.norm(near.rest[i] - near.rest[j]))
-        if np.linalg.norm(x[i] - x[j]) < keep + near.margin[0]:
+        if np.linalg.norm(x[i] - x[j]) < keep + near.margin[i] + near.margin[j]:
             expected.append((i, j, len(x), len(x)))
     assert found == expected
     assert len(found) > 30
@@ -97,14 +97,16 @@ def test_brute_force_finds_the_same_particles():
 def test_brute_force_finds_the_same_triangles_and_edges():
     simulation, x = crumpled('surface')
     near = stay(simulation)
-    reach, surface = THICKNESS + near.margin[0], near.surface
+    margin, surface = near.margin, near.surface
     expected = [(v, *corners) for corners in surface.triangles.corners.T for v in range(len(x))
-                if v not in corners and to_triangle(x[v], *x[corners]) < reach]
+                if v not in corners and to_triangle(x[v], *x[corners])
+                < THICKNESS + margin[v] + margin[corners].max()]
     assert listed(near, TRIANGLES) == sorted(expected)
     edges = np.array(sorted(surface.edges.corners.T.tolist()))
     expected = [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
                 if not set(edges[e]) & set(edges[f])
-                and of_edges(*x[edges[e]], *x[edges[f]]) < reach]
+                and of_edges(*x[edges[e]], *x[edges[f]])
+                < THICKNESS + margin[edges[e]].max() + margin[edges[f]].max()]
     assert listed(near, EDGES) == expected
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
 

@@ -44,13 +44,15 @@ def test_a_query_finds_what_brute_force_finds(count):
     tree = new_box_tree(items, rest, np.zeros(count + 1, np.int64))
     hits = 0
     for _ in range(3):    # the tree is refitted
-        points = random.uniform(-1.0, 1.0, (count + 1, 4)).astype(np.float32)
-        update_boxes(tree, points)
-        ends = points[items, :3]
+        spheres = random.uniform(-1.0, 1.0, (count + 1, 4)).astype(np.float32)
+        spheres[:, 3] = 0.05 * np.abs(spheres[:, 3])
+        update_boxes(tree, spheres)
+        centre, radius = spheres[items, :3], spheres[items, 3:]
         for low in random.uniform(-1.0, 1.0, (20, 3)):
             high = low + random.uniform(0.0, 0.5, 3)
             low, high = low.astype(np.float32), high.astype(np.float32)
-            there = ((ends.min(1) <= high) & (ends.max(1) >= low)).all(1)
+            there = (((centre - radius).min(1) <= high)
+                     & ((centre + radius).max(1) >= low)).all(1)
             assert sorted(items_in(tree, low, high)) == [
                 tuple(pair) for pair in items[there].tolist()]
             hits += there.sum()
@@ -59,6 +61,7 @@ def test_a_query_finds_what_brute_force_finds(count):
 
 def test_points_that_are_not_finite_hide_no_others():
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (100, 4)).astype(np.float32)
+    points[:, 3] = 0.0
     tree = new_box_tree(np.arange(100)[:, None], points[:, :3], np.zeros(100, np.int64))
     points[::7] = np.nan
     points[3::7] = np.inf

@@ -82,7 +82,7 @@ from xpbd_ros.sim.stepping.stages import (
 NOT_SOUGHT, SOUGHT = -1, 1
 """state of the pairs before and after the first iteration of a substep"""
 SUBSTEPS = 16.0
-"""substeps of the present motion for which the neighbour list has a margin"""
+"""substeps of the present motion for which the neighbour list has margins"""
 SLACK = 0.125
 """distance that pushes may move a particle at rest, relative to the thickness"""
 ROUNDS = 24
@@ -162,8 +162,8 @@ def find_pairs(effect, state, substep, both):
     """Find the pairs in reach in this substep; return the longest way of a particle [m]."""
     near, pairs, thickness = effect.near, effect.pairs, effect.thickness[0]
     slack = SLACK * thickness
-    most, side = track_motion(near, state.x, slack)
-    if near.margin[0] == 0.0 or side > 0.5 * near.margin[0]:
+    most, leaves = track_motion(near, state.x, slack)
+    if leaves:
         seek(near, thickness, SUBSTEPS)
         pairs.count[2] = 0
     load_starts(near)
@@ -314,7 +314,7 @@ class BuiltSelfCollision(Built):
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT
-        self.data.near.margin[0] = 0.0
+        self.data.near.margin[:] = 0.0
 
     def reset(self, state, now_ns):
         self.again()

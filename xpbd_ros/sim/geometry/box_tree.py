@@ -72,15 +72,16 @@ def morton_codes(points: np.ndarray) -> np.ndarray:
 
 
 @jit
-def update_boxes(tree, points):
-    """Compute all boxes from the positions [m], the first columns of an array."""
+def update_boxes(tree, spheres):
+    """Compute all boxes so that they bound the particles' spheres: records x, y, z, radius [m]."""
     corners, low, high = tree.corners, tree.low, tree.high
     for c in range(corners.shape[1]):
         for a in range(3):
             least, most = np.inf, -np.inf
             for k in range(len(corners)):
-                at = points[corners[k, c], a]
-                least, most = min(least, at), max(most, at)
+                i = corners[k, c]
+                least = min(least, spheres[i, a] - spheres[i, 3])
+                most = max(most, spheres[i, a] + spheres[i, 3])
             low[a, c], high[a, c] = least, most
     for level in range(1, len(tree.begin) - 1):
         first, below = tree.begin[level], tree.begin[level - 1]

@@ -1,11 +1,12 @@
 """
 Neighbour list (Verlet list): pairs of particles, or of triangles and edges, that may come close.
 
-A pair is listed if it is closer than thickness + margin at the positions y of the build. Later,
-with the common displacement U and s_i = |x_i - y_i - U|, its distance has decreased by at most the
-sum of its two largest s; so while s ≤ margin / 2 for all particles, pairs that are not listed are
-further apart than the thickness. ``self_collision.pair_search`` lists pairs in an order that only
-the rest shape and the positions determine, so that memory layout does not affect the bits.
+A pair is listed if it is closer than thickness + margins at the positions y of the build, with the
+largest margin of each side. Later, with the common displacement U and s_i = |x_i - y_i - U|, its
+distance has decreased by at most the sum of the largest s of both sides; so while no s exceeds the
+particle's margin, pairs that are not listed are further apart than the thickness.
+``self_collision.pair_search`` lists pairs in an order that only the rest shape and the positions
+determine, so that memory layout does not affect the bits.
 """
 
 from math import sqrt
@@ -49,7 +50,7 @@ class NeighbourList(NamedTuple):
     rest: np.ndarray
     """rest positions [m], shape (particles, 3)"""
     reach: float
-    """largest margin, unless two substeps' motion needs more [m]"""
+    """largest margin of a particle, unless two substeps' motion needs more [m]"""
     x: np.ndarray
     """
     records x, y, z, travel [m], shape (particles + 1, 4): positions at the substep's start, and a
@@ -78,7 +79,7 @@ class NeighbourList(NamedTuple):
     """common displacement in this substep: mean of the pinned particles, or of all without pinned
     ones [m], shape (3,)"""
     margin: np.ndarray
-    """[m]; 0: the list is not built; shape (1,)"""
+    """motion of each particle for which the list is complete [m], shape (particles,)"""
     count: np.ndarray
     """in this frame: builds; pairs beyond the capacity; particles held back; particles and pairs
     that penetrate nevertheless; shape (4,)"""
@@ -132,11 +133,11 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     room = (room + 3 * PACK - 1) // PACK * PACK
     return NeighbourList(
         np.concatenate([cloth.slots for cloth in cloths]), cloth_of, rest,
-        float(0.5 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
+        float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)),
-        np.zeros(3), np.zeros(3), np.zeros(1), np.zeros(4, np.int64), np.zeros(3, np.int64),
+        np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64), np.zeros(3, np.int64),
         np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32), np.zeros(room, np.float32),
         tree(np.arange(count)[:, None]), trees, kin)
 
@@ -234,16 +235,17 @@ def track_motion(near, x, slack):
 
     Returns
     -------
-    largest travel; largest sum of travel and s
+    largest travel; True if a sum of travel and s exceeds the particle's margin
 
     """
-    most, side = 0.0, 0.0
+    most, leaves = 0.0, False
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.x[i, TRAVEL] = moved + max(moved, slack)
         most = max(most, near.x[i, TRAVEL])
-        side = max(side, near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i))
-    return most, side
+        side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
+        leaves |= side > near.margin[i]
+    return most, leaves
 
 
 @jit(inline=True)

@@ -1,7 +1,7 @@
 """
 Search for the pairs of the neighbour list, over trees of bounding boxes (``geometry.box_tree``).
 
-It happens when the motion since the last search exceeds the list's margin. Boxes are compared by
+It happens when a particle's motion since the last search exceeds its margin. Boxes are compared by
 lanes, and so are the closest points of the candidates, PACK at a time.
 """
 
@@ -18,56 +18,60 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     TRAVEL,
     TRIANGLES,
     UNKNOWN,
+    UP,
 )
-from xpbd_ros.sim.self_collision.packing import closest, set_keep
+from xpbd_ros.sim.self_collision.packing import closest, set_keep, travel_of
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners
 
 HALVINGS = 8
-"""most halvings of a margin that yields more pairs than the capacity"""
+"""most halvings of margins that yield more pairs than the capacity"""
+MARGIN = TRAVEL
+"""column of ``NeighbourList.start`` that holds the margins during a search"""
 ROUNDING = 4e-7
 """bound of the rounding errors of float32 distances, relative to the largest coordinate"""
 
 
 @jit
 def seek(near, thickness, left):
-    """Build the list, with a margin for ``left`` substeps of the present motion."""
-    top = 0.0
+    """Build the list, with margins for ``left`` substeps of each particle's present motion."""
+    for a in range(3):
+        near.drift[a], near.origin[a] = 0.0, near.x[0, a]
     for i in range(len(near.slot)):
-        top = max(top, near.x[i, TRAVEL])
+        travel = near.x[i, TRAVEL]
+        near.margin[i] = min(left * travel, max(2.0 * travel, near.reach))
         for a in range(3):
             near.seen[i, a] = near.x[i, a]
-    near.drift[:] = 0.0
-    for a in range(3):
-        near.origin[a] = near.x[0, a]
     near.count[0] += 1
-    load_starts(near)
-    margin = 2.0 * top * min(left, max(2.0, near.reach / (2.0 * top)))
-    lost = list_pairs(near, near.surface, thickness, margin, False)
+    lost = list_pairs(near, near.surface, thickness, False)
     for halving in range(HALVINGS):
         if lost == 0:
             break
-        margin *= 0.5
-        lost = list_pairs(near, near.surface, thickness, margin, halving == HALVINGS - 1)
+        for i in range(len(near.slot)):
+            near.margin[i] *= 0.5
+        lost = list_pairs(near, near.surface, thickness, halving == HALVINGS - 1)
     near.count[1] += lost
-    near.margin[0] = margin
     for i in range(len(near.slot)):
-        near.x[i, TRAVEL] = min(near.x[i, TRAVEL], 0.5 * margin)
+        near.x[i, TRAVEL] = min(near.x[i, TRAVEL], near.margin[i])
 
 
 @jit
-def list_pairs(near, surface, thickness, margin, to_the_end):
+def list_pairs(near, surface, thickness, to_the_end):
     """
-    List the pairs closer than thickness + margin; return the number beyond the capacity.
+    List the pairs closer than thickness + margins; return the number beyond the capacity.
 
     Unless ``to_the_end``, the search ends soon after the first pair beyond the capacity.
     """
-    size = thickness + margin + ROUNDING * extent(near)
+    load_starts(near)
+    for i in range(len(near.slot)):
+        near.start[i, MARGIN] = UP * near.margin[i]
+    rounding = ROUNDING * extent(near)
+    size = thickness + rounding
     near.kind_begin[:] = near.kind_end[:] = 0
     if surface is None:
         update_boxes(near.points, near.start)
         end = begin_kind(near, POINTS, 0)
         end = list_kind(near, POINTS, near.points, near.points, size, end, to_the_end)
-        return end_kind(near, POINTS, drop_far(near, end, thickness, size - thickness))
+        return end_kind(near, POINTS, drop_far(near, end, thickness, rounding))
     else:    # Numba prunes the branch that is not taken
         update_boxes(surface.points, near.start)
         update_boxes(surface.triangles, near.start)
@@ -92,7 +96,7 @@ def extent(near):
 @jit
 def list_kind(near, kind, tree, others, size, end, to_the_end):
     """
-    List the pairs of items of two trees that are closer than ``size``, from ``end`` on.
+    List the pairs of items of two trees closer than ``size`` + margins, from ``end`` on.
 
     Each pair of a tree with itself is listed once.
 
@@ -164,12 +168,12 @@ def add_candidate(near, kind, tree, others, c, d, end, count):
 
 @jit
 def keep_close(near, kind, size, end, count):
-    """Append those of the candidates behind the list that are closer than ``size``."""
+    """Append those of the candidates behind the list that are closer than ``size`` + margins."""
     first, room, found, corners = min(end, len(near.keep)), len(near.keep), 0, near.corners
     for q in range(0, PACK, lanes(near.start)):
         a, b, c, d = load_corners(near.start, corners, first + q)
-        v = closest(kind, a, b, c, d)[0]
-        found |= bits(dot(v, v) < size * size) << q
+        v, reach = closest(kind, a, b, c, d)[0], size + travel_of(kind, a, b, c, d)
+        found |= bits(dot(v, v) < reach * reach) << q
     found &= (1 << count) - 1
     while found:
         k = first + lowest_bit(found)
@@ -183,15 +187,15 @@ def keep_close(near, kind, size, end, count):
 
 
 @jit
-def drop_far(near, end, thickness, margin):
-    """Drop pairs of particles further apart than they have to keep + margin; return the end."""
+def drop_far(near, end, thickness, rounding):
+    """Drop pairs of particles further apart than they have to keep + margins; return the end."""
     corners, x, left = near.corners, near.start, 0
     for k in range(min(end, len(near.keep))):
         set_keep(near, POINTS, k, thickness)
         i, j, square = corners[0, k], corners[1, k], 0.0
         for a in range(3):
             square += (x[i, a] - x[j, a])**2
-        if square < (near.keep[k] + margin)**2:
+        if square < (near.keep[k] + x[i, MARGIN] + x[j, MARGIN] + rounding)**2:
             corners[0, left], corners[1, left], near.keep[left] = i, j, near.keep[k]
             left += 1
     return left + max(0, end - len(near.keep))
