@@ -119,7 +119,7 @@ class SelfCollision(NamedTuple):
 
 @stage(prepare, SelfCollision)
 @jit
-def forget_contacts(effect, state, substep):
+def forget_pairs(effect, state, substep):
     """Discard the contacts of the last substep, and in a new frame the counts."""
     if substep.begin == 0.0:
         effect.near.count[:] = 0
@@ -283,7 +283,7 @@ def press_on_pins(effect, state, substep):
 class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
-    ns_per_particle = 1000.0
+    ns_per_particle = 450.0
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -298,7 +298,7 @@ class BuiltSelfCollision(Built):
                                   world.state.mass[slots].mean(), kin(world))
         self.data = SelfCollision(
             np.array([parameters.thickness]), near, new_pair_contacts(PACKED * room, count),
-            new_planes(len(near.keep), count, world.slots) if surface else None, None)
+            new_planes(near.corners.shape[1], count, world.slots) if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
 

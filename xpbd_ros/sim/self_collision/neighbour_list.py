@@ -93,7 +93,7 @@ class NeighbourList(NamedTuple):
     candidates of the search are behind the end
     """
     keep: np.ndarray
-    """distance to be kept [m], or UNKNOWN; shape (capacity,)"""
+    """distance to be kept [m], or UNKNOWN; shape (capacity + PACK,)"""
     points: BoxTree
     """tree of the particles"""
     surface: Surface | None
@@ -136,10 +136,15 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
-        np.zeros((count, 3)),
-        np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64), np.zeros(3, np.int64),
-        np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32), np.zeros(room, np.float32),
-        tree(np.arange(count)[:, None]), trees, kin)
+        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64),
+        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32),
+        np.zeros(room + PACK, np.float32), tree(np.arange(count)[:, None]), trees, kin)
+
+
+@jit(inline=True)
+def room_of(near):
+    """Return the capacity of the list in pairs."""
+    return len(near.keep) - PACK
 
 
 @jit(inline=True)

@@ -91,6 +91,7 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
         if begin >= last:
             continue
         close = close_pairs(near, kind, begin, thickness, ahead, spare)
+        close &= (1 << min(PACK, last - begin)) - 1
         while close:
             k = begin + lowest_bit(close)
             close &= close - 1
@@ -118,9 +119,13 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
     return end, lost
 
 
-@jit(inline=True)
+@jit
 def close_pairs(near, kind, begin, thickness, ahead, spare):
-    """Return bits of the pairs from ``begin`` on that may come close in the next substeps."""
+    """
+    Return bits of the PACK pairs from ``begin`` on closer than they have to keep + their motion.
+
+    The motion is ``ahead`` travel + spare on each side.
+    """
     found = 0
     for q in range(0, PACK, lanes(near.start)):
         a, b, c, d = load_corners(near.start, near.corners, begin + q)
@@ -129,7 +134,7 @@ def close_pairs(near, kind, begin, thickness, ahead, spare):
         reach = select(keep < 0.0, thickness, keep) + 2.0 * spare + ahead * travel_of(
             kind, a, b, c, d)
         found |= bits(dot(v, v) < reach * reach) << q
-    return found & ((1 << min(PACK, near.kind_end[kind] - begin)) - 1)
+    return found
 
 
 @jit(inline=True)
@@ -140,7 +145,7 @@ def travel_of(kind, a, b, c, d):
     return a[3] + larger(b[3], larger(c[3], d[3]))
 
 
-@jit(inline=True)
+@jit
 def closest(kind, a, b, c, d):
     """Return the vectors between the closest points of pairs [m], and their weights b."""
     one = a[3] - a[3] + 1.0

@@ -6,22 +6,21 @@ lanes, and so are the closest points of the candidates, PACK at a time.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps, update_boxes
-from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.neighbour_list import (
     are_welded,
     EDGES,
     load_starts,
     POINTS,
+    room_of,
     TRAVEL,
     TRIANGLES,
     UNKNOWN,
     UP,
 )
-from xpbd_ros.sim.self_collision.packing import closest, set_keep, travel_of
-from xpbd_ros.sim.self_collision.pair_contacts import load_corners
+from xpbd_ros.sim.self_collision.packing import close_pairs, set_keep
 
 HALVINGS = 8
 """most halvings of margins that yield more pairs than the capacity"""
@@ -107,7 +106,7 @@ def list_kind(near, kind, tree, others, size, end, to_the_end):
     """
     places, count = tree.corners.shape[1], 0
     for pack in range(0, places, PACK):
-        if end > len(near.keep) and not to_the_end:
+        if end > room_of(near) and not to_the_end:
             break
         packs, reached = find_packs(others, bounds_of(tree, pack, size))
         for c in range(pack, min(pack + PACK, places)):
@@ -145,7 +144,7 @@ def bounds_of(tree, pack, size):
 def add_candidate(near, kind, tree, others, c, d, end, count):
     """Write a pair of items behind the list unless they are joined; return True if written."""
     kin, corners, dummy = near.kin, near.corners, len(near.slot)
-    k = min(end, len(near.keep)) + count
+    k = min(end, room_of(near)) + count
     if kind == TRIANGLES:
         i = others.corners[0, d]
         j, l, m = tree.corners[0, c], tree.corners[1, c], tree.corners[2, c]
@@ -169,19 +168,16 @@ def add_candidate(near, kind, tree, others, c, d, end, count):
 @jit
 def keep_close(near, kind, size, end, count):
     """Append those of the candidates behind the list that are closer than ``size`` + margins."""
-    first, room, found, corners = min(end, len(near.keep)), len(near.keep), 0, near.corners
-    for q in range(0, PACK, lanes(near.start)):
-        a, b, c, d = load_corners(near.start, corners, first + q)
-        v, reach = closest(kind, a, b, c, d)[0], size + travel_of(kind, a, b, c, d)
-        found |= bits(dot(v, v) < reach * reach) << q
-    found &= (1 << count) - 1
+    room, corners = room_of(near), near.corners
+    first = min(end, room)
+    near.keep[first:first + PACK] = UNKNOWN
+    found = close_pairs(near, kind, first, size, 1.0, 0.0) & ((1 << count) - 1)
     while found:
         k = first + lowest_bit(found)
         found &= found - 1
         if end < room:
             for p in range(4):
                 corners[p, end] = corners[p, k]
-            near.keep[end] = UNKNOWN
         end += 1
     return end
 
@@ -190,7 +186,7 @@ def keep_close(near, kind, size, end, count):
 def drop_far(near, end, thickness, rounding):
     """Drop pairs of particles further apart than they have to keep + margins; return the end."""
     corners, x, left = near.corners, near.start, 0
-    for k in range(min(end, len(near.keep))):
+    for k in range(min(end, room_of(near))):
         set_keep(near, POINTS, k, thickness)
         i, j, square = corners[0, k], corners[1, k], 0.0
         for a in range(3):
@@ -198,21 +194,21 @@ def drop_far(near, end, thickness, rounding):
         if square < (near.keep[k] + x[i, MARGIN] + x[j, MARGIN] + rounding)**2:
             corners[0, left], corners[1, left], near.keep[left] = i, j, near.keep[k]
             left += 1
-    return left + max(0, end - len(near.keep))
+    return left + max(0, end - room_of(near))
 
 
 @jit
 def begin_kind(near, kind, end):
     """Begin the pairs of a kind where the others end, at a multiple of PACK; return it."""
     near.kind_begin[kind] = near.kind_end[kind] = min(
-        (end + PACK - 1) // PACK * PACK, len(near.keep))
+        (end + PACK - 1) // PACK * PACK, room_of(near))
     return near.kind_begin[kind]
 
 
 @jit
 def end_kind(near, kind, end):
     """End the pairs of a kind, fill up the last pack; return the number beyond the capacity."""
-    room, dummy = len(near.keep), len(near.slot)
+    room, dummy = room_of(near), len(near.slot)
     near.kind_end[kind] = min(end, room)
     for c in range(min(end, room), min((end + PACK - 1) // PACK * PACK, room)):
         for p in range(4):
