@@ -12,7 +12,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, a
 from support.logs import sample_log
 
 DISCOVERY = Path(__file__).parent / 'support' / 'discovery.xml'
-"""how often nodes announce themselves, where ROS runs on Fast DDS"""
+"""Fast DDS profile with a short discovery period; other DDS implementations ignore it"""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -40,14 +40,15 @@ from xpbd_ros.sim.particles.records import from_records, to_records
 
 
 class Projection(NamedTuple):
-    """How constraints of one type are projected."""
+    """The projection kernel of one constraint type."""
 
     kernel: Callable
-    """of a vector of constraints"""
+    """function that projects a vector of constraints"""
     particles: int
-    """of a constraint"""
+    """number of particles of a constraint"""
     constants: Callable | None
-    """of a batch on grids and the index of a shape: what the constraints of a run share"""
+    """function of a grid batch and a shape index: returns the values that a run's constraints
+    share; None if there are none"""
 
 
 class At(NamedTuple):

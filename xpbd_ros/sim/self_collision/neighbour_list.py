@@ -33,9 +33,8 @@ UNKNOWN = -1.0
 
 
 class Surface(NamedTuple):
-    """Trees of all cloths' corners of triangles, triangles and edges."""
+    """Trees of the triangles and edges of all cloths."""
 
-    points: BoxTree
     triangles: BoxTree
     edges: BoxTree
 
@@ -95,7 +94,7 @@ class NeighbourList(NamedTuple):
     keep: np.ndarray
     """distance to be kept [m], or UNKNOWN; shape (capacity + PACK,)"""
     points: BoxTree
-    """tree of the particles"""
+    """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
     """None if only particles collide"""
     kin: np.ndarray | None
@@ -118,7 +117,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
     cloth_of = np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths])
-    count, trees = len(rest), None
+    count, points, trees = len(rest), np.arange(len(rest)), None
     edges = [cloth.mesh.edges + cloth.first for cloth in cloths]
 
     def tree(items: np.ndarray) -> BoxTree:
@@ -126,8 +125,8 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     if surface:
         triangles = np.concatenate([cloth.mesh.triangles + cloth.first for cloth in cloths])
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
-        trees = Surface(tree(np.unique(triangles)[:, None]), tree(triangles),
-                        tree(np.unique(sides, axis=0).reshape(-1, 2)))
+        points = np.unique(triangles)
+        trees = Surface(tree(triangles), tree(np.unique(sides, axis=0).reshape(-1, 2)))
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
     room = (room + 3 * PACK - 1) // PACK * PACK
@@ -138,7 +137,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64),
         np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32),
-        np.zeros(room + PACK, np.float32), tree(np.arange(count)[:, None]), trees, kin)
+        np.zeros(room + PACK, np.float32), tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
@@ -176,18 +175,13 @@ def weights(kind, p, q, r, s):
 
 @jit(inline=True)
 def closest_vector(kind, x, i, j, k, l):
-    """Return the vector between a pair's closest points [m] and its weights; x: (particles, 3)."""
-    return between(kind, at(x, i), at(x, j), at(x, k), at(x, l))
-
-
-@jit(inline=True)
-def between(kind, p, q, r, s):
-    """Return the vector between the closest points of a pair at these points, and its weights."""
+    """Return the vector between a pair's closest points [m]; x: (particles, 3)."""
+    p, q, r, s = at(x, i), at(x, j), at(x, k), at(x, l)
     b = weights(kind, p, q, r, s)
     # differences first: no loss of digits far from the origin
     q, r, s = minus(q, p), minus(r, p), minus(s, p)
     return (b[1] * q[0] + b[2] * r[0] + b[3] * s[0], b[1] * q[1] + b[2] * r[1] + b[3] * s[1],
-            b[1] * q[2] + b[2] * r[2] + b[3] * s[2]), b
+            b[1] * q[2] + b[2] * r[2] + b[3] * s[2])
 
 
 @jit(inline=True)
@@ -205,7 +199,7 @@ def required_distance(cloth, rest, kind, thickness, i, j, k, l):
     """
     if cloth[i] != cloth[l]:
         return thickness
-    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)[0]))
+    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)))
 
 
 @jit

@@ -100,7 +100,7 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
                 again = close_pairs(near, kind, begin, thickness, ahead, spare)
                 if again & (1 << (k - begin)) == 0:
                     continue
-            o = open_pack(near, pairs, k, turn)
+            o = open_pack(near, pairs, k)
             if o < 0:
                 o = turn
                 turn = (turn + 1) % OPEN
@@ -111,7 +111,7 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
                     continue
                 places[o] = end
                 end += PACK
-            append(near, pairs, kind, k, o, thickness)
+            append(near, pairs, kind, k, o)
             if fill[o] == PACK:
                 close_pack(near, pairs, o)
     for o in range(OPEN):
@@ -159,7 +159,7 @@ def closest(kind, a, b, c, d):
 
 
 @jit(inline=True)
-def open_pack(near, pairs, k, turn):
+def open_pack(near, pairs, k):
     """Return the first open pack without the particles of pair k, or -1."""
     taken, busy = 0, pairs.busy
     for p in range(4):
@@ -169,7 +169,7 @@ def open_pack(near, pairs, k, turn):
 
 
 @jit(inline=True)
-def append(near, pairs, kind, k, o, thickness):
+def append(near, pairs, kind, k, o):
     """Append pair k of the neighbour list to the open pack o."""
     dummy = len(near.slot)
     place = pairs.open[0, o] + pairs.open[1, o]

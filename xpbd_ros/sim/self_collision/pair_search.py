@@ -66,17 +66,16 @@ def list_pairs(near, surface, thickness, to_the_end):
     rounding = ROUNDING * extent(near)
     size = thickness + rounding
     near.kind_begin[:] = near.kind_end[:] = 0
+    update_boxes(near.points, near.start)
     if surface is None:
-        update_boxes(near.points, near.start)
         end = begin_kind(near, POINTS, 0)
         end = list_kind(near, POINTS, near.points, near.points, size, end, to_the_end)
         return end_kind(near, POINTS, drop_far(near, end, thickness, rounding))
     else:    # Numba prunes the branch that is not taken
-        update_boxes(surface.points, near.start)
         update_boxes(surface.triangles, near.start)
         update_boxes(surface.edges, near.start)
         end = begin_kind(near, TRIANGLES, 0)
-        end = list_kind(near, TRIANGLES, surface.triangles, surface.points, size, end, to_the_end)
+        end = list_kind(near, TRIANGLES, surface.triangles, near.points, size, end, to_the_end)
         lost = end_kind(near, TRIANGLES, end)
         end = begin_kind(near, EDGES, end)
         end = list_kind(near, EDGES, surface.edges, surface.edges, size, end, to_the_end)
