@@ -41,6 +41,7 @@ from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.self_collision.backing import (
     begin_turn,
     end_turns,
+    is_further_turn,
     load_backing,
     new_backing,
     store_backing,
@@ -141,7 +142,8 @@ def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs = effect.near, effect.pairs
     load_backing(pairs.backing, near.slot)
-    if pairs.count[0] == NOT_SOUGHT or strays(near, state):
+    if not is_further_turn(pairs.backing) and (
+            pairs.count[0] == NOT_SOUGHT or strays(near, state)):
         common_step(near, state)
         stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
     else:

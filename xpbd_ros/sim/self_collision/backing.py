@@ -185,9 +185,9 @@ def take_part(backing, axes, b, movable):
     if backing is None:
         return movable
     else:    # Numba prunes the branch that is not taken
-        if backing.turn[0] == 0:
-            return movable
-        return both(movable, is_clamped(axes, b))
+        if is_further_turn(backing):
+            return both(movable, is_clamped(axes, b))
+        return movable
 
 
 @jit(inline=True)
@@ -198,6 +198,15 @@ def is_clamped(axes, b):
     other = smaller(smaller(b[0] * p[ROOT], b[1] * q[ROOT]),
                     smaller(b[2] * r[ROOT], b[3] * s[ROOT]))
     return both(first > 0.0, other < 0.0)
+
+
+@jit(inline=True)
+def is_further_turn(backing):
+    """Return True in a turn after the first, in which particles are not where they stay."""
+    if backing is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return backing.turn[0] > 0
 
 
 @jit
