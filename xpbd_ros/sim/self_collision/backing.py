@@ -1,10 +1,10 @@
 """
-Backing: colliders behind particles that pair contacts push, so that layers press through them.
+Backing: colliders behind two layers of cloth, so that these press on one another through pads.
 
-Self-collision and contact take turns, so a push between two layers in a grip is undone by the
-pads, and one turn transmits only about 1 / κ of the force (κ: ``contact.pads``). So from the
-second turn on, a particle that touches colliders yields to pair contacts as these let it. With the
-sum over the colliders that touch, along the normal n of the stiffest of them,
+Pair contacts and contacts alternate, and one turn transmits only about 1 / κ of the force between
+pads (κ: ``contact.pads``). So where pads press, the inequalities are projected TURNS times more,
+and then pairs with colliders behind both sides are solved together with these. With the sum over
+the colliders that touch a particle, along the normal n of the stiffest of them,
 
     κ = Σ κ_k (n·n_k)²,   s = κ / (1 + κ),   M = w (I - s n nᵀ)
 
@@ -13,11 +13,11 @@ replaces the inverse mass w, so that a pair of C (``pair_contacts``) with the no
     Δd = max(-C W / W_b, -d),   W = Σ w b²,   W_b = Σ b² n_pᵀ M n_p,   x += M b n_p Δd / W
 
 That is the Schur complement of the contacts: s w b (n·n_p) Δd / W, which x lacks along n, is the
-change of their push. So forces of layers and pads agree after one pass where no other pair takes
-part.
+change of their push.
 
-Limits: κ counts as at most STIFFEST, rigid colliders too. Colliders whose normals are not parallel
-take part with what acts along that of the stiffest.
+Limits: κ counts as at most STIFFEST, that of rigid colliders too. Colliders whose normals are not
+parallel take part with what acts along that of the stiffest. The inner ones of three and more
+layers have no collider behind them, so there the force falls short.
 """
 
 from math import sqrt
