@@ -155,7 +155,7 @@ def keep_apart(effect, state, substep):
 
 @stage(are_inequalities_unmet, SelfCollision)
 @jit
-def is_unmet(effect, state, turn):
+def are_layers_unmet(effect, state, turn):
     """Tell whether pads press, so that pairs in front of them must be projected again."""
     return begin_turn(effect.pairs.backing, turn)
 
