@@ -10,7 +10,9 @@ from support.meshes import box
 from support.scenes import GRAVITY, run, SETTINGS, simulate
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.grip import carried_tension
+from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
@@ -169,6 +171,50 @@ def test_it_does_not_creep_below_that(setting, substeps, density):
     """A minute at 0.9 of the limit; with ``jacobi`` the strip takes a second to settle."""
     held, now = pulled(0.9, 3600, setting, substeps=substeps, density=density)
     assert np.abs(now - held).max() < 1e-4
+
+
+def layers(count, setting=('line', 'ndf2'), *, stiffness=1e7, substeps=8, indentation=OVERLAP):
+    """Return sheets on one another, between fingers about their middle, and F by K A δ [N]."""
+    method, integrator = setting
+    high = 0.5 * (count + 1) * R - indentation + 0.01
+    simulation = compile_scene(scene_from_mapping({
+        'gravity': [0.0, 0.0, 0.0],
+        'solver': {'method': method, 'integrator': integrator, 'substeps': substeps},
+        'cloths': {f'c{k}': {
+            'grid': {'size': [0.08, 0.08], 'resolution': [9, 9]}, 'density': 0.25,
+            'friction': 0.5, 'pose': {'position': [-0.04, -0.04, (k - 0.5 * (count - 1)) * R]},
+            'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}, 'shear': {'stiffness': 10.0},
+                        'bend': {'stiffness': 5e-5}}} for k in range(count)},
+        'colliders': {name: {
+            'box': {'size': [0.05, 0.05, 0.02]}, 'friction': 0.5, 'pad': {'stiffness': stiffness},
+            'motion': [[0.0, 0.0, 0.0, side * (high + 0.003)], [0.1, 0.0, 0.0, side * high]]}
+            for name, side in (('above', 1), ('below', -1))},
+        'effects': {'contact': {'thickness': R}, 'self_collision': {'thickness': R},
+                    'friction': {}, 'damping': {'rate': 0.5}},
+    }, where='small.yaml', name='small'))
+    return simulation, 25 * 0.01**2 * stiffness * indentation
+
+
+@pytest.mark.parametrize('method, integrator', quick_only(SETTINGS, ('line', 'ndf2')))
+@pytest.mark.parametrize('substeps', [4, slow(16), slow(64)])
+def test_two_layers_are_squeezed_by_the_indentation(method, integrator, substeps):
+    """The layers transmit what the pads press with, and stay a thickness apart."""
+    for stiffness in (1e5, 1e6, 1e7):
+        simulation, force = layers(2, (method, integrator), stiffness=stiffness,
+                                   substeps=substeps)
+        frame = run(simulation, 60)
+        np.testing.assert_allclose(forces(simulation), force, rtol=0.01)
+        apart = (frame.x[81:] - frame.x[:81])[:, 2].reshape(9, 9)[2:7, 2:7]
+        np.testing.assert_allclose(apart, R, rtol=0.02)
+        assert np.abs(frame.v).max() < 0.05
+
+
+def test_more_layers_stay_apart_and_slow():
+    """Their force falls short (``self_collision.backing``); nothing is thrown out."""
+    simulation, force = layers(4)
+    frame = run(simulation, 60)
+    assert (forces(simulation) < force).all()
+    assert np.abs(frame.v).max() < 0.5
 
 
 @pytest.mark.parametrize('method, integrator', EVERY)

@@ -38,6 +38,14 @@ from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
+from xpbd_ros.sim.self_collision.backing import (
+    begin_turn,
+    end_turns,
+    is_further_turn,
+    load_backing,
+    new_backing,
+    store_backing,
+)
 from xpbd_ros.sim.self_collision.motion_limit import (
     go_share,
     hold_back,
@@ -72,6 +80,7 @@ from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
+    are_inequalities_unmet,
     finish,
     limit_motion,
     prepare,
@@ -132,13 +141,23 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs = effect.near, effect.pairs
-    if pairs.count[0] == NOT_SOUGHT or strays(near, state):
+    load_backing(pairs.backing, near.slot)
+    if not is_further_turn(pairs.backing) and (
+            pairs.count[0] == NOT_SOUGHT or strays(near, state)):
         common_step(near, state)
         stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
     else:
         load_moves(near, state)
         project_pairs(near, pairs)
     store_moves(near, state)
+    store_backing(pairs.backing, near, state)
+
+
+@stage(are_inequalities_unmet, SelfCollision)
+@jit
+def are_layers_unmet(effect, state, turn):
+    """Tell whether pads press, so that pairs in front of them must be projected again."""
+    return begin_turn(effect.pairs.backing, turn)
 
 
 @jit
@@ -185,6 +204,7 @@ def find_pairs(effect, state, substep, both):
 def stop(effect, state, substep):
     """Separate pairs that would pass through one another, in turn with colliders."""
     near, planes = effect.near, effect.planes
+    end_turns(effect.pairs.backing)
     leave(effect.contacts, state)
     for turn in range(ROUNDS):
         if strays(near, state):
@@ -304,7 +324,9 @@ class BuiltSelfCollision(Built):
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""
-        self.data = self.data._replace(contacts=contacts)
+        pairs, near = self.data.pairs, self.data.near
+        self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
+            backing=new_backing(contacts, len(near.slot))))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""

@@ -28,8 +28,8 @@ slowly, and keep no speed. Otherwise they keep 1 / (1 + κ) of the speed that it
 it where the substep resolves the pad, and where it does not as little as from a rigid collider.
 
 Limits: a foundation has no thickness, so a soft one lets particles through. Layers of cloth
-between pads press on one another by ``self_collision``, which does not take part in the solve.
-κ counts as at most RIGID. A particle without area, inside a body, does not feel a pad.
+between pads are solved in turns with ``self_collision`` (``self_collision.backing``). κ counts as
+at most RIGID. A particle without area, inside a body, does not feel a pad.
 """
 
 from math import sqrt

@@ -33,6 +33,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
 )
 from xpbd_ros.sim.self_collision.packing import closest, set_keep, travel_of
 from xpbd_ros.sim.self_collision.pair_contacts import (
+    load_axes,
     load_corners,
     load_vector,
     mobility_of,
@@ -110,7 +111,8 @@ def find_some(near, planes, pairs, x, kind, q, apart):
             separate(near, pairs, kind, q + lowest_bit(together))
             together &= together - 1
         n, gap = load_vector(pairs.normal, q), load(pairs.gap, q)
-    project_some(near, pairs, q, starts, moves, n, weight, gap)
+    project_some(near, pairs, q, starts, moves, load_axes(pairs.backing, pairs.particles, q), n,
+                 weight, gap)
 
 
 @jit(inline=True)

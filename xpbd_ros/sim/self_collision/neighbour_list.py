@@ -240,7 +240,7 @@ def track_motion(near, x, slack):
     most, leaves = 0.0, False
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
-        near.x[i, TRAVEL] = moved + max(moved, slack)
+        near.x[i, TRAVEL] = moved + max(0.25 * moved, slack)
         most = max(most, near.x[i, TRAVEL])
         side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
         leaves |= side > near.margin[i]

@@ -35,6 +35,12 @@ from xpbd_ros.sim.backend.simd import (
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
+from xpbd_ros.sim.self_collision.backing import (
+    Backing,
+    by_backing,
+    prevented,
+    take_part,
+)
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
 
 NEVER = -1e30
@@ -94,6 +100,8 @@ class PairContacts(NamedTuple):
     """scratch: impulse of a vector of pairs, shape (3, PACK)"""
     friction: PairFriction | None
     """None in a scene without friction"""
+    backing: Backing | None
+    """None in a scene without pads"""
 
 
 OPEN = 63
@@ -110,7 +118,7 @@ def new_pair_contacts(room: int, particles: int) -> PairContacts:
         np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room), np.int32), rows(),
         rows(4), rows(3), rows(), rows(), rows(), np.zeros((particles, 3)), np.zeros(3),
         np.zeros(particles), np.zeros(particles + 1, np.int64), np.zeros((2, OPEN), np.int64),
-        np.zeros((3, PACK), np.float32), None)
+        np.zeros((3, PACK), np.float32), None, None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
@@ -134,6 +142,15 @@ def load_corners(records, particles, q):
     """Return the records of the four particles of a vector of pairs."""
     return (load_records(records, particles[0], q), load_records(records, particles[1], q),
             load_records(records, particles[2], q), load_records(records, particles[3], q))
+
+
+@jit(inline=True)
+def load_axes(backing, particles, q):
+    """Return the records of what is behind the four particles of a vector of pairs, or None."""
+    if backing is None:
+        return None
+    else:    # Numba prunes the branch that is not taken
+        return load_corners(backing.axis, particles, q)
 
 
 @jit(inline=True)
@@ -167,7 +184,7 @@ def mobility_of(b, p, q, r, s):
 @jit
 def displace(near, pairs, q, active):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
-    move, v = near.precise_move, pairs.impulse
+    move, v, backing = near.precise_move, pairs.impulse, pairs.backing
     while active:
         lane = lowest_bit(active)
         active &= active - 1
@@ -177,8 +194,9 @@ def displace(near, pairs, q, active):
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
+            held = prevented(backing, i, share, v[0, lane], v[1, lane], v[2, lane])
             for a in range(3):
-                move[i, a] += share * v[a, lane]
+                move[i, a] += share * v[a, lane] - held[a]
                 near.move[i, a] = move[i, a]
 
 
@@ -196,13 +214,14 @@ def project_pairs(near, pairs):
     """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
     for q in range(0, pairs.end[2], lanes(near.move)):
         if any_lane(load(pairs.gap, q) > NEVER):
+            axes, weight = load_axes(pairs.backing, pairs.particles, q), load_weights(pairs, q)
             project_some(near, pairs, q, load_corners(near.start, pairs.particles, q),
-                         load_corners(near.move, pairs.particles, q),
-                         load_vector(pairs.normal, q), load_weights(pairs, q), load(pairs.gap, q))
+                         load_corners(near.move, pairs.particles, q), axes,
+                         load_vector(pairs.normal, q), weight, load(pairs.gap, q))
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, starts, moves, n, weight, gap):
+def project_some(near, pairs, q, starts, moves, axes, n, weight, gap):
     """
     Project a vector of pairs.
 
@@ -211,6 +230,7 @@ def project_some(near, pairs, q, starts, moves, n, weight, gap):
     near : neighbour list, with the records of the displacements in this substep
     pairs, q : the pairs are q to q + lanes
     starts, moves : records of their particles at the substep's start, and of the displacements
+    axes : records of the colliders behind them (``self_collision.backing``)
     n, weight, gap : normals, weights and gaps [m]
 
     """
@@ -220,14 +240,16 @@ def project_some(near, pairs, q, starts, moves, n, weight, gap):
     way = weighted(weight, p, r, s, t)
     total = mobility_of(weight, p, r, s, t)
     along, before = dot(n, way), load(pairs.push, q)
-    push = larger(gap - distance - along, -before)
-    push = select(total > 0.0, push, 0.0)
+    push = larger(by_backing(pairs.backing, gap - distance - along, axes, n, weight, moves, total),
+                  -before)
+    there = take_part(pairs.backing, axes, weight, total > 0.0)
+    push = select(there, push, 0.0)
     slip = load_slip(friction, q, push)
     active = bits(either(absolute(push) > 0.0, either(before > 0.0, dot(slip, slip) > 0.0)))
     if active == 0:
         return
     store(pairs.push, q, before + push)
-    rub = rub_of(friction, pairs, q, before + push, slip,
+    rub = rub_of(friction, pairs, q, before + push, slip, there,
                  (fma(-along, n[0], way[0]), fma(-along, n[1], way[1]),
                   fma(-along, n[2], way[2])))
     per = select(total > 0.0, 1.0 / select(total > 0.0, total, 1.0), 0.0)
@@ -248,7 +270,7 @@ def load_slip(friction, q, zero):
 
 
 @jit(inline=True)
-def rub_of(friction, pairs, q, push, slip, way):
+def rub_of(friction, pairs, q, push, slip, part, way):
     """Return the further displacement by friction, within the friction cone |s| ≤ μ d [m]."""
     if friction is None:
         return slip
@@ -261,6 +283,8 @@ def rub_of(friction, pairs, q, push, slip, way):
         there = either(push > 0.0, dot(slip, slip) > 0.0)
         sx, sy, sz = (select(there, scale * sx, 0.0), select(there, scale * sy, 0.0),
                       select(there, scale * sz, 0.0))
+        sx, sy, sz = (select(part, sx, slip[0]), select(part, sy, slip[1]),
+                      select(part, sz, slip[2]))
         store_vector(friction.slip, q, (sx, sy, sz))
         return sx - slip[0], sy - slip[1], sz - slip[2]
 

@@ -1,0 +1,231 @@
+"""
+Backing: colliders behind two layers of cloth, so that these press on one another through pads.
+
+Pair contacts and contacts alternate, and one turn transmits only about 1 / κ of the force between
+pads (κ: ``contact.pads``). So where pads press, the inequalities are projected TURNS times more,
+and then pairs with colliders behind both sides are solved together with these. With the sum over
+the colliders that touch a particle, along the normal n of the stiffest of them,
+
+    κ = Σ κ_k (n·n_k)²,   s = κ / (1 + κ),   M = w (I - s n nᵀ)
+
+replaces the inverse mass w, so that a pair of C (``pair_contacts``) with the normal n_p gets
+
+    Δd = max(-C W / W_b, -d),   W = Σ w b²,   W_b = Σ b² n_pᵀ M n_p,   x += M b n_p Δd / W
+
+That is the Schur complement of the contacts: s w b (n·n_p) Δd / W, which x lacks along n, is the
+change of their push.
+
+Limits: κ counts as at most STIFFEST, that of rigid colliders too. Colliders whose normals are not
+parallel take part with what acts along that of the stiffest. The inner ones of three and more
+layers have no collider behind them, so there the force falls short.
+"""
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import both, fma, larger, select, smaller
+from xpbd_ros.sim.contact.contacts import Contacts
+from xpbd_ros.sim.geometry.closest_points_simd import dot
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
+
+STIFFEST = 1e3
+"""largest κ: in single precision, more would leave no digits of 1 - s"""
+TURNS = 2
+"""further turns of pair contacts and contacts in an iteration"""
+ROOT = 3
+"""last column of the records: √s"""
+
+
+class Backing(NamedTuple):
+    """The colliders' part in pair contacts, by particle in natural order."""
+
+    contacts: Contacts
+    """contacts with colliders, with pads"""
+    axis: np.ndarray
+    """
+    records √s n, √s, shape (particles + 1, 4): zero for particles without colliders behind them
+    """
+    held: np.ndarray
+    """Σ w b √s n·v over impulses v: displacement that colliders prevented, shape (particles,)"""
+    turn: np.ndarray
+    """number of the present turn; 0: the first, of all pairs; shape (1,)"""
+
+
+def new_backing(contacts: Contacts, particles: int) -> Backing | None:
+    """Return storage for a number of particles; None in a scene without pads."""
+    if contacts.pads is None:
+        return None
+    return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros(particles),
+                   np.zeros(1, np.int64))
+
+
+@jit(inline=True)
+def stiffness_ratio(contacts, k):
+    """Return κ of candidate k; 0 if it does not touch."""
+    if contacts.push[k] > 0.0:
+        return min(contacts.pads.ratio[k], STIFFEST) if contacts.pads.soft[k] else STIFFEST
+    return 0.0
+
+
+@jit(inline=True)
+def last_candidate(contacts, j):
+    """Return the last candidate of the particle in slot j, -1: none."""
+    k = contacts.latest[j]
+    return k if k < contacts.count[0] and contacts.particle[k] == j else -1
+
+
+@jit
+def stiffest(contacts, last):
+    """
+    Return the stiffest collider that touches a particle, and κ along its normal.
+
+    ``last`` is the particle's last candidate, or -1. Without such a collider: -1, 0.
+    """
+    best, most, total, k = -1, 0.0, 0.0, last
+    while k >= 0:
+        ratio = stiffness_ratio(contacts, k)
+        if ratio > most:
+            best, most = k, ratio
+        k = contacts.earlier[k]
+    k = last
+    while k >= 0 and best >= 0:
+        total += stiffness_ratio(contacts, k) * along(contacts, k, best)**2
+        k = contacts.earlier[k]
+    return best, total
+
+
+@jit(inline=True)
+def along(contacts, k, best):
+    """Return n·n_k."""
+    n = contacts.normal
+    return n[k, 0] * n[best, 0] + n[k, 1] * n[best, 1] + n[k, 2] * n[best, 2]
+
+
+@jit
+def load_backing(backing, slot):
+    """Write the records of all particles, from the contacts of the last turn."""
+    if backing is not None:
+        axis, contacts = backing.axis, backing.contacts
+        for i in range(len(slot)):
+            best, ratio = stiffest(contacts, last_candidate(contacts, slot[i]))
+            backing.held[i] = 0.0
+            axis[i, ROOT] = root = sqrt(ratio / (1.0 + ratio))
+            for a in range(3):
+                axis[i, a] = root * contacts.normal[best, a] if best >= 0 else 0.0
+
+
+@jit
+def store_backing(backing, near, state):
+    """Add to the contacts' pushes what they have to prevent: Δd."""
+    if backing is not None:
+        contacts, pads = backing.contacts, backing.contacts.pads
+        for i in range(len(near.slot)):
+            if backing.held[i] == 0.0:
+                continue
+            last = k = last_candidate(contacts, near.slot[i])
+            best, ratio = stiffest(contacts, last)
+            change = -backing.axis[i, ROOT] * backing.held[i] / ratio
+            while k >= 0:
+                part = change * stiffness_ratio(contacts, k) * along(contacts, k, best)
+                contacts.push[k] += part
+                if pads.soft[k]:
+                    pads.given[k] += part
+                    for a in range(3):
+                        pads.shift[last, a] += part * contacts.normal[k, a]
+                k = contacts.earlier[k]
+
+
+@jit(inline=True)
+def by_backing(backing, push, axes, n, b, moves, total):
+    """
+    Return the pushes W / W_b d of a vector of pairs, where d without colliders.
+
+    W_b = Σ b² nᵀ M n; ``total`` is W = Σ b² w.
+    """
+    if backing is None:
+        return push
+    else:    # Numba prunes the branch that is not taken
+        (p, q, r, s), (i, j, k, l) = axes, moves
+        backed = fma(yielding(n, p), i[INV_MASS] * (b[0] * b[0]), fma(
+            yielding(n, q), j[INV_MASS] * (b[1] * b[1]), fma(
+                yielding(n, r), k[INV_MASS] * (b[2] * b[2]),
+                yielding(n, s) * (l[INV_MASS] * (b[3] * b[3])))))
+        return push * (total / select(backed > 0.0, backed, 1.0))
+
+
+@jit(inline=True)
+def yielding(n, axis):
+    """Return nᵀ M n / w = 1 - s (n·n_k)²."""
+    held = dot(n, axis)
+    return fma(-held, held, 1.0)
+
+
+@jit(inline=True)
+def prevented(backing, i, share, x, y, z):
+    """Return what colliders take off the displacement share · (x, y, z) of particle i [m]."""
+    if backing is None:
+        return 0.0, 0.0, 0.0
+    else:    # Numba prunes the branch that is not taken
+        axis = backing.axis
+        held = share * (axis[i, 0] * x + axis[i, 1] * y + axis[i, 2] * z)
+        backing.held[i] += held
+        return held * axis[i, 0], held * axis[i, 1], held * axis[i, 2]
+
+
+@jit(inline=True)
+def take_part(backing, axes, b, movable):
+    """
+    Return the mask of the pairs that take part in this turn, ``movable`` in the first.
+
+    In a further turn they have colliders behind both sides: where b > 0, and where b < 0.
+    """
+    if backing is None:
+        return movable
+    else:    # Numba prunes the branch that is not taken
+        if is_further_turn(backing):
+            return both(movable, is_clamped(axes, b))
+        return movable
+
+
+@jit(inline=True)
+def is_clamped(axes, b):
+    """Return the mask of the pairs that have colliders behind both sides."""
+    p, q, r, s = axes
+    first = larger(larger(b[0] * p[ROOT], b[1] * q[ROOT]), larger(b[2] * r[ROOT], b[3] * s[ROOT]))
+    other = smaller(smaller(b[0] * p[ROOT], b[1] * q[ROOT]),
+                    smaller(b[2] * r[ROOT], b[3] * s[ROOT]))
+    return both(first > 0.0, other < 0.0)
+
+
+@jit(inline=True)
+def is_further_turn(backing):
+    """Return True in a turn after the first, in which particles are not where they stay."""
+    if backing is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return backing.turn[0] > 0
+
+
+@jit
+def begin_turn(backing, turn):
+    """Begin a further turn if pads press; return False if there is none."""
+    if backing is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        pads, contacts = backing.contacts.pads, backing.contacts
+        if turn <= TURNS:
+            for k in range(contacts.count[0]):
+                if pads.soft[k] and contacts.push[k] > 0.0:
+                    backing.turn[0] = turn
+                    return True
+        return False
+
+
+@jit
+def end_turns(backing):
+    """Let all pairs take part again."""
+    if backing is not None:
+        backing.turn[0] = 0
