@@ -92,6 +92,9 @@ class BuildContext:
     forces: bool = True
     """True if multipliers are stored: for reaction forces, or for several passes"""
 
+    lines: bool = False
+    """True if the solver may solve whole lines: method ``line``, or ``auto``"""
+
     iterations: int = 1
     """of the solver"""
     threads: int = 1
