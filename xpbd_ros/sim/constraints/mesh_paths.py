@@ -46,7 +46,7 @@ from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, gather_reaction, no
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import from_records, to_records
 
-SHORT, SHARE = 8, 6
+SHORT, SHARE = 4, 6
 """a path has at most SHORT edges, or one for every SHARE * PACK particles if these are more;
 longer ones cross too many others for a pack to fill up"""
 STRAIGHT = 0.0
@@ -98,8 +98,8 @@ def cover(particles: np.ndarray, x: np.ndarray) -> Cover:
     """
     ends = np.ascontiguousarray(particles, np.int64).reshape(-1, 2)
     d = x[ends[:, 1]] - x[ends[:, 0]]
-    length = np.linalg.norm(d, axis=1, keepdims=True)
-    d = d / np.where(length > 0.0, length, 1.0)
+    length = np.sqrt(d[:, 0]**2 + d[:, 1]**2 + d[:, 2]**2)    # in one order on any CPU
+    d = d / np.where(length > 0.0, length, 1.0)[:, None]
     at = np.argsort(ends.ravel(), kind='stable')
     first = np.searchsorted(ends.ravel()[at], np.arange(len(x) + 1))
     neighbour = _neighbours(d, first, at)

@@ -3,7 +3,7 @@ Solver methods: each sweeps a substep's constraints in a few walks over the effe
 
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
 reverse order, which BDF2 needs to stay stable. ``line`` (doc/numerics.md 3.2) solves the effects
-that have lines by whole lines, twice, sweeps the others forth before and back after, and closes
+that have lines, or paths along the edges of meshes, by whole lines, twice, sweeps the others forth before and back after, and closes
 with one Gauss-Seidel pass over the edges of the lines, with the same multipliers: it mends the
 single edges whose directions turned while the lines were solved. ``jacobi`` moves all particles at
 once, by a part of what each constraint asks for. ``explicit`` is the leapfrog (Störmer 1907,
