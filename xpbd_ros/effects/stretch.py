@@ -179,12 +179,10 @@ class BuiltStretch(Built):
         self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
         self.lists = [distance.Edges.of(part.edges) for part in parts]
         self.constraints = distance.Edges.joined(self.lists)
-        self.packs = None
         if any(isinstance(part, PathStretch) for part in parts):
             self.packs = np.concatenate([
                 mesh_paths.packs_of(part.paths, edges.index) if isinstance(part, PathStretch)
                 else np.zeros(len(edges.index), int) for part, edges in zip(parts, self.lists)])
-            """number of the pack of paths of each edge; None without paths"""
         self.loaded_edges = [(part.edges.force, edges) for part, edges in zip(parts, self.lists)
                              if part.edges.force is not None]
 

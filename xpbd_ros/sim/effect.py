@@ -150,6 +150,9 @@ class Built:
     """constraints on both diagonals of grid cells, which ``explicit_guard`` watches"""
     loaded_edges: Sequence[tuple[np.ndarray, Any]] = ()
     """multipliers and ``distance.Edges`` of elastic edges, for ``measure.stiffness_given``"""
+    packs: np.ndarray | None = None
+    """number of the pack of paths (``constraints.mesh_paths``) in which ``line`` solves each
+    constraint, for ``study.prediction``; None without paths"""
     force: np.ndarray | None = None
     """external force on each particle [N], shape (3, slots), for ``explicit_guard``"""
     pinned_changed: bool = False

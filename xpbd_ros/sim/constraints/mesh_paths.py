@@ -108,7 +108,7 @@ def cover(particles: np.ndarray, x: np.ndarray) -> Cover:
     last = np.searchsorted(path, np.arange(path[-1] + 2 if len(path) else 1))
     longest_first = np.argsort(-np.diff(last), kind='stable')
     ends = np.where(flipped[:, None], ends[:, ::-1], ends)
-    row, lane, begin = _fill(ends, edges, last, longest_first, len(x))
+    row, lane, begin = _fill_packs(ends, edges, last, longest_first, len(x))
     order = np.full((begin[-1], PACK), EMPTY)
     order[row, lane] = edges
     follows = np.zeros(order.shape, bool)
@@ -186,7 +186,7 @@ def _walk(ends, neighbour, slots, longest):
 
 
 @jit(allocates=True)
-def _fill(ends, edges, last, paths, slots):
+def _fill_packs(ends, edges, last, paths, slots):
     """
     Return row and lane of each edge, in the order of paths, and the first row of each pack.
 
@@ -283,7 +283,7 @@ def solve_paths(paths, edges, state, substep):
                 note(stops, first, last, records[:, 0], records[:, 1], records[:, 2],
                      state.apart, edges.force)
             for q in range(0, PACK, lanes(records)):
-                _solve(paths, edges, begin[p], begin[p + 1], q)
+                _solve_pack(paths, edges, begin[p], begin[p + 1], q)
             if first < last:
                 gather_reaction(stops, first, last, state.mobility, edges.force, part,
                                 state.reaction)
@@ -291,7 +291,7 @@ def solve_paths(paths, edges, state, substep):
 
 
 @jit
-def _solve(paths, edges, begin, end, q):
+def _solve_pack(paths, edges, begin, end, q):
     """Solve the paths in the lanes of one vector, from lane q of a pack on (doc/numerics 3.3)."""
     records, force, axis, work = edges.records, edges.force, paths.axis, paths.work
     one, other = edges.particles[0], edges.particles[1]
