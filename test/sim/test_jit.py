@@ -17,7 +17,7 @@ import pytest
 
 from support.scenes import hang
 from xpbd_ros.sim.backend import disk_cache, jit, linking, locked_cache
-from xpbd_ros.sim.constraints import mesh_batches
+from xpbd_ros.sim.constraints import mesh_batches, mesh_paths
 from xpbd_ros.sim.particles.integration import begin
 from xpbd_ros.sim.particles.state import Substep
 
@@ -96,7 +96,8 @@ def test_only_kernels_run_at_scene_compilation_allocate():
             for each in vars(import_module(info.name)).values():
                 if isinstance(each, Dispatcher) and each.targetoptions['_nrt']:
                     allocates.add(each)
-    assert allocates == {mesh_batches._fill}
+    assert allocates == {mesh_batches._fill, mesh_paths._neighbours, mesh_paths._walk,
+                         mesh_paths._fill_packs}
 
 
 @jit.jit

@@ -100,6 +100,16 @@ for _ in range(6):
     sheet.step()
 print(sheet.hash())
 """
+PATHS = """
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+for precision in ('float64', 'float32'):
+    skin = compile_scene(load_scene('balloon', {'solver.method': 'line', 'solver.substeps': 8,
+                                                'solver.precision': precision}))
+    for _ in range(30):
+        skin.step()
+    print(skin.hash())
+"""
 BARE = PROGRAM.replace(""",
     'cloths.sheet.effects.bend.stiffness': 1e-4""", '').replace("'line'", "'gauss_seidel'")
 TOUCHING = PROGRAM.replace("'swing'", "'drape'").replace('sheet.grid', 'cover.grid').replace(
@@ -110,7 +120,8 @@ TOUCHING = PROGRAM.replace("'swing'", "'drape'").replace('sheet.grid', 'cover.gr
 @pytest.mark.parametrize(('program', 'widths'), [
     pytest.param(ROPES, ('128', ''), id='ropes, narrow and native'),
     *(pytest.param(program, ('128', '256', '512'), id=name, marks=pytest.mark.slow)
-      for name, program in (('bare', BARE), ('free', PROGRAM), ('touching', TOUCHING)))])
+      for name, program in (('bare', BARE), ('free', PROGRAM), ('paths', PATHS),
+                            ('touching', TOUCHING)))])
 def test_same_bits_whatever_the_vector_width(program, widths):
     """The cache of kernels is one folder per width; the native one has the step already."""
     found = {}

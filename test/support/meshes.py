@@ -7,6 +7,7 @@ import tempfile
 
 import numpy as np
 import pytest
+from scipy import spatial
 
 BOX_FACES = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 5, 1], [0, 4, 5], [2, 3, 7],
                   [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 7, 3], [1, 5, 7]])
@@ -36,6 +37,31 @@ def disc(rings: int = 4, radius: float = 0.5) -> tuple[np.ndarray, np.ndarray]:
                 if j < k - 1:
                     triangles.append((inner[0], outer[1], inner[1]))
     return np.array(vertices), np.array(triangles)
+
+
+def irregular(cells: int = 12, size: float = 1.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return vertices and triangles of a square about the origin, with edges of about size / cells.
+
+    Vertices inside are off the points of a lattice by up to 0.35 of an edge along each axis; the
+    sides have one vertex at each multiple of size / cells.
+    """
+    h, half = size / cells, 0.5 * size
+    side = np.linspace(-half, half, cells, endpoint=False)
+    rim = np.concatenate([np.stack(ends, 1) for ends in (
+        (side, 0.0 * side - half), (0.0 * side + half, side), (-side, 0.0 * side + half),
+        (0.0 * side - half, -side))])
+    rows = np.arange(-half + 0.87 * h, half - 0.5 * h, 0.87 * h)
+    inside = np.concatenate([np.stack([side + 0.5 * h * (1 + n % 2), 0.0 * side + y], 1)
+                             for n, y in enumerate(rows)])
+    inside += np.random.default_rng(seed).uniform(-0.35 * h, 0.35 * h, inside.shape)
+    inside = inside[(np.abs(inside) < half - 0.4 * h).all(1)]
+    points = np.concatenate([rim, inside])
+    triangles = spatial.Delaunay(points).simplices
+    a, b = points[triangles[:, 1:]].transpose(1, 0, 2) - points[triangles[:, 0]]
+    twice = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    triangles[twice < 0.0] = triangles[twice < 0.0][:, ::-1]
+    return np.pad(points, ((0, 0), (0, 1))), triangles[np.abs(twice) > 1e-3 * h * h]
 
 
 def arch(along: int = 25, across: int = 9, radius: float = 0.1, width: float = 0.12

@@ -1,8 +1,8 @@
 """
 Stretch: elastic edges along warp and weft of a grid, or along all edges of a mesh.
 
-C = |x1 - x2| - L (``constraints.distance``); the method ``line`` solves whole lines
-(``constraints.line_solver``).
+C = |x1 - x2| - L (``constraints.distance``); the method ``line`` solves whole lines of grids
+(``constraints.line_solver``), and of other meshes whole paths (``constraints.mesh_paths``).
 
 On a grid of cells dx × dy an edge along warp has the stiffness k = warp dy / dx [N/m], one along
 weft k = weft dx / dy, and half of it at the rim, so that the sheet has the given moduli at any
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.constraints import distance, line_solver, overextended_lines
+from xpbd_ros.sim.constraints import distance, line_solver, mesh_paths, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
@@ -68,6 +68,14 @@ class MeshStretch(NamedTuple):
     edges: distance.MeshEdges
 
 
+@elastic_edges
+class PathStretch(NamedTuple):
+    """Data of the kernels for other meshes, with the method ``line``."""
+
+    edges: distance.MeshEdges
+    paths: mesh_paths.Paths
+
+
 @stage(prepare, Stretch)
 @jit
 def prepare_stretch(stretch, state, substep):
@@ -81,6 +89,13 @@ def prepare_stretch(stretch, state, substep):
 def solve_stretch(stretch, state, substep):
     """Solve every line, twice."""
     line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
+
+
+@stage(solve_lines, PathStretch)
+@jit
+def solve_path_stretch(stretch, state, substep):
+    """Solve every path, twice."""
+    mesh_paths.solve_paths(stretch.paths, stretch.edges, state, substep)
 
 
 def edge_shapes(rows: int, columns: int) -> list[Shape]:
@@ -126,8 +141,8 @@ def _on_grids(cloths, world) -> Stretch:
         overextended_lines.room_for(blocks) if world.pins else None)
 
 
-def _on_meshes(cloths, world) -> MeshStretch:
-    """Return all edges of meshes."""
+def _on_meshes(cloths, world) -> MeshStretch | PathStretch:
+    """Return all edges of meshes, along paths where the solver may solve these."""
     particles, rest, alpha = [], [], []
     for cloth, chosen in cloths:
         mesh, ends = cloth.mesh, cloth.mesh.edges
@@ -142,8 +157,15 @@ def _on_meshes(cloths, world) -> MeshStretch:
             area = edge_areas(mesh.triangles, ends, mesh.positions)
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
-    return MeshStretch(distance.mesh_edges(particles, rest, alpha, world=world,
-                                           time=distance.times(cloths, world)))
+    time = distance.times(cloths, world)
+    if not world.lines or time is not None:
+        return MeshStretch(distance.mesh_edges(particles, rest, alpha, world=world, time=time))
+    x = np.zeros((world.slots, 3))
+    for cloth, _ in cloths:
+        x[cloth.slots] = cloth.mesh.positions
+    cover = mesh_paths.cover(np.concatenate(particles), x)
+    edges = distance.mesh_edges([cover.particles], rest, alpha, world=world, order=cover.order)
+    return PathStretch(edges, mesh_paths.paths_of(cover, edges))
 
 
 class BuiltStretch(Built):
@@ -157,6 +179,10 @@ class BuiltStretch(Built):
         self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
         self.lists = [distance.Edges.of(part.edges) for part in parts]
         self.constraints = distance.Edges.joined(self.lists)
+        if any(isinstance(part, PathStretch) for part in parts):
+            self.packs = np.concatenate([
+                mesh_paths.packs_of(part.paths, edges.index) if isinstance(part, PathStretch)
+                else np.zeros(len(edges.index), int) for part, edges in zip(parts, self.lists)])
         self.loaded_edges = [(part.edges.force, edges) for part, edges in zip(parts, self.lists)
                              if part.edges.force is not None]
 
@@ -164,6 +190,9 @@ class BuiltStretch(Built):
         super().hold(inv_mass)
         if self._blocks:
             overextended_lines.hold(self.data.taut, self._blocks, inv_mass)
+        for part in self.parts:
+            if isinstance(part, PathStretch):
+                mesh_paths.hold(part.paths)
 
 
 EFFECT = Effect('stretch', Parameters, BuiltStretch)

@@ -24,7 +24,7 @@ SINGLE = 0.6
 """cost in float32 over that in float64; less on large grids"""
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps of method ``line`` over those that an explicit solver needs for all edges, by
-integrator; constraints that are in no line need all of theirs"""
+integrator; constraints that are in no line of a grid need all of theirs"""
 NDF2_STABLE = 0.08
 """smallest such ratio with which NDF2 is as stable as BDF2 after a violent start"""
 TAUT = 1 / 3
@@ -182,7 +182,7 @@ def stability_limit(effects, state) -> float:
 
 
 def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
-    """Return the substeps that an explicit solver needs: for all edges, for those in no line."""
+    """Return the explicit substeps: for all edges, for those in no line of a grid."""
     on_lines, swept = 0.0, 0.0
     for name, built in effects.items():
         if built.constraints is None:

@@ -24,6 +24,8 @@ from xpbd_ros.sim.simulation import Change, Simulation
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
+LINES = ('line', 'auto')
+"""methods that may solve whole lines"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
 COARSE = 1e-3
@@ -140,7 +142,8 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   solver.compliance_scale, before or {},
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
-                  or solver.method not in ONE_PASS, iterations=solver.iterations,
+                  or solver.method not in ONE_PASS, lines=solver.method in LINES,
+                  iterations=solver.iterations,
                   threads=solver.threads)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':

@@ -92,6 +92,9 @@ class BuildContext:
     forces: bool = True
     """True if multipliers are stored: for reaction forces, or for several passes"""
 
+    lines: bool = False
+    """True if the solver may solve whole lines: method ``line``, or ``auto``"""
+
     iterations: int = 1
     """of the solver"""
     threads: int = 1
@@ -147,6 +150,9 @@ class Built:
     """constraints on both diagonals of grid cells, which ``explicit_guard`` watches"""
     loaded_edges: Sequence[tuple[np.ndarray, Any]] = ()
     """multipliers and ``distance.Edges`` of elastic edges, for ``measure.stiffness_given``"""
+    packs: np.ndarray | None = None
+    """number of the pack of paths (``constraints.mesh_paths``) in which ``line`` solves each
+    constraint, for ``study.prediction``; None without paths"""
     force: np.ndarray | None = None
     """external force on each particle [N], shape (3, slots), for ``explicit_guard``"""
     pinned_changed: bool = False

@@ -19,13 +19,15 @@ class Packing:
     ----------
     particles : slots of the constraints of each cloth, shapes (constraints, particles of each)
     world : build context
+    order : the constraint in each place, EMPTY where there is none, in packs of PACK that share no
+        particle; None for the order of ``pack``
 
     """
 
-    def __init__(self, particles: list[np.ndarray], world):
+    def __init__(self, particles: list[np.ndarray], world, order: np.ndarray | None = None):
         self.particles = np.concatenate(particles)
         self._world, self._dtype = world, world.state.x.dtype
-        self._order = pack(self.particles)
+        self._order = pack(self.particles) if order is None else order
 
     def column(self, numbers: np.ndarray | list[np.ndarray], empty=0.0) -> np.ndarray:
         """

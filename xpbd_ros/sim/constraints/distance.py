@@ -130,7 +130,7 @@ def grid_edges(blocks: list[Block], shapes_of: Callable, rest_length: list, comp
 
 
 def mesh_edges(particles: list, rest_length: list, compliance: list, *, world,
-               time: list | None = None) -> MeshEdges:
+               time: list | None = None, order: np.ndarray | None = None) -> MeshEdges:
     """
     Return the edges of meshes for the kernels.
 
@@ -141,9 +141,10 @@ def mesh_edges(particles: list, rest_length: list, compliance: list, *, world,
     compliance : of each mesh's edges [m/N], shape (edges,)
     world : build context
     time : relaxation time of each mesh [s]; None without ``rayleigh``
+    order : as of ``builders.Packing``
 
     """
-    packing, dtype = Packing(particles, world), world.state.x.dtype
+    packing, dtype = Packing(particles, world, order), world.state.x.dtype
     if time is not None:
         time = packing.column([np.full(len(a), t) for a, t in zip(particles, time)])
     return MeshEdges(

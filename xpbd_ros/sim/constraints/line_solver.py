@@ -18,8 +18,7 @@ least TINY (m_k + m_{k+1}), far below the artificial compliance of a Gauss-Seide
 A rigid line between two pins that are further apart than it is long has no solution: see
 ``constraints.overextended_lines``.
 
-Meshes have no lines: the straightest edge-disjoint paths of an irregular triangle mesh have five
-edges on average, and gain nothing over the symmetric sweep in equal time.
+Meshes have paths along their edges in place of lines (``constraints.mesh_paths``).
 
 Lines of one family share no particle, so each lane of a vector solves one line. Weft lines cross
 the rows, whose slots are contiguous. Warp lines run along the rows, so as many rows as there are

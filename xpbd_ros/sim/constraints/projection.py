@@ -5,7 +5,7 @@ Gauss-Seidel updates positions in place. Jacobi and explicit methods read x and 
 to the accumulator ``state.apart``, whose type selects the update:
 
     Gauss-Seidel    Δf = -(C + α f) / (W + α)          Macklin et al. 2016, eq 18
-    Jacobi          Δf = -ω (C + α f) / (W + α)        doc/numerics.md 3.4
+    Jacobi          Δf = -ω (C + α f) / (W + α)        doc/numerics.md 3.5
     explicit        f  = -C / α                        the elastic force at x
 
 A multiplier of None is not stored; it is 0 before the only pass.

@@ -41,6 +41,9 @@ class Sheet:
     most_constraints: int
     """largest number of constraints at a particle, of the whole scene"""
     is_grid: bool
+    packs: np.ndarray | None = None
+    """number of the pack of paths (``constraints.mesh_paths``) of each edge of ``stretch``; None
+    where it has no paths"""
     excess: float = 0.0
     """rest volume of its gas less the volume of its rest shape [m³]"""
 
@@ -89,7 +92,7 @@ def sheets(simulation: Simulation) -> list[Sheet]:
         slots = simulation.slot[cloth.particles]
         places = np.zeros((simulation.state.x.shape[1], 3))
         places[slots] = rest
-        effects, excess = {}, 0.0
+        effects, packs, excess = {}, None, 0.0
         for name, slopes in SLOPES.items():
             if name in simulation.effects:
                 listed = simulation.effects[name].constraints
@@ -98,6 +101,9 @@ def sheets(simulation: Simulation) -> list[Sheet]:
                 if here.any():
                     effects[name] = _part(rest, particles[here],
                                           slopes(listed, places)[here], listed, here)
+                    if name == 'stretch' and cloth.mesh.grid is None:
+                        packs = simulation.effects[name].packs
+                        packs = None if packs is None else packs[here]
         if 'pressure' in simulation.effects:
             listed = simulation.effects['pressure'].constraints
             for triangles, volume, alpha in zip(listed.triangles, listed.rest_volume,
@@ -108,7 +114,8 @@ def sheets(simulation: Simulation) -> list[Sheet]:
                     excess = volume - own
         found.append(Sheet(cloth.name, rest, 1.0 / simulation.state.mass[slots].astype(float),
                            np.flatnonzero(simulation.state.inv_mass[slots] == 0.0), effects,
-                           int(count.max(initial=1)), cloth.mesh.grid is not None, excess))
+                           int(count.max(initial=1)), cloth.mesh.grid is not None, packs,
+                           excess))
     return found
 
 

@@ -23,9 +23,14 @@ from scipy import sparse
 from scipy.sparse.linalg import gmres, LinearOperator, splu
 
 from xpbd_ros.sim.constraints.line_solver import TINY
+from xpbd_ros.sim.constraints.mesh_paths import LEAST
 
-FORWARD, BACKWARD, DIRECT, JACOBI = 'forward', 'backward', 'direct', 'jacobi'
-"""kinds of passes: Gauss-Seidel in order or in reverse order, direct solution, Jacobi"""
+FORWARD, BACKWARD, JACOBI = 'forward', 'backward', 'jacobi'
+LINES, PATHS = 'lines', 'paths'
+"""kinds of passes: Gauss-Seidel in order or in reverse order, Jacobi, direct solution of lines of
+a grid or of paths of a mesh"""
+SOFTEST = {LINES: TINY, PATHS: LEAST}
+"""least α in the matrix of a direct solution, relative to the mobilities"""
 REFINEMENTS = 3
 """steps of iterative refinement, each to a relative residual of 1e-5"""
 
@@ -41,8 +46,8 @@ class StaticResponse:
     mobility: np.ndarray
     """w H² of each particle [m/N], shape (particles,)"""
     passes: tuple[tuple[str, np.ndarray], ...]
-    """passes of one iteration: kind (FORWARD, BACKWARD, DIRECT or JACOBI) and its rows; without
-    passes, as in an explicit solver, the residuals are those of the compliance alone"""
+    """passes of one iteration: kind and rows; without passes, as in an explicit solver, the
+    residuals are those of the compliance alone"""
     iterations: int = 1
     """K, per substep"""
     relaxation: float = 1.0
@@ -100,8 +105,8 @@ def _solved_part(A, block: np.ndarray, kind: str):
 def _factor(kind: str, A, alpha, block: np.ndarray, relaxation: float):
     """Return the factorization of the part of A + α that a pass solves; immobile rows are 1."""
     A = A + sparse.diags((A.diagonal() + alpha.diagonal() == 0.0).astype(float))
-    if kind == DIRECT:
-        split = A + sparse.diags(np.maximum(alpha.diagonal(), TINY * A.diagonal()))
+    if kind in SOFTEST:
+        split = A + sparse.diags(np.maximum(alpha.diagonal(), SOFTEST[kind] * A.diagonal()))
         return splu(split.tocsc())
     split = _solved_part(A + alpha, block, kind)
     if kind == JACOBI:

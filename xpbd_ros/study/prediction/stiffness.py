@@ -16,9 +16,10 @@ from xpbd_ros.study.prediction.loads import (
 )
 from xpbd_ros.study.prediction.static_response import (
     BACKWARD,
-    DIRECT,
     FORWARD,
     JACOBI,
+    LINES,
+    PATHS,
     StaticResponse,
 )
 
@@ -90,13 +91,15 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
     sizes = np.cumsum([0, *(part.jacobian.shape[0] for part in parts)])
     rows = {name: np.arange(a, b) for name, a, b in zip(names, sizes[:-1], sizes[1:])}
     everything = np.arange(sizes[-1])
-    if solver.method == 'line' and sheet.is_grid:
+    if solver.method == 'line' and (sheet.is_grid or sheet.packs is not None):
         others = np.concatenate([rows[name] for name in names if name != 'stretch']
                                 or [np.zeros(0, int)])
         passes = [(FORWARD, others)]
         if 'stretch' in rows:
             edges, along = rows['stretch'], sheet.effects['stretch'].along
-            lines = [(DIRECT, edges[along == WARP]), (DIRECT, edges[along == WEFT])]
+            lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
+                     if sheet.packs is None else
+                     [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
             passes += [*lines, *lines, (BACKWARD, others), (FORWARD, edges)]
         else:
             passes.append((BACKWARD, others))
