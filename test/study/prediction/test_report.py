@@ -26,8 +26,8 @@ COARSE_COVER = {'cloths.cover.grid.resolution': [9, 9]}
 SOFT = {'solver.method': 'gauss_seidel', 'solver.substeps': 16}
 
 
-@each_scene(slow=('arch', 'bag', 'balloon', 'curtain', 'drum', 'flag', 'fold', 'sheet', 'softbox',
-                  'towel'))
+@each_scene(slow=('arch', 'bag', 'balloon', 'curtain', 'drum', 'flag', 'fold', 'fold_towel',
+                  'sheet', 'softbox', 'towel'))
 def test_a_shipped_scene_gives_what_it_asks_for(name):
     found = check(load_scene(name))
     assert found.ok, found.warnings
