@@ -46,6 +46,8 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, smaller
+from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.commands import (
     MoveCollider,
     PlaceCollider,
@@ -169,17 +171,27 @@ def push_out(contact, state, substep):
 @jit
 def calm(contact, state, substep):
     """Remove the velocity that came from separating old overlaps; apply restitution."""
-    contacts, h = contact.contacts, substep.h
+    contacts = contact.contacts
     if contacts.count[3]:
         contacts.count[4] += count_penetrating(contacts, state)
-    for k in range(contacts.count[0]):
-        still = min(contacts.overlap[k], contacts.push[k])
-        if still > 0.0:
-            excess = min(speed_away(contacts, k, state, substep), still / h)
-            if excess > 0.0:
-                drive_away(contacts, k, state, -excess)
+    count = contacts.count[0]
+    for k in range(0, count, WIDTH):
+        if k + WIDTH > count or any_lane(smaller(
+                load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
+            for j in range(k, min(k + WIDTH, count)):
+                calm_candidate(contacts, j, state, substep)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
+
+
+@jit(inline=True)
+def calm_candidate(contacts, k, state, substep):
+    """Remove the velocity that came from separating the old overlap of candidate k."""
+    still = min(contacts.overlap[k], contacts.push[k])
+    if still > 0.0:
+        excess = min(speed_away(contacts, k, state, substep), still / substep.h)
+        if excess > 0.0:
+            drive_away(contacts, k, state, -excess)
 
 
 @stage(add_explicit_forces, Contact)
@@ -256,6 +268,7 @@ class BuiltContact(Built):
 
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT
+        self.contacts.near.valid[0] = 0
 
     def reset(self, state, now_ns):
         self.again()
@@ -301,6 +314,7 @@ class BuiltContact(Built):
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
         colliders.count[0] = len(self.placed)
+        self.contacts.near.valid[0] = 0
         self.changes += 1
 
     def _write_twist(self, c: int, placed: Placed) -> None:
