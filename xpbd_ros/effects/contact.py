@@ -164,7 +164,7 @@ def push_out(contact, state, substep):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
-    push_all(contact.contacts, state)
+    push_all(contact.contacts, state, False)
 
 
 @stage(finish, Contact)
@@ -179,19 +179,13 @@ def calm(contact, state, substep):
         if k + WIDTH > count or any_lane(smaller(
                 load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
             for j in range(k, min(k + WIDTH, count)):
-                calm_candidate(contacts, j, state, substep)
+                still = min(contacts.overlap[j], contacts.push[j])
+                if still > 0.0:
+                    excess = min(speed_away(contacts, j, state, substep), still / substep.h)
+                    if excess > 0.0:
+                        drive_away(contacts, j, state, -excess)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
-
-
-@jit(inline=True)
-def calm_candidate(contacts, k, state, substep):
-    """Remove the velocity that came from separating the old overlap of candidate k."""
-    still = min(contacts.overlap[k], contacts.push[k])
-    if still > 0.0:
-        excess = min(speed_away(contacts, k, state, substep), still / substep.h)
-        if excess > 0.0:
-            drive_away(contacts, k, state, -excess)
 
 
 @stage(add_explicit_forces, Contact)

@@ -274,8 +274,9 @@ def resist(friction, state, substep):
                 for _ in range(min(WIDTH, end - k)):
                     resist_candidate(friction, k, state, substep)
                     k += 1
-    if contacts.count[2]:    # fast particles: friction too moves them far
-        push_once(contacts, state)
+    fast = contacts.count[2] != 0    # friction too moves them far
+    if fast:
+        push_once(contacts, state, not fast, False)    # compiled once: no literal of its own
     leave_corners(contacts, state)
 
 

@@ -13,11 +13,11 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_wide,
     WIDTH,
 )
-from xpbd_ros.sim.contact.colliders import vectors_to_local
+from xpbd_ros.sim.contact.colliders import BOX, vectors_to_local
 from xpbd_ros.sim.contact.contacts import DEPENETRATION, room_of
 from xpbd_ros.sim.contact.near_blocks import ALL, bounding_distance, UP, update_near_blocks
 from xpbd_ros.sim.contact.pads import begin_pad
-from xpbd_ros.sim.contact.signed_distance_simd import depths, is_sampled
+from xpbd_ros.sim.contact.signed_distance_simd import depths
 
 
 @jit
@@ -56,15 +56,14 @@ def check_block(contacts, bounce, state, substep, c, q):
     """
     thickness, slots, p = contacts.thickness[0], len(state.inv_mass), contacts.after
     near, several = contacts.near, contacts.first[c] > 0
-    colliders, shape = contacts.colliders, contacts.colliders.shape[c]
+    colliders = contacts.colliders
     x, y, z = (load_wide(state.x, q), load_wide(state.x, slots + q),
                load_wide(state.x, 2 * slots + q))
     x0, y0, z0 = (load_wide(state.x_prev, q), load_wide(state.x_prev, slots + q),
                   load_wide(state.x_prev, 2 * slots + q))
     lx, ly, lz = vectors_to_local(p, c, x, y, z)
     phi = depths(colliders, contacts.scratch, c, lx, ly, lz)
-    free, sampled = load_wide(state.inv_mass, q) > 0.0, is_sampled(
-        colliders.grids, colliders.heights, shape)
+    free, sampled = load_wide(state.inv_mass, q) > 0.0, colliders.shape[c] > BOX
     close = both(free, phi <= load_wide(near.margin, q) + (
         (1.0 + UP) * thickness + near.budget[c]))
     if not any_lane(close):

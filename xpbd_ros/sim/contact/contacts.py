@@ -207,7 +207,7 @@ def move_colliders(contacts, substep):
 
 
 @jit
-def push_all(contacts, state, eased=False):
+def push_all(contacts, state, eased):
     """
     Project all candidates; repeat for particles between several colliders.
 
@@ -215,17 +215,20 @@ def push_all(contacts, state, eased=False):
     """
     if not eased:
         press_pads(contacts.pads, contacts, state)
-    for _ in range(CORNER):
-        push_once(contacts, state, False, eased)
-        if not contacts.count[2]:
+    turn = 0
+    while turn <= CORNER:    # the last turn is backwards
+        push_once(contacts, state, turn == CORNER, eased)
+        turn += 1
+        if turn < CORNER and not contacts.count[2]:
+            turn = CORNER
+        if turn == CORNER and not contacts.count[3]:
             break
     if contacts.count[3]:
-        push_once(contacts, state, True, eased)
         leave_corners(contacts, state)
 
 
 @jit
-def push_once(contacts, state, back=False, eased=False):
+def push_once(contacts, state, back, eased):
     """
     Project all candidates once: x += n Δd, Δd = max(r - φ, -d), d += Δd.
 
@@ -389,21 +392,35 @@ def positions(x, index, k):
     slots, i = x.shape[1], index[k]
     if is_run(index, k):
         return load_wide(x, i), load_wide(x, slots + i), load_wide(x, 2 * slots + i)
+    return gather_positions(x, index, k)
+
+
+@jit
+def gather_positions(x, index, k):
+    """Return the positions of particles that are not neighbours in memory."""
+    slots = x.shape[1]
     return gather(x, 0, index, k), gather(x, slots, index, k), gather(x, 2 * slots, index, k)
+
+
+@jit
+def scatter_positions(x, index, k, new_x, new_y, new_z):
+    """Write the positions of particles that are not neighbours in memory."""
+    slots = x.shape[1]
+    scatter(x, 0, index, k, new_x)
+    scatter(x, slots, index, k, new_y)
+    scatter(x, 2 * slots, index, k, new_z)
 
 
 @jit(inline=True)
 def place(x, index, k, new_x, new_y, new_z):
-    """Write their positions."""
+    """Write the positions of the particles index[k], …"""
     slots, i = x.shape[1], index[k]
     if is_run(index, k):
         store_wide(x, i, new_x)
         store_wide(x, slots + i, new_y)
         store_wide(x, 2 * slots + i, new_z)
     else:
-        scatter(x, 0, index, k, new_x)
-        scatter(x, slots, index, k, new_y)
-        scatter(x, 2 * slots, index, k, new_z)
+        scatter_positions(x, index, k, new_x, new_y, new_z)
 
 
 @jit(inline=True)

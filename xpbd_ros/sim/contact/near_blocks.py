@@ -26,8 +26,8 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import all_lanes, any_lane, both, highest, larger, root, select
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, wide, WIDTH
-from xpbd_ros.sim.contact.colliders import Colliders, vectors_to_local
-from xpbd_ros.sim.contact.signed_distance_simd import is_sampled, shape_depths
+from xpbd_ros.sim.contact.colliders import BOX, Colliders, vectors_to_local
+from xpbd_ros.sim.contact.signed_distance_simd import shape_depths
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 AHEAD = 16.0
@@ -121,7 +121,7 @@ def build(near, contacts, state):
     """List the blocks of all colliders for the present positions and poses."""
     thickness, colliders = contacts.thickness[0], contacts.colliders
     most, radius, centre = set_margins(near, state, LEAST * thickness)
-    p, count = contacts.after, 0
+    p, size, count, slots = contacts.after, colliders.size, 0, len(near.margin)
     for c in range(colliders.count[0]):
         for k in range(7):
             near.pose[c, k] = p[c, k]
@@ -129,8 +129,23 @@ def build(near, contacts, state):
                                            + (centre[2] - p[c, 2])**2)
         near.budget[c] = 4.0 * contacts.stir[0] + (2.0 + AHEAD) * (
             contacts.moved[c] + 2.0 * contacts.turned[c] * near.arm[c])
-        near.begin[c] = count
-        count = list_blocks(near, contacts, c, count, (1.0 + UP) * thickness + near.budget[c])
+        near.begin[c], near.end[c] = count, ALL
+        if count + slots // WIDTH > len(near.block):
+            continue
+        shape, reach = colliders.shape[c], (1.0 + UP) * thickness + near.budget[c]
+        for q in range(0, slots, WIDTH):
+            x, y, z = (load_wide(near.x, q), load_wide(near.x, slots + q),
+                       load_wide(near.x, 2 * slots + q))
+            if shape > BOX:
+                phi = bounding_distance(contacts, c, x, y, z)
+            else:
+                x, y, z = vectors_to_local(p, c, x, y, z)
+                phi = shape_depths(shape, size[c, 0], size[c, 1], size[c, 2], x, y, z)
+            margin = load_wide(near.margin, q)
+            if any_lane(both(margin < np.inf, phi <= reach + margin)):
+                near.block[count] = q
+                count += 1
+        near.end[c] = count
     near.valid[0] = 1
 
 
@@ -159,36 +174,6 @@ def set_margins(near, state, least):
         most = larger(most, select(there, margin, 0.0))
         square = larger(square, select(there, away, 0.0))
     return highest(most), sqrt(highest(square)), centre
-
-
-@jit(inline=True)
-def list_blocks(near, contacts, c, count, reach):
-    """List the blocks of collider c from index ``count`` on; return the end of its list."""
-    slots, block, x = len(near.margin), near.block, near.x
-    near.end[c] = ALL
-    if count + slots // WIDTH > len(block):
-        return count
-    for q in range(0, slots, WIDTH):
-        margin = load_wide(near.margin, q)
-        there = margin < np.inf
-        close = distance_bound(contacts, c, load_wide(x, q), load_wide(x, slots + q),
-                               load_wide(x, 2 * slots + q)) <= reach + margin
-        if any_lane(both(there, close)):
-            block[count] = q
-            count += 1
-    near.end[c] = count
-    return count
-
-
-@jit(inline=True)
-def distance_bound(contacts, c, x, y, z):
-    """Return a lower bound of φ for points in world axes that decreases by at most their way."""
-    colliders, p = contacts.colliders, contacts.after
-    shape, size = colliders.shape[c], colliders.size
-    if is_sampled(colliders.grids, colliders.heights, shape):
-        return bounding_distance(contacts, c, x, y, z)
-    lx, ly, lz = vectors_to_local(p, c, x, y, z)
-    return shape_depths(shape, size[c, 0], size[c, 1], size[c, 2], lx, ly, lz)
 
 
 @jit(inline=True)

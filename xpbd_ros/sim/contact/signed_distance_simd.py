@@ -8,7 +8,15 @@ computed and one selected. Mesh and height field are computed lane by lane.
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import absolute, both, larger, root, select, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, wide, WIDTH
-from xpbd_ros.sim.contact.colliders import CAPSULE, CYLINDER, HEIGHTS, MESH, PLANE, SPHERE
+from xpbd_ros.sim.contact.colliders import (
+    BOX,
+    CAPSULE,
+    CYLINDER,
+    HEIGHTS,
+    MESH,
+    PLANE,
+    SPHERE,
+)
 from xpbd_ros.sim.contact.signed_distance import grid_distance, ground_distance
 
 
@@ -24,7 +32,7 @@ def signed_distances(colliders, scratch, c, x, y, z):
 
     """
     found, size = colliders.shape[c], colliders.size
-    if is_sampled(colliders.grids, colliders.heights, found):
+    if found > BOX:
         sample(colliders.grids, colliders.heights, found, size[c, 0], size[c, 1], scratch, c,
                x, y, z)
         return (load_wide(scratch, 0), load_wide(scratch, WIDTH), load_wide(scratch, 2 * WIDTH),
@@ -36,35 +44,11 @@ def signed_distances(colliders, scratch, c, x, y, z):
 def depths(colliders, scratch, c, x, y, z):
     """Return φ alone."""
     found, size = colliders.shape[c], colliders.size
-    if is_sampled(colliders.grids, colliders.heights, found):
+    if found > BOX:
         sample(colliders.grids, colliders.heights, found, size[c, 0], size[c, 1], scratch, c,
                x, y, z)
         return load_wide(scratch, 0)
     return shape_depths(found, size[c, 0], size[c, 1], size[c, 2], x, y, z)
-
-
-@jit(inline=True)
-def is_sampled(grids, heights, shape):
-    """Return True for a mesh or a height field; False in scenes without capacity for any."""
-    return is_mesh(grids, shape) or is_ground(heights, shape)
-
-
-@jit(inline=True)
-def is_mesh(grids, shape):
-    """Return True for a mesh."""
-    if grids is None:
-        return False
-    else:    # Numba prunes the branch that is not taken
-        return shape == MESH
-
-
-@jit(inline=True)
-def is_ground(heights, shape):
-    """Return True for a height field."""
-    if heights is None:
-        return False
-    else:    # Numba prunes the branch that is not taken
-        return shape == HEIGHTS
 
 
 @jit

@@ -71,7 +71,7 @@ GUARDS = (
           'DEPENETRATION = 1e9'),
     Guard('H15', 'line bdf2 8x1 appears half a radius deep',
           'resolving an old penetration adds no velocity', 'effects/contact.py',
-          '    if still > 0.0:', '    if False:'),
+          'if still > 0.0:', 'if False:'),
     Guard('H16', 'gauss_seidel backward_euler 8x1',
           'cloth between two colliders penetrates both equally', 'sim/contact/contacts.py',
           'if contacts.count[3]:', 'if False:'),
