@@ -57,7 +57,8 @@ def wide(typing, scalar):
 def load_wide(typing, array, index):
     """Return the vector that starts at a flat index."""
     def generate(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, signature.args[0], *arguments, _narrow(array))
+        array_, index_ = arguments
+        pointer = _pointer(context, builder, signature.args[0], array_, index_, _narrow(array))
         return _ext(builder, builder.load(pointer, align=array.dtype.bitwidth // 8), WIDE.llvm)
     return WIDE(array, types.intp), generate
 
@@ -66,8 +67,9 @@ def load_wide(typing, array, index):
 def store_wide(typing, array, index, value):
     """Write a vector, or a scalar in every lane, from a flat index on."""
     def generate(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, signature.args[0], *arguments[:2], _narrow(array))
-        whole = _widen(context, builder, arguments[2], signature.args[2], WIDE)
+        array_, index_, value_ = arguments
+        pointer = _pointer(context, builder, signature.args[0], array_, index_, _narrow(array))
+        whole = _widen(context, builder, value_, signature.args[2], WIDE)
         builder.store(_round(builder, whole, _narrow(array)), pointer,
                       align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
@@ -118,8 +120,9 @@ def store_integers(typing, array, index, first, step):
 def any_true(typing, array, index):
     """Return True if one of as many truth values as a vector has lanes is true."""
     def generate(context, builder, signature, arguments):
+        array_, index_ = arguments
         kind = ir.VectorType(context.get_data_type(signature.args[0].dtype), WIDTH)
-        found = builder.load(_pointer(context, builder, signature.args[0], *arguments, kind),
+        found = builder.load(_pointer(context, builder, signature.args[0], array_, index_, kind),
                              align=1)
         whole = ir.IntType(WIDTH * kind.element.width)
         return builder.icmp_unsigned('!=', builder.bitcast(found, whole), whole(0))
