@@ -102,7 +102,7 @@ def are_colliders_within(near, contacts):
 
 @jit
 def are_particles_within(near, state):
-    """Return True if |x - y| + 2 s ≤ √(2 |x - y|² + 8 s²) ≤ margin for all particles."""
+    """Return True if all particles have √(2 |x - y|² + 8 s²) ≤ margin; |x - y| + 2 s is less."""
     x, before, y, slots = state.x, state.x_prev, near.x, len(near.margin)
     for q in range(0, slots, WIDTH):
         square = wide(0.0)
@@ -141,8 +141,8 @@ def build(near, contacts, state):
             else:
                 x, y, z = vectors_to_local(p, c, x, y, z)
                 phi = shape_depths(shape, size[c, 0], size[c, 1], size[c, 2], x, y, z)
-            margin = load_wide(near.margin, q)
-            if any_lane(both(margin < np.inf, phi <= reach + margin)):
+            close = phi <= reach + load_wide(near.margin, q)
+            if any_lane(both(load_wide(state.mass, q) > 0.0, close)):
                 near.block[count] = q
                 count += 1
         near.end[c] = count
@@ -160,7 +160,7 @@ def set_margins(near, state, least):
             break
     for q in range(0, slots, WIDTH):
         there = load_wide(state.mass, q) > 0.0
-        step, away = wide(0.0), wide(0.0)
+        step = wide(0.0)
         for a in range(3):
             now = load_wide(x, a * slots + q)
             store_wide(near.x, a * slots + q, now)
