@@ -46,8 +46,6 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import any_lane, smaller
-from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.commands import (
     MoveCollider,
     PlaceCollider,
@@ -82,10 +80,9 @@ from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODE
 from xpbd_ros.sim.contact.pads import areas, new_pads
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
+    calm_overlaps,
     calm_pads,
-    drive_away,
     rebound,
-    speed_away,
 )
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
@@ -174,16 +171,7 @@ def calm(contact, state, substep):
     contacts = contact.contacts
     if contacts.count[3]:
         contacts.count[4] += count_penetrating(contacts, state)
-    count = contacts.count[0]
-    for k in range(0, count, WIDTH):
-        if k + WIDTH > count or any_lane(smaller(
-                load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
-            for j in range(k, min(k + WIDTH, count)):
-                still = min(contacts.overlap[j], contacts.push[j])
-                if still > 0.0:
-                    excess = min(speed_away(contacts, j, state, substep), still / substep.h)
-                    if excess > 0.0:
-                        drive_away(contacts, j, state, -excess)
+    calm_overlaps(contacts, state, substep)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
 

@@ -70,7 +70,7 @@ GUARDS = (
           'DEPENETRATION = 1.0',
           'DEPENETRATION = 1e9'),
     Guard('H15', 'line bdf2 8x1 appears half a radius deep',
-          'resolving an old penetration adds no velocity', 'effects/contact.py',
+          'resolving an old penetration adds no velocity', 'sim/contact/restitution.py',
           'if still > 0.0:', 'if False:'),
     Guard('H16', 'gauss_seidel backward_euler 8x1',
           'cloth between two colliders penetrates both equally', 'sim/contact/contacts.py',
