@@ -74,7 +74,7 @@ GUARDS = (
           'if still > 0.0:', 'if False:'),
     Guard('H16', 'gauss_seidel backward_euler 8x1',
           'cloth between two colliders penetrates both equally', 'sim/contact/contacts.py',
-          'if contacts.count[3]:', 'if False:'),
+          'if turn == CORNER and not contacts.count[3]:', 'if turn == CORNER:'),
     Guard('H18', 'line bdf2 8x1 the cloth moves', 'continuous detection for fast particles',
           'sim/contact/contacts.py', 'if not contacts.crossed[k] and step', 'if False and step'),
     Guard('H17', 'line bdf2 8x1 one particle at the centre of a sphere',
