@@ -277,7 +277,8 @@ def resist(friction, state, substep):
     fast = contacts.count[2] != 0    # friction too moves them far
     if fast:
         push_once(contacts, state, not fast, False)    # compiled once: no literal of its own
-    leave_corners(contacts, state)
+    if contacts.count[3]:
+        leave_corners(contacts, state)
 
 
 class BuiltFriction(Built):

@@ -76,7 +76,7 @@ def new_near_blocks(colliders: Colliders, slots: int) -> NearBlocks:
         np.zeros(min(capacity, LISTS) * -(-slots // WIDTH), np.int64))
 
 
-@jit
+@jit(inline=True)
 def update_near_blocks(near, contacts, state):
     """Build the list if it may lack a pair."""
     if not (near.valid[0] and are_colliders_within(near, contacts)
@@ -84,7 +84,7 @@ def update_near_blocks(near, contacts, state):
         build(near, contacts, state)
 
 
-@jit
+@jit(inline=True)
 def are_colliders_within(near, contacts):
     """Return True if no collider has moved further than its budget allows."""
     p, p0 = contacts.after, near.pose
@@ -100,7 +100,7 @@ def are_colliders_within(near, contacts):
     return True
 
 
-@jit
+@jit(inline=True)
 def are_particles_within(near, state):
     """Return True if all particles have √(2 |x - y|² + 8 s²) ≤ margin; |x - y| + 2 s is less."""
     x, before, y, slots = state.x, state.x_prev, near.x, len(near.margin)

@@ -42,7 +42,7 @@ def drive_away(contacts, k, state, speed):
         state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
 
 
-@jit
+@jit(inline=True)
 def calm_overlaps(contacts, state, substep):
     """Remove the velocity that came from separating old overlaps."""
     count = contacts.count[0]
