@@ -80,10 +80,9 @@ from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODE
 from xpbd_ros.sim.contact.pads import areas, new_pads
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
+    calm_overlaps,
     calm_pads,
-    drive_away,
     rebound,
-    speed_away,
 )
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
@@ -162,22 +161,17 @@ def push_out(contact, state, substep):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
-    push_all(contact.contacts, state)
+    push_all(contact.contacts, state, False)
 
 
 @stage(finish, Contact)
 @jit
 def calm(contact, state, substep):
     """Remove the velocity that came from separating old overlaps; apply restitution."""
-    contacts, h = contact.contacts, substep.h
+    contacts = contact.contacts
     if contacts.count[3]:
         contacts.count[4] += count_penetrating(contacts, state)
-    for k in range(contacts.count[0]):
-        still = min(contacts.overlap[k], contacts.push[k])
-        if still > 0.0:
-            excess = min(speed_away(contacts, k, state, substep), still / h)
-            if excess > 0.0:
-                drive_away(contacts, k, state, -excess)
+    calm_overlaps(contacts, state, substep)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
 
@@ -256,6 +250,7 @@ class BuiltContact(Built):
 
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT
+        self.contacts.near.valid[0] = 0
 
     def reset(self, state, now_ns):
         self.again()
@@ -301,6 +296,7 @@ class BuiltContact(Built):
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
         colliders.count[0] = len(self.placed)
+        self.contacts.near.valid[0] = 0
         self.changes += 1
 
     def _write_twist(self, c: int, placed: Placed) -> None:

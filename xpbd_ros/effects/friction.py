@@ -27,13 +27,29 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, either, root, select, smaller
+from xpbd_ros.sim.backend.simd_wide import (
+    any_true,
+    load_columns,
+    load_wide,
+    store_columns,
+    WIDTH,
+)
 from xpbd_ros.sim.contact.clamp_friction import (
     across,
     clamp_at,
     place_clamped,
     shared_friction,
 )
-from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, surface_motion
+from xpbd_ros.sim.contact.contacts import (
+    Contacts,
+    place,
+    positions,
+    push_once,
+    shortened,
+    surface_motion,
+    surface_motions,
+)
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.effect import Built, Effect
@@ -174,29 +190,95 @@ def hold(pads, friction, k, state, substep):
     return False
 
 
+@jit(inline=True)
+def resist_candidate(friction, k, state, substep):
+    """Project candidate k."""
+    contacts, x, s = friction.contacts, state.x, friction.contacts.slip
+    if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
+        return
+    if is_clamped(contacts.pads, k):
+        return
+    i = contacts.particle[k]
+    tx, ty, tz = tangential(contacts, k, state, substep)
+    sticks, slides = limits(friction, k)
+    sx, sy, sz = shortened(s[k, 0] - tx, s[k, 1] - ty, s[k, 2] - tz, sticks, slides)
+    x[0, i] += sx - s[k, 0]
+    x[1, i] += sy - s[k, 1]
+    x[2, i] += sz - s[k, 2]
+    s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
+
+
+@jit(inline=True)
+def resist_pack(friction, c, k, state, substep):
+    """
+    Project the candidates k, k + 1, … of collider c by lanes, with the same bits.
+
+    Return False if some are clamped, or if they are of several cloths.
+    """
+    contacts = friction.contacts
+    index, last = contacts.particle, k + WIDTH - 1
+    a = friction.cloth[index[k]]
+    if a != friction.cloth[index[last]] or are_clamped(contacts.pads, k):
+        return False
+    push, (ox, oy, oz) = load_wide(contacts.push, k), load_columns(contacts.slip, k)
+    active = either(either(differs(push), differs(ox)), either(differs(oy), differs(oz)))
+    if not any_lane(active):
+        return True
+    x, y, z = positions(state.x, index, k)
+    x0, y0, z0 = positions(state.x_prev, index, k)
+    ux, uy, uz = surface_motions(contacts, c, x, y, z)
+    nx, ny, nz = load_columns(contacts.normal, k)
+    px, py, pz = x - x0 - ux, y - y0 - uy, z - z0 - uz
+    pn = px * nx + py * ny + pz * nz
+    sx, sy, sz = ox - (px - pn * nx), oy - (py - pn * ny), oz - (pz - pn * nz)
+    load = push - smaller(push, load_wide(contacts.overlap, k))
+    mu = friction.coefficient[a, c]
+    slides = mu * load
+    l = root(sx * sx + sy * sy + sz * sz)
+    far, f = l > holds(friction.static, a, c, mu) * load, slides / l
+    sx, sy, sz = select(far, f * sx, sx), select(far, f * sy, sy), select(far, f * sz, sz)
+    place(state.x, index, k, select(active, x + (sx - ox), x), select(active, y + (sy - oy), y),
+          select(active, z + (sz - oz), z))
+    store_columns(contacts.slip, k, select(active, sx, ox), select(active, sy, oy),
+                  select(active, sz, oz))
+    return True
+
+
+@jit(inline=True)
+def differs(a):
+    """Return the mask of the lanes that are not 0."""
+    return either(a > 0.0, a < 0.0)
+
+
+@jit(inline=True)
+def are_clamped(pads, k):
+    """Return True if the friction of a candidate of a pack has been solved with another's."""
+    if pads is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return any_true(pads.clamped, k)
+
+
 @stage(project_inequalities, Friction)
 @jit
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
-    contacts, x = friction.contacts, state.x
-    s = contacts.slip
+    contacts = friction.contacts
     resist_clamped(contacts.pads, friction, state, substep)
-    for k in range(contacts.count[0]):
-        if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
-            continue
-        if is_clamped(contacts.pads, k):
-            continue
-        i = contacts.particle[k]
-        tx, ty, tz = tangential(contacts, k, state, substep)
-        sticks, slides = limits(friction, k)
-        sx, sy, sz = shortened(s[k, 0] - tx, s[k, 1] - ty, s[k, 2] - tz, sticks, slides)
-        x[0, i] += sx - s[k, 0]
-        x[1, i] += sy - s[k, 1]
-        x[2, i] += sz - s[k, 2]
-        s[k, 0], s[k, 1], s[k, 2] = sx, sy, sz
-    if contacts.count[2]:    # fast particles: friction too moves them far
-        push_once(contacts, state)
-    leave_corners(contacts, state)
+    for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
+        k, end = contacts.first[c], contacts.first[c + 1]
+        while k < end:
+            if k + WIDTH <= end and resist_pack(friction, c, k, state, substep):
+                k += WIDTH
+            else:
+                for _ in range(min(WIDTH, end - k)):
+                    resist_candidate(friction, k, state, substep)
+                    k += 1
+    fast = contacts.count[2] != 0    # friction too moves them far
+    if fast:
+        push_once(contacts, state, not fast, False)    # compiled once: no literal of its own
+    if contacts.count[3]:
+        leave_corners(contacts, state)
 
 
 class BuiltFriction(Built):

@@ -199,6 +199,15 @@ def any_lane(typing, mask):
 
 
 @intrinsic
+def all_lanes(typing, mask):
+    """Tell whether a mask is true in every lane."""
+    def generate(context, builder, signature, arguments):
+        whole = ir.IntType(signature.args[0].count)
+        return builder.icmp_unsigned('==', builder.bitcast(arguments[0], whole), whole(-1))
+    return types.boolean(mask), generate
+
+
+@intrinsic
 def bits(typing, mask):
     """Return a mask as an integer, lane 0 in the lowest bit."""
     def generate(context, builder, signature, arguments):

@@ -108,6 +108,15 @@ def is_soft(pads, k):
         return pads.soft[k]
 
 
+@jit(inline=True)
+def has_pad(stiffness, c):
+    """Return True if collider c has a pad; ``stiffness`` is that of ``Colliders``."""
+    if stiffness is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return stiffness[c] > 0.0
+
+
 def write_grid(grids: Grids, c: int, field, first: int) -> None:
     """Write the distance field of collider c to the nodes from ``first`` on."""
     values = field.values.ravel()
@@ -156,6 +165,23 @@ def to_world(p, c, x, y, z):
     """Transform a point from the axes of collider c, whose pose is p[c], to world axes."""
     rx, ry, rz = rotate(p[c, 3], p[c, 4], p[c, 5], p[c, 6], x, y, z)
     return p[c, 0] + rx, p[c, 1] + ry, p[c, 2] + rz
+
+
+@jit(inline=True)
+def vectors_to_local(p, c, x, y, z):
+    """Do the same as ``to_local`` by lanes; quicker for a collider that is not rotated."""
+    dx, dy, dz = x - p[c, 0], y - p[c, 1], z - p[c, 2]
+    if p[c, 3] == 0.0 and p[c, 4] == 0.0 and p[c, 5] == 0.0:
+        return dx, dy, dz
+    return rotate(-p[c, 3], -p[c, 4], -p[c, 5], p[c, 6], dx, dy, dz)
+
+
+@jit(inline=True)
+def normals_to_world(p, c, x, y, z):
+    """Rotate vectors from the axes of collider c by lanes."""
+    if p[c, 3] == 0.0 and p[c, 4] == 0.0 and p[c, 5] == 0.0:
+        return x, y, z
+    return rotate(p[c, 3], p[c, 4], p[c, 5], p[c, 6], x, y, z)
 
 
 @jit

@@ -6,12 +6,43 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.colliders import Colliders, is_soft, to_local, to_world, write_pose
+from xpbd_ros.sim.backend.simd import (
+    all_lanes,
+    any_lane,
+    either,
+    larger,
+    select,
+    smaller,
+)
+from xpbd_ros.sim.backend.simd_wide import (
+    any_true,
+    gather,
+    load_columns,
+    load_wide,
+    scatter,
+    store_columns,
+    store_wide,
+    wide,
+    WIDTH,
+)
+from xpbd_ros.sim.contact.colliders import (
+    Colliders,
+    has_pad,
+    is_soft,
+    normals_to_world,
+    to_local,
+    to_world,
+    vectors_to_local,
+    write_pose,
+)
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
+from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
+from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
-from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.particles.history import invalidate_history, TOUCHED
+from xpbd_ros.sim.particles.memory_layout import zeros
 
 DEPENETRATION = 1.0
 """largest speed of depenetration, for particles that begin a substep too deep [m/s]"""
@@ -73,24 +104,42 @@ class Contacts(NamedTuple):
     side: np.ndarray
     """if so, the plane that the particle stays in front of: unit normal, offset [m]; shape
     (capacity, 4)"""
+    first: np.ndarray
+    """index of each collider's first candidate, shape (capacity + 1,)"""
+    near: NearBlocks
+    """particles that may come close, by collider"""
+    scratch: np.ndarray
+    """working memory, shape (4, WIDTH)"""
     pads: Pads | None
     """None in a scene without pads"""
 
 
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                  pads: Pads | None = None) -> Contacts:
-    """Return an empty list with the capacity of ``room`` candidates."""
+    """Return an empty list with the capacity of ``room`` candidates, and a vector of padding."""
     capacity = len(colliders.shape)
+
+    def numbers(*shape):
+        return zeros((room + WIDTH, *shape), np.float64)
+
+    def integers():
+        return zeros((room + WIDTH,), np.int64)
+
     return Contacts(colliders, np.zeros_like(colliders.start), np.zeros_like(colliders.start),
                     np.zeros_like(colliders.start),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
                     np.zeros((capacity, 3)),
                     np.zeros(5, np.int64), np.array([thickness]), np.zeros(1),
-                    np.zeros(slots, np.int64), np.zeros(room, np.int64), np.zeros(room, np.int64),
-                    np.zeros(room, np.int64),
-                    np.zeros(room), np.zeros(room), np.zeros(room),
-                    np.zeros((room, 3)), np.zeros((room, 3)), np.zeros(room, np.bool_),
-                    np.zeros((room, 4)), pads)
+                    zeros((slots,), np.int64), integers(), integers(), integers(),
+                    numbers(), numbers(), numbers(), numbers(3), numbers(3),
+                    zeros((room + WIDTH,), np.bool_), numbers(4), np.zeros(capacity + 1, np.int64),
+                    new_near_blocks(colliders, slots), zeros((4, WIDTH), np.float64), pads)
+
+
+@jit(inline=True)
+def room_of(contacts):
+    """Return the capacity in candidates."""
+    return len(contacts.particle) - WIDTH
 
 
 @jit(inline=True)
@@ -100,6 +149,17 @@ def surface_motion(contacts, k, state, substep):
     if not (colliders.moving[c] or colliders.has_twist[c]):
         return 0.0, 0.0, 0.0
     x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+    lx, ly, lz = to_local(contacts.after, c, x, y, z)
+    bx, by, bz = to_world(contacts.surface, c, lx, ly, lz)
+    return x - bx, y - by, z - bz
+
+
+@jit(inline=True)
+def surface_motions(contacts, c, x, y, z):
+    """Return the same by lanes, for vectors of positions at contacts with collider c."""
+    colliders = contacts.colliders
+    if not (colliders.moving[c] or colliders.has_twist[c]):
+        return wide(0.0), wide(0.0), wide(0.0)
     lx, ly, lz = to_local(contacts.after, c, x, y, z)
     bx, by, bz = to_world(contacts.surface, c, lx, ly, lz)
     return x - bx, y - by, z - bz
@@ -147,7 +207,7 @@ def move_colliders(contacts, substep):
 
 
 @jit
-def push_all(contacts, state, eased=False):
+def push_all(contacts, state, eased):
     """
     Project all candidates; repeat for particles between several colliders.
 
@@ -155,17 +215,20 @@ def push_all(contacts, state, eased=False):
     """
     if not eased:
         press_pads(contacts.pads, contacts, state)
-    for _ in range(CORNER):
-        push_once(contacts, state, False, eased)
-        if not contacts.count[2]:
+    turn = 0
+    while turn <= CORNER:    # the last turn is backwards
+        push_once(contacts, state, turn == CORNER, eased)
+        turn += 1
+        if turn < CORNER and not contacts.count[2]:
+            turn = CORNER
+        if turn == CORNER and not contacts.count[3]:
             break
     if contacts.count[3]:
-        push_once(contacts, state, True, eased)
         leave_corners(contacts, state)
 
 
 @jit
-def push_once(contacts, state, back=False, eased=False):
+def push_once(contacts, state, back, eased):
     """
     Project all candidates once: x += n Δd, Δd = max(r - φ, -d), d += Δd.
 
@@ -173,47 +236,191 @@ def push_once(contacts, state, back=False, eased=False):
     closer than twice the thickness ends in the middle, not at the last one. With ``eased``, r is
     at most SHORT of the thickness, and Δd is not negative.
     """
-    held_back, count = False, contacts.count[0]
-    for n in range(count):
-        k = count - 1 - n if back else n
-        i, c = contacts.particle[k], contacts.collider[k]
-        if is_soft(contacts.pads, k):
-            continue
-        x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
-        x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
-        step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
-        if not contacts.crossed[k] and step >= contacts.slack[c]**2:
-            detect_crossing(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
-        phi, (nx, ny, nz) = contact_distance(contacts, k, x, y, z)
-        before = contacts.push[k]
-        gap = contacts.gap[k]
-        if eased:
-            gap = min(gap, SHORT * contacts.thickness[0])
-        push = max(gap - phi, -before)
-        if eased:
-            push = max(push, 0.0)
-        if back:
-            push = 0.5 * max(push, 0.0)
-        if push == 0.0:
-            continue
-        held_back |= contacts.crossed[k] and push > 0.0
-        contacts.push[k] = before + push
-        state.x[0, i] += nx * push
-        state.x[1, i] += ny * push
-        state.x[2, i] += nz * push
-        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
-        invalidate_history(state.history, i)
+    held_back, count = False, contacts.colliders.count[0]
+    if contacts.count[0] > 0:
+        for n in range(count):
+            c = count - 1 - n if back else n
+            held_back |= push_from(contacts, c, state, back, eased)
     if held_back or not back:
         contacts.count[2] = held_back
+
+
+@jit(inline=True)
+def push_from(contacts, c, state, back, eased):
+    """Project the candidates of collider c; return True if one of those that crossed is pushed."""
+    held_back, k, end = False, contacts.first[c], contacts.first[c + 1]
+    by_lanes = not has_pad(contacts.colliders.stiffness, c)
+    while k < end:
+        if by_lanes and k + WIDTH <= end and push_pack(contacts, c, k, state, back, eased):
+            k += WIDTH
+        else:
+            for _ in range(min(WIDTH, end - k)):
+                held_back |= push_candidate(contacts, k, state, back, eased)
+                k += 1
+    return held_back
+
+
+@jit(inline=True)
+def push_pack(contacts, c, k, state, back, eased):
+    """
+    Project the candidates k, k + 1, … of collider c by lanes, as ``push_candidate`` does.
+
+    Return False if one of them crosses or may cross the collider.
+    """
+    index = contacts.particle
+    x, y, z = positions(state.x, index, k)
+    if not stays_within(contacts, c, k, state, x, y, z):
+        return False
+    lx, ly, lz = vectors_to_local(contacts.after, c, x, y, z)
+    phi, nx, ny, nz = signed_distances(contacts.colliders, contacts.scratch, c, lx, ly, lz)
+    before, gap = load_wide(contacts.push, k), load_wide(contacts.gap, k)
+    if eased:
+        gap = smaller(SHORT * contacts.thickness[0], gap)
+    push = larger(-before, gap - phi)
+    if eased:
+        push = larger(0.0, push)
+    if back:
+        push = 0.5 * larger(0.0, push)
+    moved = either(push > 0.0, push < 0.0)
+    if not any_lane(moved):
+        return True
+    nx, ny, nz = normals_to_world(contacts.after, c, nx, ny, nz)
+    store_wide(contacts.push, k, select(moved, before + push, before))
+    place(state.x, index, k, select(moved, x + nx * push, x), select(moved, y + ny * push, y),
+          select(moved, z + nz * push, z))
+    if not all_lanes(moved):
+        mx, my, mz = load_columns(contacts.normal, k)
+        nx, ny, nz = select(moved, nx, mx), select(moved, ny, my), select(moved, nz, mz)
+    store_columns(contacts.normal, k, nx, ny, nz)
+    invalidate_histories(state.history, index, k, moved)
+    return True
+
+
+@jit(inline=True)
+def stays_within(contacts, c, k, state, x, y, z):
+    """Return True if no candidate k, k + 1, … crosses collider c, or moves far enough to do so."""
+    slack = contacts.slack[c]
+    if slack == np.inf:
+        return True
+    x0, y0, z0 = positions(state.x_prev, contacts.particle, k)
+    dx, dy, dz = x - x0, y - y0, z - z0
+    return not any_true(contacts.crossed, k) and all_lanes(
+        dx * dx + dy * dy + dz * dz < slack * slack)
+
+
+@jit
+def invalidate_histories(history, index, k, moved):
+    """Mark the particles index[k], … as TOUCHED where the mask is true."""
+    if history is not None:
+        if is_run(index, k):
+            store_wide(history.fresh, index[k],
+                       select(moved, TOUCHED, load_wide(history.fresh, index[k])))
+        else:
+            scatter(history.fresh, 0, index, k,
+                    select(moved, TOUCHED, gather(history.fresh, 0, index, k)))
+
+
+@jit
+def push_candidate(contacts, k, state, back, eased):
+    """Project one candidate; return True if it has crossed its collider and is pushed."""
+    i, c = contacts.particle[k], contacts.collider[k]
+    if is_soft(contacts.pads, k):
+        return False
+    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
+    x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]
+    step = (x - x0)**2 + (y - y0)**2 + (z - z0)**2
+    if not contacts.crossed[k] and step >= contacts.slack[c]**2:
+        detect_crossing(contacts, k, x0, y0, z0, x, y, z, contacts.thickness[0])
+    phi, (nx, ny, nz) = contact_distance(contacts, k, x, y, z)
+    before = contacts.push[k]
+    gap = contacts.gap[k]
+    if eased:
+        gap = min(gap, SHORT * contacts.thickness[0])
+    push = max(gap - phi, -before)
+    if eased:
+        push = max(push, 0.0)
+    if back:
+        push = 0.5 * max(push, 0.0)
+    if push == 0.0:
+        return False
+    contacts.push[k] = before + push
+    state.x[0, i] += nx * push
+    state.x[1, i] += ny * push
+    state.x[2, i] += nz * push
+    contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
+    invalidate_history(state.history, i)
+    return contacts.crossed[k] and push > 0.0
 
 
 @jit
 def count_penetrating(contacts, state):
     """Return the number of candidates that penetrate (see ``corners.is_penetrating``)."""
     count = 0
-    for k in range(contacts.count[0]):
-        count += is_penetrating(contacts, k, state)
+    for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
+        k, end = contacts.first[c], contacts.first[c + 1]
+        while k < end:
+            if k + WIDTH <= end and is_clear(contacts, c, k, state):
+                k += WIDTH
+            else:
+                for _ in range(min(WIDTH, end - k)):
+                    count += is_penetrating(contacts, k, state)
+                    k += 1
     return count
+
+
+@jit(inline=True)
+def is_clear(contacts, c, k, state):
+    """Return True if no candidate k, k + 1, … of collider c crosses or penetrates it."""
+    if any_true(contacts.crossed, k):
+        return False
+    x, y, z = positions(state.x, contacts.particle, k)
+    lx, ly, lz = vectors_to_local(contacts.after, c, x, y, z)
+    phi = depths(contacts.colliders, contacts.scratch, c, lx, ly, lz)
+    least = smaller(load_wide(contacts.gap, k) - SHORT * contacts.thickness[0], 0.0)
+    return not any_lane(phi < least)
+
+
+@jit(inline=True)
+def is_run(index, k):
+    """Return True if the particles index[k], … of one collider are neighbours in memory."""
+    return index[k + WIDTH - 1] - index[k] == WIDTH - 1
+
+
+@jit(inline=True)
+def positions(x, index, k):
+    """Return vectors of the positions x, shape (3, slots), of the particles index[k], …"""
+    slots, i = x.shape[1], index[k]
+    if is_run(index, k):
+        return load_wide(x, i), load_wide(x, slots + i), load_wide(x, 2 * slots + i)
+    return gather_positions(x, index, k)
+
+
+@jit
+def gather_positions(x, index, k):
+    """Return the positions of particles that are not neighbours in memory."""
+    slots = x.shape[1]
+    return gather(x, 0, index, k), gather(x, slots, index, k), gather(x, 2 * slots, index, k)
+
+
+@jit
+def scatter_positions(x, index, k, new_x, new_y, new_z):
+    """Write the positions of particles that are not neighbours in memory."""
+    slots = x.shape[1]
+    scatter(x, 0, index, k, new_x)
+    scatter(x, slots, index, k, new_y)
+    scatter(x, 2 * slots, index, k, new_z)
+
+
+@jit(inline=True)
+def place(x, index, k, new_x, new_y, new_z):
+    """Write the positions of the particles index[k], …"""
+    slots, i = x.shape[1], index[k]
+    if is_run(index, k):
+        store_wide(x, i, new_x)
+        store_wide(x, slots + i, new_y)
+        store_wide(x, 2 * slots + i, new_z)
+    else:
+        scatter_positions(x, index, k, new_x, new_y, new_z)
 
 
 @jit(inline=True)

@@ -1,7 +1,7 @@
 """
-Velocities of contacts: Newton's law of restitution, and the recovery of pads.
+Velocities of contacts: old overlaps, Newton's law of restitution, and the recovery of pads.
 
-Each is compiled only if a collider of the scene has a coefficient, or a pad.
+The last two are compiled only if a collider of the scene has a coefficient, or a pad.
 """
 
 from math import sqrt
@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, smaller
+from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import surface_motion
 from xpbd_ros.sim.geometry.closest_points import dot
@@ -38,6 +40,21 @@ def drive_away(contacts, k, state, speed):
     """Add ``speed`` along the normal to the velocity of the particle of contact k [m/s]."""
     for a in range(3):
         state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
+
+
+@jit(inline=True)
+def calm_overlaps(contacts, state, substep):
+    """Remove the velocity that came from separating old overlaps."""
+    count = contacts.count[0]
+    for k in range(0, count, WIDTH):
+        if k + WIDTH > count or any_lane(smaller(
+                load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
+            for j in range(k, min(k + WIDTH, count)):
+                still = min(contacts.overlap[j], contacts.push[j])
+                if still > 0.0:
+                    excess = min(speed_away(contacts, j, state, substep), still / substep.h)
+                    if excess > 0.0:
+                        drive_away(contacts, j, state, -excess)
 
 
 @jit
