@@ -12,7 +12,7 @@ FINGERS = [f'pad_force_{side}_{finger}_n' for side in ('left', 'right')
            for finger in ('upper', 'lower')]
 
 
-@pytest.mark.parametrize('resolution', [[21, 29], slow([41, 57], id='as shipped')])
+@pytest.mark.parametrize('resolution', [[31, 43], slow([41, 57], id='as shipped')])
 def test_the_towel_lies_folded_in_four_and_at_rest(resolution):
     simulation = compile_scene(load_scene('fold_towel', {
         'cloths.towel.grid.resolution': resolution}))
@@ -22,7 +22,7 @@ def test_the_towel_lies_folded_in_four_and_at_rest(resolution):
         stats = simulation.stats()
         press = [stats[name] for name in FINGERS]
         if 36 <= k < 156 or 312 <= k < 426:    # one layer, two layers
-            assert min(press) > 0.1
+            assert min(press) > 0.5
         if k == 280:    # folded once, of 0.4 m x 0.56 m
             assert 0.19 < np.ptp(frame.x[:, 0]) < 0.27
             assert np.ptp(frame.x[:, 1]) > 0.53
