@@ -17,7 +17,7 @@ LIFTED, LAID, CLOSED, OPEN = 132, 234, 24, 360
 THICKNESS = 0.003
 
 
-@pytest.mark.parametrize('spacing', [0.035, slow(0.0125)])
+@pytest.mark.parametrize('spacing', [0.04, slow(0.0125)])
 def test_the_shirt_is_lifted_laid_down_and_folded(spacing):
     vertices, triangles = shirt(spacing)
     simulation = compile_scene(load_scene('shirt', {
@@ -69,5 +69,5 @@ def test_check_says_that_the_shirt_is_soft_and_slow():
     """A mesh has no lines, and twice as many substeps would cost twice the time."""
     warp, weft, frame = check(load_scene('shirt')).warnings
     assert warp.startswith('shirt at 16 substeps behaves like 42.')
-    assert weft.startswith('shirt at 16 substeps behaves like 43.')
+    assert weft.startswith('shirt at 16 substeps behaves like 42.')
     assert frame.startswith('a frame takes about ')
