@@ -25,6 +25,8 @@ def test_the_shirt_is_lifted_laid_down_and_folded(spacing):
     assert not simulation.frame().pins
     hem = vertices[:, 1] == HEM[1]
     shoulders = vertices[:, 1] >= SHOULDER[1]
+    lower = vertices[:, 1] < 0.3
+    chest = (np.abs(vertices[:, :2] - (0.0, 0.51)) < (0.2, 0.06)).all(1)
     high = on_table = None
     for k in range(1, 451):
         frame = simulation.step()
@@ -32,7 +34,7 @@ def test_the_shirt_is_lifted_laid_down_and_folded(spacing):
         assert np.isfinite(x).all()
         assert np.isfinite(frame.v).all()
         beside = (np.abs(x[:, :2] - (0.0, 0.08)) > (0.5, 0.53)).any(1)
-        assert x[~beside, 2].min() > 0.5 * THICKNESS    # pads may press cloth into the table
+        assert x[~beside, 2].min() > 0.9 * THICKNESS    # pads may press cloth into the table
         assert not stats['self_without_room']
         place = {side: x - frame.colliders[f'{side}_upper'].pose.position
                  for side in ('left', 'right')}
@@ -42,8 +44,9 @@ def test_the_shirt_is_lifted_laid_down_and_folded(spacing):
             gripped = {side: at[held[side]] for side, at in place.items()}
         if CLOSED <= k < OPEN - 6:
             assert min(stats[f'pad_force_{name}_n'] for name in FINGERS) > 0.5
-            assert max(np.abs(at[held[side]] - gripped[side]).max()
-                       for side, at in place.items()) < 0.004
+            slip = [np.median(np.abs(at[held[side]] - gripped[side]).max(1))
+                    for side, at in place.items()]
+            assert max(slip) < 0.003
         if k == LIFTED:
             assert x[:, 2].min() > 0.05
             high = np.ptp(x[:, 2])
@@ -53,18 +56,18 @@ def test_the_shirt_is_lifted_laid_down_and_folded(spacing):
     length = np.ptp(on_table[:, 1])
     assert length > 0.85 * NECK[1]
     assert np.quantile(on_table[:, 2], 0.9) < 0.05
-    assert all(stats[f'pad_force_{name}_n'] == 0.0 for name in FINGERS)
+    assert not any(stats[f'pad_force_{name}_n'] for name in FINGERS)
     assert np.ptp(x[:, 1]) < 0.65 * length
     assert np.abs(x[hem] - on_table[hem]).max() < 0.05
     assert np.linalg.norm(x[shoulders, :2] - on_table[shoulders, :2], axis=1).min() > 0.4
-    below = [x[np.linalg.norm(x[:, :2] - one, axis=1) < spacing, 2] for one in x[shoulders, :2]]
-    assert np.median([z - others.min() for z, others in zip(x[shoulders, 2], below)]
-                     ) > 1.5 * THICKNESS
-    assert np.abs(np.median(frame.v, axis=0)).max() < 0.02
+    away = np.linalg.norm(x[chest, None, :2] - x[None, lower, :2], axis=2)
+    assert away.min(1).max() < spacing
+    assert (x[chest, 2] - x[lower, 2][away.argmin(1)]).min() > 0.9 * THICKNESS
     assert np.linalg.norm(frame.v, axis=1).mean() < 0.05
-    assert crossings(x, triangles) == 0
+    assert crossings(x, triangles) == crossings(on_table, triangles) == 0
 
 
+@pytest.mark.slow
 def test_check_says_that_the_shirt_is_soft_and_slow():
     """A mesh has no lines, and twice as many substeps would cost twice the time."""
     warp, weft, frame = check(load_scene('shirt')).warnings
