@@ -7,6 +7,7 @@ import yaml
 
 from support.meshes import arch, ball, box, disc, obj_text, vtk_text
 from support.scenes import run
+from support.shirt import shirt
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_text
@@ -170,4 +171,4 @@ def test_the_shipped_meshes_are_what_is_written_here():
     folder = share_folder() / 'scenes' / 'meshes'
     assert {file.name: file.read_text() for file in folder.iterdir()} == {
         'arch.obj': obj_text(*arch()), 'ball.obj': obj_text(*ball(2, 0.15)),
-        'box.vtk': vtk_text(*box((4, 4, 4), 0.05))}
+        'box.vtk': vtk_text(*box((4, 4, 4), 0.05)), 'shirt.obj': obj_text(*shirt())}

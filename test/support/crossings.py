@@ -10,21 +10,24 @@ def crossings(x, triangles, block=512):
     """
     Return how many pairs of edge and triangle, without a particle in common, cross.
 
-    What lies flat in one plane does not, whatever its last bits say.
+    What lies flat in one plane does not, whatever its last bits say. Only pairs whose bounding
+    boxes meet are computed.
     """
     edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
-    a, b, c = (x[triangles[:, k]] for k in range(3))
-    count = 0
+    corners, count = x[triangles], 0
+    low, high = corners.min(1), corners.max(1)
     for some in np.array_split(edges, len(edges) // block + 1):
-        p, q = x[some[:, 0], None], x[some[:, 1], None]
-        way, found = q - p, None
+        ends = x[some]
+        e, t = np.nonzero(((ends.min(1)[:, None] <= high) & (ends.max(1)[:, None] >= low)).all(2))
+        (p, q), (a, b, c) = ends[e].swapaxes(0, 1), corners[t].swapaxes(0, 1)
+        way = q - p
         up, down = volume(a - p, b - p, c - p), volume(a - q, b - q, c - q)
         found = up * down < 0.0
         size = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
         found &= np.minimum(np.abs(up), np.abs(down)) > FLAT * size
         sides = [volume(s - p, t - p, way) for s, t in ((a, b), (b, c), (c, a))]
         found &= (np.min(sides, 0) > 0.0) | (np.max(sides, 0) < 0.0)
-        found &= ~(some[:, None, :, None] == triangles[None, :, None, :]).any((2, 3))
+        found &= ~(some[e][:, :, None] == triangles[t][:, None]).any((1, 2))
         count += int(found.sum())
     return count
 

@@ -13,8 +13,8 @@ WITH_MESHIO = pytest.mark.skipif(find_spec('meshio') is None,
 tests to look into them, one that skips itself at its import skips all."""
 
 
-def each_scene(*, slow=()):
-    """Return a mark that runs a test with the name of every scene."""
+def each_scene(*, slow=(), without=()):
+    """Return a mark that runs a test with the name of every scene, or all but a few."""
     return pytest.mark.parametrize('name', [pytest.param(name, marks=[
         *[pytest.mark.slow] * (name in slow), *[WITH_MESHIO] * (name == 'softbox')])
-        for name in NAMES])
+        for name in NAMES if name not in without])
