@@ -129,13 +129,13 @@ class World:
         colliders.count[0] = len(shapes)
         return colliders
 
-    def frame(self, pace=0.0):
-        """Begin a frame; ``pace``: how far colliders move and turn in it [m, rad]."""
+    def frame(self, pace=0.0, *, moves=True):
+        """Begin a frame; ``pace``: how far colliders move, if so, and turn in it [m, rad]."""
         colliders, n = self.contacts.colliders, self.contacts.colliders.count[0]
         colliders.start[:] = colliders.goal
         if pace:
             for c in range(1, n, 2):
-                colliders.goal[c, :3] += pace * self.random.normal(size=3)
+                colliders.goal[c, :3] += moves * pace * self.random.normal(size=3)
                 colliders.goal[c, 3:] = (Rotation.from_rotvec(pace * self.random.normal(size=3))
                                          * Rotation.from_quat(colliders.start[c, 3:])).as_quat()
         colliders.moving[:] = (colliders.start != colliders.goal).any(1)
@@ -205,6 +205,24 @@ def test_candidates_are_those_of_brute_force(speed, pace, stir, dtype, kept_at_l
         most = max(most, n)
     assert most > 50
     assert kept >= kept_at_least
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('moves', [True, False])
+def test_a_collider_that_sets_off_finds_candidates(moves, seed):
+    """The list is built while the colliders creep, with small budgets."""
+    world = World(0.0, np.float64, seed)
+    before = None
+    for pace in (1e-4, 0.3 if moves else 2.0):
+        world.frame(pace, moves=moves)
+        for k in range(SUBSTEPS):
+            world.substep(k)
+            n = world.contacts.count[0]
+            found = list(zip(world.contacts.collider[:n].tolist(),
+                             world.contacts.particle[:n].tolist()))
+            assert found == [pair[:2] for pair in brute_force(world)]
+            before = found if before is None else before
+    assert not set(found) <= set(before)
 
 
 def test_colliders_without_room_in_the_list_are_tested_against_all(monkeypatch):
