@@ -26,6 +26,8 @@ REST_SHARE = 0.5
 """largest distance to be kept, relative to a pair's distance at rest"""
 TRAVEL = INV_MASS = 3
 """last column of the records of particles"""
+BEYOND = 0.25
+"""least motion that projections are assumed to add, relative to that of the prediction"""
 UP = 1.0 + 1e-6
 """for bounds that are rounded to float32"""
 UNKNOWN = -1.0
@@ -230,7 +232,7 @@ def track_motion(near, x, slack):
     Parameters
     ----------
     x : predicted positions [m], shape (3, slots)
-    slack : least motion that projections are assumed to add [m]
+    slack : least motion that projections are assumed to add, besides BEYOND [m]
 
     Returns
     -------
@@ -240,7 +242,7 @@ def track_motion(near, x, slack):
     most, leaves = 0.0, False
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
-        near.x[i, TRAVEL] = moved + max(0.25 * moved, slack)
+        near.x[i, TRAVEL] = moved + max(BEYOND * moved, slack)
         most = max(most, near.x[i, TRAVEL])
         side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
         leaves |= side > near.margin[i]
