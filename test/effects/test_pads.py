@@ -155,7 +155,7 @@ def test_a_clamped_strip_slips_at_twice_mu_times_the_force(setting, substeps, de
     assert (now - held).min() > 1e-3
 
 
-@pytest.mark.parametrize('options', [{'iterations': 5}, {'precision': 'float32'},
+@pytest.mark.parametrize('options', [{'iterations': 5}, slow({'precision': 'float32'}),
                                      slow({'scale': 0.1})])
 def test_the_limit_holds_with_iterations_and_in_float32(options):
     """A ``compliance_scale`` changes pads, too."""

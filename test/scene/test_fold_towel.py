@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from support.crossings import crossings
-from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
@@ -12,7 +11,8 @@ FINGERS = [f'pad_force_{side}_{finger}_n' for side in ('left', 'right')
            for finger in ('upper', 'lower')]
 
 
-@pytest.mark.parametrize('resolution', [[31, 43], slow([41, 57], id='as shipped')])
+@pytest.mark.slow
+@pytest.mark.parametrize('resolution', [[31, 43], [41, 57]])
 def test_the_towel_lies_folded_in_four_and_at_rest(resolution):
     simulation = compile_scene(load_scene('fold_towel', {
         'cloths.towel.grid.resolution': resolution}))

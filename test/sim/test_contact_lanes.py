@@ -228,7 +228,7 @@ def test_a_collider_that_sets_off_finds_candidates(moves, seed):
 def test_colliders_without_room_in_the_list_are_tested_against_all(monkeypatch):
     world = World(0.5, np.float64)
     near = world.contacts.near
-    world.contacts = world.contacts._replace(near=near._replace(block=near.block[:60]))
+    world.contacts = world.contacts._replace(near=near._replace(block=near.block[:45]))
     for k in range(SUBSTEPS):
         world.substep(k)
         assert near.end.min() == near_blocks.ALL
