@@ -40,7 +40,6 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.self_collision.backing import (
     begin_turn,
-    end_turns,
     is_further_turn,
     load_backing,
     new_backing,
@@ -204,7 +203,6 @@ def find_pairs(effect, state, substep, both):
 def stop(effect, state, substep):
     """Separate pairs that would pass through one another, in turn with colliders."""
     near, planes = effect.near, effect.planes
-    end_turns(effect.pairs.backing)
     leave(effect.contacts, state)
     for turn in range(ROUNDS):
         if strays(near, state):

@@ -221,11 +221,5 @@ def begin_turn(backing, turn):
                 if pads.soft[k] and contacts.push[k] > 0.0:
                     backing.turn[0] = turn
                     return True
+        backing.turn[0] = 0    # all pairs take part again
         return False
-
-
-@jit
-def end_turns(backing):
-    """Let all pairs take part again."""
-    if backing is not None:
-        backing.turn[0] = 0
