@@ -72,26 +72,29 @@ def place(context, builder, array_type, array, index, count: int = 1):
     return builder.gep(array.data, [index], inbounds=True)
 
 
-def _pointer(context, builder, array_type, array, index, kind):
+def pointer_at(context, builder, array_type, array, index, kind):
+    """Return a pointer to the vector of an LLVM type that starts at a flat index."""
     pointer = place(context, builder, array_type, array, index, kind.count)
     return builder.bitcast(pointer, kind.as_pointer())
 
 
-def _splat(builder, scalar, kind):
+def splatted(builder, scalar, kind):
+    """Return a vector of an LLVM type with a scalar in every lane."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar,
                                     ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
     return builder.shuffle_vector(single, ir.Constant(kind, ir.Undefined), zeros)
 
 
-def _widen(context, builder, value, kind, vector):
+def widened(context, builder, value, kind, vector):
     """Return a value as a vector: itself, or a scalar in every lane."""
     if isinstance(kind, Vector):
         return value
-    return _splat(builder, context.cast(builder, value, kind, vector.lane), vector.llvm)
+    return splatted(builder, context.cast(builder, value, kind, vector.lane), vector.llvm)
 
 
-def _intrinsic(builder, name, vector, arguments):
+def call_intrinsic(builder, name, vector, arguments):
+    """Call the LLVM intrinsic of a name for a vector type."""
     suffix = f'v{vector.count}f{vector.lane.bitwidth}'
     kind = ir.FunctionType(vector.llvm, [a.type for a in arguments])
     function = builder.module.declare_intrinsic(f'llvm.{name}.{suffix}', (), kind)
@@ -112,7 +115,7 @@ def load(typing, array, index):
 
     def generate(context, builder, signature, arguments):
         array_, index_ = arguments
-        pointer = _pointer(context, builder, signature.args[0], array_, index_, vector.llvm)
+        pointer = pointer_at(context, builder, signature.args[0], array_, index_, vector.llvm)
         return builder.load(pointer, align=vector.lane.bitwidth // 8)
     return vector(array, types.intp), generate
 
@@ -124,8 +127,8 @@ def store(typing, array, index, value):
 
     def generate(context, builder, signature, arguments):
         array_, index_, value_ = arguments
-        pointer = _pointer(context, builder, signature.args[0], array_, index_, vector.llvm)
-        builder.store(_widen(context, builder, value_, signature.args[2], vector), pointer,
+        pointer = pointer_at(context, builder, signature.args[0], array_, index_, vector.llvm)
+        builder.store(widened(context, builder, value_, signature.args[2], vector), pointer,
                       align=vector.lane.bitwidth // 8)
         return context.get_dummy_value()
     return types.void(array, types.intp, value), generate
@@ -137,7 +140,7 @@ def splat(typing, array, scalar):
     vector = vector_of(array)
 
     def generate(context, builder, signature, arguments):
-        return _widen(context, builder, arguments[1], signature.args[1], vector)
+        return widened(context, builder, arguments[1], signature.args[1], vector)
     return vector(array, scalar), generate
 
 
@@ -148,7 +151,7 @@ def _lane_mask(array, sign):
     def generate(context, builder, signature, arguments):
         kind = ir.VectorType(ir.IntType(32), vector.count)
         numbers = ir.Constant(kind, list(range(vector.count)))
-        return builder.icmp_signed(sign, numbers, _splat(
+        return builder.icmp_signed(sign, numbers, splatted(
             builder, builder.trunc(arguments[1], kind.element), kind))
     return mask(array, types.intp), generate
 
@@ -171,7 +174,7 @@ def select(typing, mask, yes, no):
     vector = yes if isinstance(yes, Vector) else no
 
     def generate(context, builder, signature, arguments):
-        yes_, no_ = (_widen(context, builder, a, k, vector)
+        yes_, no_ = (widened(context, builder, a, k, vector)
                      for a, k in zip(arguments[1:], signature.args[1:]))
         return builder.select(arguments[0], yes_, no_)
     return vector(mask, yes, no), generate
@@ -240,21 +243,21 @@ def highest(typing, a):
 @intrinsic
 def root(typing, a):
     """Return the square root of every lane."""
-    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+    return a(a), lambda context, builder, signature, arguments: call_intrinsic(
         builder, 'sqrt', signature.return_type, arguments)
 
 
 @intrinsic
 def absolute(typing, a):
     """Return |a|, lane by lane."""
-    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+    return a(a), lambda context, builder, signature, arguments: call_intrinsic(
         builder, 'fabs', signature.return_type, arguments)
 
 
 @intrinsic
 def nearest(typing, a):
     """Return the nearest whole numbers; of halves, the even ones."""
-    return a(a), lambda context, builder, signature, arguments: _intrinsic(
+    return a(a), lambda context, builder, signature, arguments: call_intrinsic(
         builder, 'nearbyint', signature.return_type, arguments)
 
 
@@ -262,7 +265,7 @@ def _extreme(a, b, sign):
     vector = a if isinstance(a, Vector) else b
 
     def generate(context, builder, signature, arguments):
-        a_, b_ = (_widen(context, builder, v, k, vector)
+        a_, b_ = (widened(context, builder, v, k, vector)
                   for v, k in zip(arguments, signature.args))
         return builder.select(builder.fcmp_ordered(sign, a_, b_), a_, b_)
     return vector(a, b), generate
@@ -286,8 +289,8 @@ def fma(typing, a, b, c):
     vector = next(v for v in (a, b, c) if isinstance(v, Vector))
 
     def generate(context, builder, signature, arguments):
-        return _intrinsic(builder, 'fma', vector, [
-            _widen(context, builder, v, k, vector)
+        return call_intrinsic(builder, 'fma', vector, [
+            widened(context, builder, v, k, vector)
             for v, k in zip(arguments, signature.args)])
     return vector(a, b, c), generate
 
@@ -320,7 +323,7 @@ def transpose(typing, source, start, row_stride, target, target_start, target_st
 
         def at(array_type, array, begin, stride, k):
             index = builder.add(begin, builder.mul(stride, integer(k)))
-            return _pointer(context, builder, array_type, array, index, kind)
+            return pointer_at(context, builder, array_type, array, index, kind)
 
         rows = [builder.load(at(signature.args[0], source_, start_, stride_, k), align=align)
                 for k in range(count)]
@@ -346,7 +349,7 @@ def _arithmetic(operation, name):
 
     def lower(context, builder, signature, arguments):
         return getattr(builder, name)(*(
-            _widen(context, builder, v, k, signature.return_type)
+            widened(context, builder, v, k, signature.return_type)
             for v, k in zip(arguments, signature.args)))
 
     for operator_ in (operation, getattr(operator, 'i' + operation.__name__)):
@@ -369,7 +372,7 @@ def _comparison(operation, sign):
 
     def lower(context, builder, signature, arguments):
         vector = signature.args[0]
-        return builder.fcmp_ordered(sign, arguments[0], _widen(
+        return builder.fcmp_ordered(sign, arguments[0], widened(
             context, builder, arguments[1], signature.args[1], vector))
 
     type_callable(operation)(typer)

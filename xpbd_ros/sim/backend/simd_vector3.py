@@ -23,7 +23,7 @@ from numba.extending import (
 )
 import numpy as np
 
-from xpbd_ros.sim.backend.simd import _intrinsic, _widen, Vector
+from xpbd_ros.sim.backend.simd import call_intrinsic, Vector, widened
 
 AXES = 'xyz'
 
@@ -61,7 +61,7 @@ def _dot(builder, vector, a, b):
     (ax, ay, az), (bx, by, bz) = a, b
     found = builder.fmul(az, bz)
     for one, other in ((ay, by), (ax, bx)):
-        found = _intrinsic(builder, 'fma', vector, [one, other, found])
+        found = call_intrinsic(builder, 'fma', vector, [one, other, found])
     return found
 
 
@@ -72,7 +72,7 @@ def vector3(typing, x, y, z):
     kind = Vector3(vector)
 
     def generate(context, builder, signature, arguments):
-        return _made(context, builder, kind, [_widen(context, builder, v, k, vector)
+        return _made(context, builder, kind, [widened(context, builder, v, k, vector)
                                               for v, k in zip(arguments, signature.args)])
     return kind(x, y, z), generate
 
@@ -117,7 +117,7 @@ def _lower_dot(context, builder, signature, arguments):
 @lower_builtin(length, Vector3)
 def _lower_length(context, builder, signature, arguments):
     vector, own = signature.return_type, _components(builder, arguments[0])
-    return _intrinsic(builder, 'sqrt', vector, [_dot(builder, vector, own, own)])
+    return call_intrinsic(builder, 'sqrt', vector, [_dot(builder, vector, own, own)])
 
 
 def _crossed(fused):
@@ -126,7 +126,7 @@ def _crossed(fused):
         found = []
         for n, o in ((1, 2), (2, 0), (0, 1)):
             one, other = [a[n], b[o]], builder.fmul(a[o], b[n])
-            found.append(_intrinsic(builder, 'fma', signature.return_type.vector,
+            found.append(call_intrinsic(builder, 'fma', signature.return_type.vector,
                                     [*one, builder.fneg(other)]) if fused else
                          builder.fsub(builder.fmul(*one), other))
         return _made(context, builder, signature.return_type, found)
@@ -142,9 +142,9 @@ def fma3(typing, a, b, c):
     """Return a b + c for a scalar a and Vector3 b and c, each component rounded once."""
     def generate(context, builder, signature, arguments):
         vector = c.vector
-        scale = _widen(context, builder, arguments[0], signature.args[0], vector)
+        scale = widened(context, builder, arguments[0], signature.args[0], vector)
         return _made(context, builder, c, [
-            _intrinsic(builder, 'fma', vector, [scale, one, other])
+            call_intrinsic(builder, 'fma', vector, [scale, one, other])
             for one, other in zip(*(_components(builder, each) for each in arguments[1:]))])
     return c(a, b, c), generate
 
@@ -182,7 +182,7 @@ def _product(a, b):
 def _lower_product(context, builder, signature, arguments):
     kind = signature.return_type
     of, by = (0, 1) if isinstance(signature.args[0], Vector3) else (1, 0)
-    scale = _widen(context, builder, arguments[by], signature.args[by], kind.vector)
+    scale = widened(context, builder, arguments[by], signature.args[by], kind.vector)
     return _made(context, builder, kind, [
         builder.fmul(each, scale) for each in _components(builder, arguments[of])])
 

@@ -9,7 +9,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from xpbd_ros.sim.backend.simd import _pointer, _splat, _widen, BITS, place, Vector
+from xpbd_ros.sim.backend.simd import BITS, place, pointer_at, splatted, Vector, widened
 
 WIDE = Vector(types.float64, BITS // 64)
 WIDTH = WIDE.count
@@ -48,7 +48,7 @@ def _mask(numbers):
 def wide(typing, scalar):
     """Return a vector with a scalar in every lane."""
     def generate(context, builder, signature, arguments):
-        return _splat(builder, context.cast(builder, arguments[0], signature.args[0], WIDE.lane),
+        return splatted(builder, context.cast(builder, arguments[0], signature.args[0], WIDE.lane),
                       WIDE.llvm)
     return WIDE(scalar), generate
 
@@ -58,7 +58,7 @@ def load_wide(typing, array, index):
     """Return the vector that starts at a flat index."""
     def generate(context, builder, signature, arguments):
         array_, index_ = arguments
-        pointer = _pointer(context, builder, signature.args[0], array_, index_, _narrow(array))
+        pointer = pointer_at(context, builder, signature.args[0], array_, index_, _narrow(array))
         return _ext(builder, builder.load(pointer, align=array.dtype.bitwidth // 8), WIDE.llvm)
     return WIDE(array, types.intp), generate
 
@@ -68,8 +68,8 @@ def store_wide(typing, array, index, value):
     """Write a vector, or a scalar in every lane, from a flat index on."""
     def generate(context, builder, signature, arguments):
         array_, index_, value_ = arguments
-        pointer = _pointer(context, builder, signature.args[0], array_, index_, _narrow(array))
-        whole = _widen(context, builder, value_, signature.args[2], WIDE)
+        pointer = pointer_at(context, builder, signature.args[0], array_, index_, _narrow(array))
+        whole = widened(context, builder, value_, signature.args[2], WIDE)
         builder.store(_round(builder, whole, _narrow(array)), pointer,
                       align=array.dtype.bitwidth // 8)
         return context.get_dummy_value()
@@ -106,11 +106,11 @@ def store_integers(typing, array, index, first, step):
         array_, index_, first_, step_ = arguments
         lane = context.get_data_type(signature.args[0].dtype)
         kind = ir.VectorType(ir.IntType(64), WIDTH)
-        numbers = builder.add(_splat(builder, first_, kind), builder.mul(
-            _splat(builder, step_, kind), ir.Constant(kind, list(range(WIDTH)))))
+        numbers = builder.add(splatted(builder, first_, kind), builder.mul(
+            splatted(builder, step_, kind), ir.Constant(kind, list(range(WIDTH)))))
         kind = ir.VectorType(lane, WIDTH)
         numbers = numbers if lane.width == 64 else builder.trunc(numbers, kind)
-        pointer = _pointer(context, builder, signature.args[0], array_, index_, kind)
+        pointer = pointer_at(context, builder, signature.args[0], array_, index_, kind)
         builder.store(numbers, pointer, align=lane.width // 8)
         return context.get_dummy_value()
     return types.void(array, types.intp, types.intp, types.intp), generate
@@ -122,7 +122,7 @@ def any_true(typing, array, index):
     def generate(context, builder, signature, arguments):
         array_, index_ = arguments
         kind = ir.VectorType(context.get_data_type(signature.args[0].dtype), WIDTH)
-        found = builder.load(_pointer(context, builder, signature.args[0], array_, index_, kind),
+        found = builder.load(pointer_at(context, builder, signature.args[0], array_, index_, kind),
                              align=1)
         whole = ir.IntType(WIDTH * kind.element.width)
         return builder.icmp_unsigned('!=', builder.bitcast(found, whole), whole(0))
@@ -146,7 +146,7 @@ def load_columns(typing, array, row):
 def store_columns(typing, array, row, x, y, z):
     """Write the columns of rows from ``row`` on."""
     def generate(context, builder, signature, arguments):
-        x_, y_, z_ = (_widen(context, builder, v, k, WIDE)
+        x_, y_, z_ = (widened(context, builder, v, k, WIDE)
                       for v, k in zip(arguments[2:], signature.args[2:]))
         two = _mask(range(2 * WIDTH))
         one, other = builder.shuffle_vector(x_, y_, two), builder.shuffle_vector(z_, z_, two)
@@ -160,6 +160,6 @@ def store_columns(typing, array, row, x, y, z):
 def _rows(context, builder, signature, arguments):
     """Return a pointer to as many rows of an array as a vector has lanes."""
     row = arguments[1]
-    return _pointer(context, builder, signature.args[0], arguments[0],
+    return pointer_at(context, builder, signature.args[0], arguments[0],
                     builder.mul(row, row.type(_ROW)),
                     ir.VectorType(ir.DoubleType(), _ROW * WIDTH))

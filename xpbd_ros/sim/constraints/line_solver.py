@@ -210,6 +210,19 @@ def scatter_rows(tile, target, top, parts, part, stride):
                       top + k * part + p, stride)
 
 
+@jit(inline=True)
+def edge_vector(x, y, z, axis):
+    """
+    Return the vector d of an edge, d·d, its length l, and l or 1.
+
+    That of coincident particles is ``axis``, with d·d = 1 and l = 0.
+    """
+    square = fma(x, x, fma(y, y, z * z))
+    apart, l = square > 0.0, root(square)
+    return ((select(apart, x, axis[0]), select(apart, y, axis[1]), select(apart, z, axis[2])),
+            select(apart, square, 1.0), l, select(apart, l, 1.0))
+
+
 @jit
 def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, work, axis, tiny):
     """
@@ -227,13 +240,7 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
         xb, yb, zb, mb = load(x, i), load(y, i), load(z, i), load(m, i)
         f = load(force, c)
-        dx, dy, dz = xb - xa, yb - ya, zb - za
-        square = fma(dx, dx, fma(dy, dy, dz * dz))
-        apart = square > 0.0
-        l = root(square)
-        dx, dy, dz = select(apart, dx, axis[0]), select(apart, dy, axis[1]), select(apart, dz,
-                                                                                    axis[2])
-        square, l_or_1 = select(apart, square, 1.0), select(apart, l, 1.0)
+        (dx, dy, dz), square, l, l_or_1 = edge_vector(xb - xa, yb - ya, zb - za, axis)
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
         link = off * pivot

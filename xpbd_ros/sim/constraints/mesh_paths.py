@@ -33,13 +33,13 @@ from xpbd_ros.sim.backend.simd import (
     lanes,
     larger,
     load,
-    root,
     select,
     smaller,
     splat,
     store,
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK, store_records
+from xpbd_ros.sim.constraints.line_solver import edge_vector
 from xpbd_ros.sim.constraints.mesh_batches import EMPTY
 from xpbd_ros.sim.constraints.pinned import listed_range_of
 from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, gather_reaction, note
@@ -307,13 +307,7 @@ def _solve_pack(paths, edges, begin, end, q):
             vx, vy, vz = on * vx, on * vy, on * vz
         xb, yb, zb, mb = load_records(records, other, c)
         alpha, rest = load(edges.compliance, c), load(edges.rest_length, c)
-        dx, dy, dz = xb - xa, yb - ya, zb - za
-        square = fma(dx, dx, fma(dy, dy, dz * dz))
-        apart = square > 0.0
-        l = root(square)
-        dx, dy, dz = select(apart, dx, axis[0]), select(apart, dy, axis[1]), select(apart, dz,
-                                                                                    axis[2])
-        square, l_or_1 = select(apart, square, 1.0), select(apart, l, 1.0)
+        (dx, dy, dz), square, l, l_or_1 = edge_vector(xb - xa, yb - ya, zb - za, axis)
         off = -ma * fma(dx, vx, fma(dy, vy, dz * vz))
         total = ma + mb
         link = off * pivot

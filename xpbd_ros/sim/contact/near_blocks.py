@@ -35,7 +35,7 @@ AHEAD = 16.0
 LEAST = 1.0
 """least margin of a particle, relative to the thickness"""
 UP = 0.01
-"""what rounding may change, relative to the thickness"""
+"""bound of the rounding errors of distances, relative to the thickness"""
 LISTS = 8
 """room for lists of all blocks; colliders beyond it are tested against all blocks"""
 ALL = -1

@@ -119,7 +119,7 @@ def load_backing(backing, slot):
 
 @jit
 def store_backing(backing, near, state):
-    """Add to the contacts' pushes what they have to prevent: Δd."""
+    """Add Δd, the displacement that the contacts prevented, to their pushes."""
     if backing is not None:
         contacts, pads = backing.contacts, backing.contacts.pads
         for i in range(len(near.slot)):
@@ -165,7 +165,7 @@ def yielding(n, axis):
 
 @jit(inline=True)
 def prevented(backing, i, share, x, y, z):
-    """Return what colliders take off the displacement share · (x, y, z) of particle i [m]."""
+    """Return the part of share · (x, y, z), a displacement, that colliders prevent."""
     if backing is None:
         return 0.0, 0.0, 0.0
     else:    # Numba prunes the branch that is not taken
@@ -202,7 +202,7 @@ def is_clamped(axes, b):
 
 @jit(inline=True)
 def is_further_turn(backing):
-    """Return True in a turn after the first, in which particles are not where they stay."""
+    """Return True in a turn after the first: the contacts have moved particles in between."""
     if backing is None:
         return False
     else:    # Numba prunes the branch that is not taken

@@ -146,7 +146,7 @@ def load_corners(records, particles, q):
 
 @jit(inline=True)
 def load_axes(backing, particles, q):
-    """Return the records of what is behind the four particles of a vector of pairs, or None."""
+    """Return the records of the colliders behind the particles of a vector of pairs, or None."""
     if backing is None:
         return None
     else:    # Numba prunes the branch that is not taken
