@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
+from support.logs import recorded
 from support.meshes import disc, obj_text
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
@@ -26,11 +27,8 @@ from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
-from xpbd_ros.ros.outputs import Outputs
-from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
 
 SHEET = """
@@ -245,25 +243,6 @@ def test_keys_settings_and_duration_override_the_scene(scene, tmp_path, monkeypa
     assert reader.frames == 7
 
 
-def recorded(scene, folder, commands: dict, *, begin: int = 0, frames: int = 12):
-    """Step a scene with commands by frame, record it from a frame on, and return the log."""
-    loaded = load_scene(str(scene))
-    simulation = compile_scene(loaded)
-    outputs = Outputs(simulation, 'world', scene_text(loaded, simulation.solver))
-    recorder = None
-    for index in range(frames + 1):
-        if index == begin:
-            recorder = Recorder(folder, outputs, epoch_ns=10**18)
-        if index == frames:
-            break
-        frame = simulation.step(commands.get(index + 1, ()))
-        assert not frame.refused
-        if recorder is not None:
-            recorder.frame(frame, outputs.frame(frame, 10**18 + frame.time_ns))
-    recorder.close()
-    return folder
-
-
 def repeated(log, *words, capsys) -> tuple[int, dict, list[str]]:
     """Return the exit code, the numbers and the complaints of ``run --commands``."""
     again = log.parent / f'again_{len(list(log.parent.iterdir()))}'
@@ -353,9 +332,8 @@ def test_a_shorter_run_is_compared_as_far_as_it_goes(log, scene, capsys):
 
 def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(scene, tmp_path, capsys):
     log = recorded(scene, tmp_path / 'late', COMMANDS, begin=4)
-    why = (f'{log}/late_0.mcap: begins in the middle of a run, with frame 4: inputs before that '
-           'are not in it, so it cannot be repeated; record from the start, with '
-           "the node's parameter record.path")
+    why = (f'{log}/late_0.mcap: begins in the middle of a run, with frame 4, so its inputs do not '
+           'fit a run from the start; xpbd_ros resim repeats it from there')
     assert repeated(log, scene, capsys=capsys) == (1, {}, [f'xpbd_ros run: {why}'])
     assert main(['cost', str(scene), '--commands', str(log)]) == 2
     assert capsys.readouterr().err == f'xpbd_ros cost: {why}\n'

@@ -135,7 +135,7 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
     assert os.path.exists(run)
 
 
-def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(cloth, scene, tmp_path):
+def test_a_log_that_began_in_the_midst_of_a_run_is_solved_again_from_there(cloth, scene, tmp_path):
     cloth.restart(mode='lockstep', record__path='')
     cloth.meet()
     cloth.mark(pin('left', (-0.2, -0.2, 0.004)))
@@ -153,6 +153,13 @@ def test_a_log_that_began_in_the_midst_of_a_run_is_not_repeated(cloth, scene, tm
          tmp_path / 'again'], env=child_environment(), capture_output=True, text=True,
         check=False)
     assert (done.returncode, done.stdout) == (1, '')
-    assert f'begins in the middle of a run, with frame {first}: ' in done.stderr
+    assert f'begins in the middle of a run, with frame {first}, so ' in done.stderr
     assert done.stderr.count('\n') == 1
     assert not (tmp_path / 'again').exists()
+    done = subprocess.run(
+        [sys.executable, '-m', 'xpbd_ros', 'resim', run, '--json', '-'],
+        env=child_environment(), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found['identical'], found['first_frame']) == (True, first)
+    assert found['frames'] == max(state_hashes(run)) - first + 1

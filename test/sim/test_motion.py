@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose, Twist
-from xpbd_ros.sim.target_motion import check_motion, MAX_TURN, monotone_cubic, Motion
+from xpbd_ros.sim.target_motion import check_motion, MAX_TURN, MonotoneCubic, Motion
 
 RATE = 60
 DT = 1.0 / RATE
@@ -150,7 +150,7 @@ def test_stop_stays_where_it_is():
 def test_a_monotone_cubic_interpolates_without_overshoot():
     points = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.5, 1.0, 0.0], [1.5, 0.5, 1.0, 2.0],
               [3.0, 0.1, 1.0, 2.5]]
-    curve = monotone_cubic(points)
+    curve = MonotoneCubic(points)
     for t, *position in points:
         assert curve(t) == pytest.approx(position, abs=1e-15)
     assert curve(-5.0) == pytest.approx(points[0][1:])
@@ -159,7 +159,7 @@ def test_a_monotone_cubic_interpolates_without_overshoot():
     assert along[:, 0].max() <= 0.5 + 1e-12
     assert (along[:, 1] == 1.0).all()
     assert (np.diff(along[:, 2]) >= -1e-12).all()
-    assert monotone_cubic([[2.0, 1.0, 2.0, 3.0]])(0.0) == (1.0, 2.0, 3.0)
+    assert MonotoneCubic([[2.0, 1.0, 2.0, 3.0]])(0.0) == (1.0, 2.0, 3.0)
 
 
 @pytest.mark.parametrize('points, text', [

@@ -7,6 +7,13 @@ import struct
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.ros.recorder import Recorder
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.files import as_attachments
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.scene.save import scene_text
+from xpbd_ros.sim.commands import SetKey
 
 
 def sample_log(folder: Path, *, frames: int = 60, frame_ns: int = 16_666_667,
@@ -25,6 +32,32 @@ def sample_log(folder: Path, *, frames: int = 60, frame_ns: int = 16_666_667,
             log.write('/cloth/count', cdr_uint64(frame), time_ns=time_ns, frame=frame)
             text = noise.randbytes(filling).hex()
             log.write('/cloth/text', cdr_string(text), time_ns=time_ns, frame=frame)
+    return folder
+
+
+def recorded(scene, folder: Path, commands: dict, *, begin: int = 0, frames: int = 12) -> Path:
+    """Step a scene with commands by frame, record it from a frame on, and return the log."""
+    loaded = load_scene(str(scene))
+    simulation = compile_scene(loaded)
+    recorder, text = None, scene_text(loaded, simulation.solver)
+    outputs = Outputs(simulation, 'world', text)
+    for index in range(frames + 1):
+        if index == begin:
+            recorder = Recorder(folder, outputs, epoch_ns=10**18,
+                                files=as_attachments(loaded.raw))
+        if index == frames:
+            break
+        frame = simulation.step(commands.get(index + 1, ()))
+        assert not frame.refused
+        keys = {each.key: each.value for each in frame.applied if isinstance(each, SetKey)}
+        if keys and recorder is None:
+            loaded = scene_from_mapping(loaded.raw, where=str(scene), name='scene',
+                                        overrides=keys)
+            outputs.scene(scene_text(loaded, simulation.solver))
+        if recorder is not None:
+            recorder.frame(frame, outputs.frame(frame, 10**18 + frame.time_ns))
+    assert recorder is not None
+    recorder.close()
     return folder
 
 

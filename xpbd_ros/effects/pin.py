@@ -50,7 +50,7 @@ from xpbd_ros.sim.pins.entry import Entry
 from xpbd_ros.sim.pins.states import chosen, Held, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
-from xpbd_ros.sim.target_motion import delays, monotone_cubic, Motion
+from xpbd_ros.sim.target_motion import delays, MonotoneCubic, Motion
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ class BuiltPin(Built):
             point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
             keyframes = None
             if entry.motion is not None:
-                keyframes = monotone_cubic(entry.motion, now_ns * 1e-9)
+                keyframes = MonotoneCubic(entry.motion, now_ns * 1e-9)
                 point = keyframes(now_ns * 1e-9)
             held = self._hold(name, particles, Pose(point), state, keyframes)
             if entry.target is not None:

@@ -35,6 +35,7 @@ from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.topics import Topics
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import SetKey
@@ -357,7 +358,8 @@ class ClothNode(LifecycleNode):
             epoch_ns=self.stamps.epoch_ns, flush_period=self.value('record.flush_period'),
             checkpoint_period=self.value('record.checkpoint_period'),
             settings={'program': 'cloth_node', 'version': __version__,
-                      'mode': self.value('mode')})
+                      'mode': self.value('mode')},
+            files=as_attachments(self.scene.raw))
         self._recorded.add(folder.absolute())
         self.get_logger().info(f'recording to {folder.absolute()}')
 

@@ -1,7 +1,10 @@
 """Read a recorded run: its scene, its inputs as commands, and the hashes of its states."""
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 import re
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
@@ -10,10 +13,13 @@ from std_msgs.msg import UInt64
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import INPUTS, unpacked
-from xpbd_ros.ros.recorder import type_name
-from xpbd_ros.scene.load import scene_from_text
+from xpbd_ros.ros.recorder import CHECKPOINT, type_name
+from xpbd_ros.scene.files import written_out
+from xpbd_ros.scene.load import parse_yaml, scene_from_text
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.checkpoint import restore
 from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.simulation import Simulation
 
 COLLIDER = re.compile(r'/collider/\w+/pose$')
 
@@ -30,7 +36,10 @@ class Recording:
     Attributes
     ----------
     scene : Scene
-        The scene as it ran, with ``auto`` resolved.
+        The scene as it ran, with ``auto`` resolved. Its files come from the log, where it holds
+        them.
+    settings : dict of str
+        Versions and settings of the run.
     commands : dict of list
         Inputs by the frame that they acted on, in order.
     hashes : dict of int
@@ -49,8 +58,9 @@ class Recording:
         self.path = reader.path
         if reader.scene is None:
             raise InputError(f'{self.path}: is not a log of xpbd_ros: it holds no scene')
-        self.scene: Scene = scene_from_text(reader.scene, where=f'{self.path}: scene',
-                                            name=self.path.stem)
+        self.settings = reader.settings
+        self._folder = TemporaryDirectory(prefix='xpbd_ros_')
+        self.scene: Scene = self.scene_with({})
         for text in reader.damage:
             tell(text)
         self.commands = self._commands()
@@ -62,14 +72,42 @@ class Recording:
                              'to repeat; record a longer run')
         self.first, self.last = min(self.hashes), max(self.hashes)
 
+    def scene_with(self, overrides: dict[str, Any]) -> Scene:
+        """Return the scene as it ran, with some keys changed."""
+        assert self._reader.scene is not None
+        where = f'{self.path}: scene'
+        files = written_out(parse_yaml(self._reader.scene, where), self._reader.attachments,
+                            Path(self._folder.name))
+        return scene_from_text(self._reader.scene, where=where, name=self.path.stem,
+                               overrides={**files, **overrides})
+
+    def begin(self, simulation: Simulation) -> None:
+        """
+        Bring a simulation of the scene to the first frame of the log.
+
+        Raises
+        ------
+        InputError : the log begins in the middle of a run and holds no usable checkpoint of it
+
+        """
+        if self.first == 0:
+            return
+        data = self._reader.attachments.get(CHECKPOINT)
+        if data is None:
+            raise InputError(f'{self.path}: begins in the middle of a run, with frame '
+                             f'{self.first}, and holds no checkpoint of it; record again')
+        try:
+            restore(simulation, data)
+        except InputError as error:
+            raise InputError(f'{self.path}: {error}') from None
+
     @property
     def not_repeatable(self) -> str:
-        """Reason why the run cannot be repeated: its start is not in the log; else empty."""
+        """Reason why its start cannot be compared with a scene; else empty."""
         if self.first == 0:
             return ''
-        return (f'{self.path}: begins in the middle of a run, with frame {self.first}: inputs '
-                'before that are not in it, so it cannot be repeated; record from the start, '
-                "with the node's parameter record.path")
+        return (f'{self.path}: begins in the middle of a run, with frame {self.first}, so its '
+                'inputs do not fit a run from the start; xpbd_ros resim repeats it from there')
 
     def checked_repeatable(self) -> 'Recording':
         """Return the recording itself; raise InputError if its start is not in the log."""

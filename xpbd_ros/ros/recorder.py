@@ -1,9 +1,16 @@
 """Record one run to one log: states, inputs as applied, state hashes; for the node and ``run``."""
 
+from collections.abc import Mapping
 from pathlib import Path
+import platform
+from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticArray
+from llvmlite.binding import get_host_cpu_name
+import numba
+import numpy as np
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
@@ -12,9 +19,12 @@ from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.sim.checkpoint import checkpoint
 from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
+CHECKPOINT = 'checkpoint'
+"""name of the attachment"""
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
@@ -34,19 +44,28 @@ class Recorder:
     flush_period : a crash loses at most this much [s]
     checkpoint_period : period at which the complete state is written [s of simulation time]
     settings : further entries of the log's metadata
+    files : files that the scene refers to, by name
+
+    A log that begins in the middle of a run holds a checkpoint of that moment.
 
     """
 
     def __init__(self, folder: Path, outputs: Outputs, *, name: str = '/cloth',
                  epoch_ns: int, flush_period: float = 1.0, checkpoint_period: float = 10.0,
-                 settings: dict[str, str] | None = None):
+                 settings: dict[str, str] | None = None,
+                 files: Mapping[str, bytes] = MappingProxyType({})):
         self.folder = folder
         self.outputs = outputs
         self.epoch_ns = epoch_ns
         self._name = name
         self.checkpoint_period = checkpoint_period
-        self.log = LogWriter(folder, scene=outputs.scene_text, settings=settings or {},
-                             flush_period=flush_period)
+        simulation = outputs.simulation
+        attachments = dict(files)
+        if simulation.index:
+            attachments[CHECKPOINT] = checkpoint(simulation)
+        self.log = LogWriter(folder, scene=outputs.scene_text,
+                             settings={**environment(), **(settings or {})},
+                             attachments=attachments, flush_period=flush_period)
         for output in outputs.topics.values():
             if not output.view_only:
                 self.log.add_channel(self._full(output.topic), type_name(output.kind),
@@ -55,7 +74,7 @@ class Recorder:
         """channels that were added with their first message"""
         self._counts: dict[str, float] = {}
         self._moved_ns, self._told_ns = 0, -SECOND    # shift of stamps as last written, when
-        frame = outputs.simulation.frame()
+        frame = simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)
 
@@ -120,9 +139,20 @@ class Recorder:
             self._name.lstrip('/'), 'WARN' if counts else 'OK', 'guards',
             {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
+    def value(self, topic: str, value: float, frame: Frame) -> None:
+        """Write a number about a frame to a topic below the node's name."""
+        self._write_one(topic, Float64, Float64(data=value), self.epoch_ns + frame.time_ns,
+                        frame.index)
+
     def close(self) -> None:
         """Close the log."""
         self.log.close()
+
+
+def environment() -> dict[str, str]:
+    """Return the versions and the processor that a run is computed with."""
+    return {'python': platform.python_version(), 'numpy': np.__version__,
+            'numba': numba.__version__, 'cpu': get_host_cpu_name()}
 
 
 def type_name(kind: type) -> str:

@@ -1,11 +1,23 @@
 """Repeat a recorded run: apply the inputs of its log and compare the states frame by frame."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.scene.compare import as_text, difference_texts, differences, first_texts, with_solver
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Frame, Simulation
+
+
+class Deviation(NamedTuple):
+    """Distances of a frame's particles from their recorded positions."""
+
+    frame: int
+    largest: float
+    """[m]"""
+    rms: float
+    """root mean square over the particles [m]"""
 
 
 class Repeat:
@@ -19,7 +31,7 @@ class Repeat:
     ----------
     recording : the recorded run
     scene, simulation : the scene of the new run, and its simulation
-    frames : number of frames that will be stepped
+    frames : last frame that will be stepped
 
     """
 
@@ -38,6 +50,8 @@ class Repeat:
         """particle with the largest deviation in that frame, in natural order"""
         self.deviation: float | None = 0.0
         """largest deviation of all frames [m]; None if unknown"""
+        self.track: list[Deviation] = []
+        """deviation of each compared frame"""
         self.refused: list[str] = []
         self.notes = recording.inputs_after(frames)
         if frames > recording.last:
@@ -60,8 +74,12 @@ class Repeat:
             return
         self.compared += 1
         if self._simulation.hash() == expected:
+            self.track.append(Deviation(frame.index, 0.0, 0.0))
             return
         apart = self._distances(frame)
+        if apart is not None:
+            self.track.append(Deviation(frame.index, float(apart.max()),
+                                        float(np.sqrt(np.mean(apart**2)))))
         if self.first is None:
             self.first = frame.index
             if apart is not None and apart.any():

@@ -186,6 +186,10 @@ class Retune:
         self.scene, self.cloths, self.effects = scene, cloths, effects
         return Change(effects, solver, scene.top.gravity)
 
+    def rebind(self, state: State, effects: dict[str, Built]) -> None:
+        """Continue with another state and effects of the same scene."""
+        self.state, self.effects = state, effects
+
     def check(self, changes: dict) -> Scene:
         """Return the scene with live keys changed; raise InputError for bad keys or values."""
         known = live_keys(self.scene)

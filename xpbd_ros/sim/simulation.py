@@ -345,3 +345,6 @@ class Retune(Protocol):
 
     def check(self, changes: dict[str, Any]) -> object:
         """Raise InputError for bad keys or values; change nothing."""
+
+    def rebind(self, state: State, effects: dict[str, Built]) -> None:
+        """Continue with another state and effects of the same scene."""

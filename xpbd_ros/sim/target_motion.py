@@ -148,17 +148,28 @@ def check_motion(points) -> None:
         raise InputError(f'motion: times must rise (got {times})')
 
 
-def monotone_cubic(points, begin: float = 0.0):
+class MonotoneCubic:
     """
-    Return the monotone cubic interpolant of points (t, x, y, z) [s, m].
+    The monotone cubic interpolant of points (t, x, y, z) [s, m]: from time [s] to position [m].
 
-    It is a function from time [s] to position [m], constant before the first point and after the
-    last. The time 0 of the points is the time ``begin`` of the function.
+    It is constant before the first point and after the last. The time 0 of the points is the time
+    ``begin`` of the function.
     """
-    from scipy.interpolate import PchipInterpolator
 
-    table = np.array(points, float)
-    if len(table) == 1:
-        return lambda t: tuple(table[0, 1:].tolist())
-    curve = PchipInterpolator(table[:, 0], table[:, 1:])
-    return lambda t: tuple(curve(min(max(t - begin, table[0, 0]), table[-1, 0])).tolist())
+    def __init__(self, points, begin: float = 0.0):
+        from scipy.interpolate import PchipInterpolator
+
+        self._points, self._begin = points, begin
+        self._table = table = np.array(points, float)
+        self._curve = PchipInterpolator(table[:, 0], table[:, 1:]) if len(table) > 1 else None
+
+    def __reduce__(self):
+        """Pickle the points: the interpolator follows from them."""
+        return MonotoneCubic, (self._points, self._begin)
+
+    def __call__(self, t: float) -> tuple[float, float, float]:
+        """Return the position [m] at a time [s]."""
+        if self._curve is None:
+            return tuple(self._table[0, 1:].tolist())
+        first, last = self._table[0, 0], self._table[-1, 0]
+        return tuple(self._curve(min(max(t - self._begin, first), last)).tolist())

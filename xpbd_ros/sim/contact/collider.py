@@ -9,7 +9,7 @@ from xpbd_ros.sim.commands import Pose, Twist
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_size, SHAPES
 from xpbd_ros.sim.contact.colliders import inner, reach
 from xpbd_ros.sim.contact.distance_field import Field
-from xpbd_ros.sim.target_motion import monotone_cubic, Motion
+from xpbd_ros.sim.target_motion import MonotoneCubic, Motion
 
 
 @dataclass
@@ -76,6 +76,6 @@ def motion_of(entry: Entry, now: float) -> Motion:
     """Return a collider's initial motion, at the simulation time ``now`` [s]."""
     keyframes, pose = None, entry.pose
     if entry.motion is not None:
-        keyframes = monotone_cubic(entry.motion, now)
+        keyframes = MonotoneCubic(entry.motion, now)
         pose = Pose(keyframes(now), pose.orientation)
     return Motion(pose, entry.max_speed, keyframes=keyframes)

@@ -1,0 +1,222 @@
+"""``resim``: the same states from a log alone, forks of it, and the deviation it reports."""
+
+import json
+from pathlib import Path
+import shutil
+
+from mcap.reader import make_reader
+from mcap.writer import Writer
+import numpy as np
+import pytest
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import MultiDOFJointState
+from std_msgs.msg import Float64
+
+from support.logs import recorded, state_hashes
+from support.meshes import disc, obj_text
+from support.strict_reader import read_strictly
+from xpbd_ros.cli.main import main
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.inputs import unpacked
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
+
+SHEET = """
+duration: 0.25
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.2], resolution: [7, 5]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+pins:
+  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+HAND = Grasp('hand', Pose((0.6, 0.2, 0.0)), 0.05)
+COMMANDS = {2: [HAND, SetKey('gravity', (0.0, 0.0, -8.0)),
+                SetKey('cloths.sheet.effects.stretch.warp', 250.0)],
+            5: [MovePin('hand', Pose((0.6, 0.2, 0.05)))], 9: [Release('hand')]}
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory) -> Path:
+    """Return the file of a scene."""
+    file = tmp_path_factory.mktemp('scene') / 'sheet.yaml'
+    file.write_text(SHEET)
+    return file
+
+
+@pytest.fixture(scope='module')
+def log(scene, tmp_path_factory) -> Path:
+    """Return a log of 12 frames with inputs of several kinds."""
+    return recorded(scene, tmp_path_factory.mktemp('log') / 'log', COMMANDS)
+
+
+@pytest.fixture(scope='module')
+def late(scene, tmp_path_factory) -> Path:
+    """Return a log of frames 4 to 12 of the same run."""
+    return recorded(scene, tmp_path_factory.mktemp('late') / 'late', COMMANDS, begin=4)
+
+
+def resim(log, *words, capsys) -> tuple[int, dict, str]:
+    """Return the exit code, the numbers and the complaints."""
+    code = main(['resim', str(log), *map(str, words), '--json', '-'])
+    out, err = capsys.readouterr()
+    return code, json.loads(out) if out else {}, err
+
+
+def test_a_run_is_solved_again_from_its_log_alone(log, capsys):
+    code, found, said = resim(log, capsys=capsys)
+    assert (code, said) == (0, '')
+    assert (found['identical'], found['frames'], found['first_frame']) == (True, 13, 0)
+    assert (found['first_difference'], found['max_deviation_m']) == (None, 0.0)
+    assert found['forked'] is None
+    assert found['environment'] == []
+
+
+def test_threads_change_no_state(log, capsys):
+    assert resim(log, '--threads', 2, capsys=capsys)[:1] == (0,)
+
+
+def test_a_log_from_the_middle_of_a_run_continues_from_its_checkpoint(late, log, capsys):
+    assert {frame: state for frame, state in state_hashes(log).items() if frame >= 4} == (
+        state_hashes(late))
+    code, found, said = resim(late, capsys=capsys)
+    assert (code, said) == (0, '')
+    assert (found['identical'], found['frames'], found['first_frame']) == (True, 9, 4)
+    code, _, said = resim(late, '--threads', 2, capsys=capsys)
+    assert code == 2
+    assert 'continues with its own threads (1)' in said
+
+
+def test_keys_fork_a_run_from_its_start(log, tmp_path, capsys):
+    new, picture = tmp_path / 'new', tmp_path / 'fork.png'
+    code, found, said = resim(log, '--set', 'solver.substeps=5', '-o', new, '--picture', picture,
+                              capsys=capsys)
+    assert (code, said) == (0, '')
+    assert found['first_difference']['frame'] == 1
+    assert found['forked'] == {'frame': 0, 'keys': {'solver.substeps': 5}}
+    assert 1e-5 < found['rms_deviation_m'] < found['max_deviation_m'] < 0.1
+    assert picture.read_bytes()[:4] == b'\x89PNG'
+    assert resim(new, capsys=capsys)[0] == 0
+    logged = {message.frame: unpacked(message.data, Float64).data
+              for message in LogReader(new).messages({'/cloth/deviation/largest'})}
+    assert sorted(logged) == [*range(1, 13)]
+    assert max(logged.values()) == found['max_deviation_m'] == pytest.approx(
+        apart(log, new).max(), rel=1e-6)
+    assert read_strictly(new)['/cloth/deviation/rms'] == 12
+
+
+def apart(one: Path, other: Path) -> np.ndarray:
+    """Return the distances of all particles of all frames of two logs."""
+    def places(run):
+        return np.array([np.frombuffer(message.data, np.float32, 3 * 35, len(message.data) - 421)
+                         for message in LogReader(run).messages({'/cloth/particles'})])
+    return np.linalg.norm((places(one).astype(float) - places(other)).reshape(-1, 35, 3), axis=2)
+
+
+@pytest.mark.parametrize('run', ['log', 'late'])
+def test_live_keys_fork_a_run_from_a_time(run, request, capsys):
+    code, found, said = resim(request.getfixturevalue(run), '--set', 'gravity=[0, 0, -1]',
+                              '--from', 0.1, capsys=capsys)
+    assert (code, said) == (0, '')
+    assert found['first_difference']['frame'] == 7
+    assert found['forked'] == {'frame': 6, 'keys': {'gravity': [0, 0, -1]}}
+
+
+def test_a_fork_from_a_time_can_be_solved_again(log, tmp_path, capsys):
+    new = tmp_path / 'new'
+    assert resim(log, '--set', 'gravity=[0, 0, -1]', '--from', 0.1, '-o', new,
+                 capsys=capsys)[0] == 0
+    assert state_hashes(new)[12] != state_hashes(log)[12]
+    code, found, _ = resim(new, capsys=capsys)
+    assert (code, found['identical']) == (0, True)
+
+
+@pytest.mark.parametrize('frame', [5])
+def test_one_bit_of_one_input_is_found_at_its_frame(log, tmp_path, frame, capsys):
+    def changed(data: bytes) -> bytes:
+        message = deserialize_message(data, MultiDOFJointState)
+        place = message.transforms[0].translation
+        place.z = float(np.nextafter(place.z, 1.0))
+        return serialize_message(message)
+    code, found, said = resim(rewritten(log, tmp_path / 'other', '/cloth/pin_targets', changed),
+                              capsys=capsys)
+    assert code == 1
+    assert found['first_difference']['frame'] == frame
+    assert f'differs from the log from frame {frame} on' in said
+
+
+def rewritten(log: Path, folder: Path, topic: str, change) -> Path:
+    """Copy a log with its messages on a topic changed."""
+    folder.mkdir()
+    source, = log.glob('*.mcap')
+    with open(source, 'rb') as old, open(folder / 'other_0.mcap', 'wb') as new:
+        reader, writer = make_reader(old), Writer(new)
+        writer.start('ros2')
+        schemas, channels = {}, {}
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding,
+                                                            schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id],
+                    channel.metadata)
+            data = change(message.data) if channel.topic == topic else message.data
+            writer.add_message(channels[channel.id], message.log_time, data,
+                               message.publish_time, message.sequence)
+        for metadata in reader.iter_metadata():
+            writer.add_metadata(metadata.name, metadata.metadata)
+        for each in reader.iter_attachments():
+            writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type,
+                                  each.data)
+        writer.finish()
+    return folder
+
+
+def test_a_log_is_complete_without_the_files_of_its_scene(tmp_path, capsys):
+    mesh = tmp_path / 'disc.obj'
+    mesh.write_text(obj_text(*disc(4)))
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(SHEET.replace('grid: {size: [0.6, 0.2], resolution: [7, 5]}',
+                                   'mesh: {file: disc.obj}').replace('at: corner_00', 'at: [0]'))
+    log = recorded(scene, tmp_path / 'log', {})
+    assert LogReader(log).attachments['cloths.sheet.mesh.obj'] == mesh.read_bytes()
+    mesh.unlink()
+    code, found, said = resim(log, capsys=capsys)
+    assert (code, found.get('frames'), said) == (0, 13, '')
+
+
+def test_other_versions_are_named(log, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr('xpbd_ros.cli.resim.__version__', '9.9.9')
+    assert main(['resim', str(log)]) == 0
+    assert 'note      version: 9.9.9 here, 0.1.0 in the log\n' in capsys.readouterr().out
+
+
+def test_mistakes_are_one_line(log, late, tmp_path, capsys):
+    for words, text in (
+            (['--from', '1.0', '--set', 'gravity=[0, 0, 0]'],
+             '--from: must be within the log, from 0.000 s to before 0.200 s (got 1 s)'),
+            (['--from', '0.1'], '--from: has no effect without --set'),
+            (['--from', '0.1', '--set', 'solver.method=jacobi'],
+             'solver.method: cannot change while running'),
+            (['--threads', '0'], '--threads: must be from 1 to 64 (got 0)'),
+            (['--set', 'solver.substps=3'], "did you mean 'substeps'?"),
+            (['-o', str(tmp_path)], f'{tmp_path}: exists already')):
+        code, found, said = resim(log, *words, capsys=capsys)
+        assert (code, found, said.count('\n')) == (2, {}, 1), words
+        assert text in said, words
+
+
+def test_a_damaged_checkpoint_is_refused(late, tmp_path, capsys):
+    copy = tmp_path / 'late'
+    shutil.copytree(late, copy)
+    monkey = LogReader(copy).attachments['checkpoint']
+    file, = copy.glob('*.mcap')
+    data = file.read_bytes()
+    at = data.index(monkey)
+    file.write_bytes(data[:at] + bytes(len(monkey)) + data[at + len(monkey):])
+    code, _, said = resim(copy, capsys=capsys)
+    assert code == 2
+    assert said.splitlines()[-1].endswith('and holds no checkpoint of it; record again')

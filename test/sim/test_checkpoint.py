@@ -1,0 +1,82 @@
+"""Checkpoints: another simulation continues from the bytes, and hostile bytes run no code."""
+
+import pickle
+
+import pytest
+import zstandard
+
+from support.scenes import FEW, with_effects
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.checkpoint import checkpoint, restore
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Reset
+
+MOVE = MovePin('hand', Pose((0.5, 0.5, 0.4)))
+
+
+def after_a_grasp(make, frames: int = 5):
+    """Return a simulation that grasped and moved its cloth."""
+    simulation = make()
+    simulation.step([Grasp('hand', Pose((0.5, 0.5, 0.0)), 0.3)])
+    simulation.step([MOVE])
+    for _ in range(frames):
+        simulation.step()
+    return simulation
+
+
+@pytest.mark.parametrize('method, integrator', [
+    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2'), ('line', 'ndf2'),
+    ('explicit', 'leapfrog')])
+def test_a_simulation_continues_from_a_checkpoint_bit_for_bit(method, integrator):
+    def make():
+        return with_effects(names=FEW, method=method, integrator=integrator, substeps=12)
+    first, second = after_a_grasp(make), make()
+    restore(second, checkpoint(first))
+    assert second.index == first.index
+    for commands in ([], [MOVE], [], [Reset()], []):
+        assert second.hash() == first.hash()
+        one, other = first.step(commands), second.step(commands)
+        assert (other.time_ns, other.refused) == (one.time_ns, one.refused)
+    assert second.hash() == first.hash()
+
+
+def test_the_simulation_that_was_saved_is_left_as_it_was():
+    first = after_a_grasp(lambda: with_effects())
+    state = first.hash()
+    second = with_effects()
+    restore(second, checkpoint(first))
+    second.step()
+    assert first.hash() == state != second.hash()
+
+
+class Call:
+    """A pickle of this calls ``print``."""
+
+    def __reduce__(self):
+        return print, ('called',)
+
+
+class Dotted:
+    """A pickle of this reaches ``os.system`` through a module of the simulation."""
+
+    def __reduce__(self):
+        return getattr, (Call, '__name__')
+
+
+@pytest.mark.parametrize('data', [
+    b'', b'no checkpoint', zstandard.compress(b'no pickle'),
+    zstandard.compress(pickle.dumps(Call())), zstandard.compress(pickle.dumps(Dotted())),
+    zstandard.compress(b'cxpbd_ros.sim.backend.threads\nos.system\n(S"true"\ntR.'),
+    zstandard.compress(b'cxpbd_ros.scene.load\nload_scene\n(S"demo"\ntR.')])
+def test_other_bytes_are_refused_and_run_nothing(data, capfd):
+    simulation = with_effects()
+    state = simulation.hash()
+    with pytest.raises(InputError, match='cannot be read: it is damaged, or of another version'):
+        restore(simulation, data)
+    assert 'called' not in capfd.readouterr().out
+    assert simulation.hash() == state
+
+
+def test_a_checkpoint_of_another_scene_is_refused():
+    first, other = with_effects(), with_effects((5, 5))
+    with pytest.raises(InputError, match='of another scene'):
+        restore(other, checkpoint(first))

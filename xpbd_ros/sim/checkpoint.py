@@ -1,0 +1,118 @@
+"""
+A simulation's whole state as bytes, from which another process continues bit for bit.
+
+Besides positions and velocities it holds all that the next frame depends on: the integrator's
+history, pins and their targets, colliders and their motion, lists of candidates, counters. What
+follows from the scene alone (meshes, kernels, threads) is left out; the simulation that restores
+it brings its own. The bytes are a pickle whose classes are restricted to those of the simulation,
+so that a log from elsewhere runs no code.
+"""
+
+from collections.abc import Iterator
+from io import BytesIO
+import pickle
+from types import MethodType
+from typing import Any
+
+import numpy as np
+import zstandard
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.sim.simulation import Simulation
+
+PROTOCOL = 5
+PACKAGES = ('xpbd_ros.sim.', 'xpbd_ros.effects.', 'scipy.sparse.')
+"""whose classes a checkpoint may hold"""
+NUMPY = {'_frombuffer', '_reconstruct', 'dtype', 'ndarray', 'scalar'}
+"""how NumPy names what it rebuilds arrays with"""
+OTHERS = {('collections', 'deque'), ('fractions', 'Fraction'),
+          ('xpbd_ros.sim.checkpoint', '_method')}
+"""further classes and functions by module and name"""
+LARGEST = 2**32
+"""size of a checkpoint, at most [bytes]"""
+
+
+def checkpoint(simulation: Simulation) -> bytes:
+    """Return the whole state of a simulation, between two frames."""
+    stream = BytesIO()
+    _Pickler(stream, simulation).dump(simulation.__dict__)
+    return zstandard.ZstdCompressor().compress(stream.getbuffer())
+
+
+def restore(simulation: Simulation, data: bytes) -> None:
+    """
+    Continue from a checkpoint.
+
+    Parameters
+    ----------
+    simulation : compiled from the scene as it was at the checkpoint, with as many threads
+    data : from ``checkpoint``
+
+    Raises
+    ------
+    InputError : the checkpoint is damaged, or of another scene or version; nothing has changed
+
+    """
+    try:
+        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
+        found = _Unpickler(BytesIO(raw), simulation).load()
+        same = (list(found) == list(simulation.__dict__)
+                and np.array_equal(found['slot'], simulation.slot)
+                and list(found['effects']) == list(simulation.effects))
+    except Exception as error:    # unpickling raises anything on arbitrary bytes
+        raise InputError(f'the checkpoint cannot be read: it is damaged, or of another version '
+                         f'({type(error).__name__}: {error})') from None
+    if not same:
+        raise InputError('the checkpoint is of another scene')
+    simulation.__dict__.update(found)
+    if simulation._retune is not None:
+        simulation._retune.rebind(simulation.state, simulation.effects)
+
+
+def _shared(simulation: Simulation) -> Iterator[tuple[str, Any]]:
+    """Yield what follows from the scene, by name."""
+    yield 'simulation', simulation
+    for name in ('_step', '_crew', '_retune'):
+        yield name, getattr(simulation, name)
+    for cloth in simulation.cloths:
+        yield f'cloth {cloth.name}', cloth
+        yield f'mesh {cloth.name}', cloth.mesh
+
+
+class _Pickler(pickle.Pickler):
+    def __init__(self, stream, simulation: Simulation):
+        super().__init__(stream, PROTOCOL)
+        self._names = {id(each): name for name, each in _shared(simulation) if each is not None}
+
+    def persistent_id(self, obj) -> str | None:
+        return self._names.get(id(obj))
+
+    def reducer_override(self, obj):
+        if isinstance(obj, MethodType):
+            return _method, (obj.__self__, obj.__name__)
+        return NotImplemented
+
+
+def _method(owner, name: str):
+    """Return a bound method of an object of the simulation."""
+    if type(owner).__module__.startswith(PACKAGES):
+        return getattr(owner, name)
+    raise pickle.UnpicklingError(f'{type(owner).__name__}.{name} is no part of a simulation')
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, stream, simulation: Simulation):
+        super().__init__(stream)
+        self._shared = dict(_shared(simulation))
+
+    def persistent_load(self, name):
+        return self._shared[name]
+
+    def find_class(self, module: str, name: str):
+        package = module.partition('.')[0]
+        known = (module, name) in OTHERS or package == 'numpy' and name in NUMPY
+        if known or module.startswith(PACKAGES):
+            found = super().find_class(module, name)
+            if known or isinstance(found, type):
+                return found
+        raise pickle.UnpicklingError(f'{module}.{name} is no part of a simulation')
