@@ -55,7 +55,7 @@ def recorded(scene, folder: Path, commands: dict, *, begin: int = 0, frames: int
                                         overrides=keys)
             outputs.scene(scene_text(loaded, simulation.solver))
         if recorder is not None:
-            recorder.frame(frame, outputs.frame(frame, 10**18 + frame.time_ns))
+            recorder.frame(frame)
     assert recorder is not None
     recorder.close()
     return folder

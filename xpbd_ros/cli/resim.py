@@ -19,7 +19,7 @@ from typing import Any
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_output, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import need_ros, recording_of
+from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.cli.run import parse_keys
 from xpbd_ros.errors import InputError
 
@@ -137,22 +137,13 @@ def recorder_of(arguments: argparse.Namespace, scene, simulation):
     """Return the recorder of the new log; None without ``-o``."""
     if not arguments.output:
         return None
-    from xpbd_ros.ros.outputs import Outputs
-    from xpbd_ros.ros.recorder import Recorder
-    from xpbd_ros.scene.files import as_attachments
-    from xpbd_ros.scene.save import scene_text
-
-    outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
-    return Recorder(Path(arguments.output), outputs, epoch_ns=time.time_ns(),
-                    settings={'program': 'resim', 'version': __version__,
-                              'resimulates': str(Path(arguments.run).absolute())},
-                    files=as_attachments(scene.raw))
+    return new_log(Path(arguments.output), scene, simulation, program='resim',
+                   resimulates=str(Path(arguments.run).absolute()))
 
 
 def write(recorder, frame, repeat) -> None:
     """Write a frame and its deviation to the new log."""
-    outputs = recorder.outputs
-    recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
+    recorder.frame(frame)
     if repeat.track and repeat.track[-1].frame == frame.index:
         recorder.value('deviation/largest', repeat.track[-1].largest, frame)
         recorder.value('deviation/rms', repeat.track[-1].rms, frame)

@@ -1,8 +1,11 @@
 """Functions for verbs that need ROS or the inputs of a log."""
 
 import importlib.util
+from pathlib import Path
 import sys
+import time
 
+from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 
 
@@ -13,6 +16,19 @@ def need_ros(verb: str) -> None:
             raise InputError(
                 f"'{verb}' needs ROS 2, and {package} is not installed; source "
                 "/opt/ros/jazzy/setup.bash, or pip install 'xpbd_ros[ros]'")
+
+
+def new_log(folder: Path, scene, simulation, **settings: str):
+    """Return the recorder of a run without DDS; the first frame is written."""
+    from xpbd_ros.ros.outputs import Outputs
+    from xpbd_ros.ros.recorder import Recorder
+    from xpbd_ros.scene.files import as_attachments
+    from xpbd_ros.scene.save import scene_text
+
+    outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
+    return Recorder(folder, outputs, epoch_ns=time.time_ns(),
+                    settings={**settings, 'version': __version__},
+                    files=as_attachments(scene.raw))
 
 
 def recording_of(verb: str, log: str):

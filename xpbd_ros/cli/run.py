@@ -14,10 +14,9 @@ import sys
 import time
 from typing import Any
 
-from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import need_ros, recording_of
+from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
@@ -56,13 +55,9 @@ def run(arguments) -> int:
     need_ros('run')
     from xpbd_ros.ros.diagnostics import percentile
     from xpbd_ros.ros.error_monitor import ErrorMonitor
-    from xpbd_ros.ros.outputs import Outputs
-    from xpbd_ros.ros.recorder import Recorder
     from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
-    from xpbd_ros.scene.files import as_attachments
-    from xpbd_ros.scene.save import scene_text
 
     check_outputs(arguments)
     recording = recording_of('run', arguments.commands) if arguments.commands else None
@@ -73,15 +68,12 @@ def run(arguments) -> int:
     frames = count_frames(scene)
     simulation = compile_scene(scene)
     quiet = arguments.json == '-'
-    outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
     repeat = None
     if recording is not None:
         repeat = Repeat(recording, scene, simulation, frames)
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
-    recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
-                        settings={'program': 'run', 'version': __version__},
-                        files=as_attachments(scene.raw))
+    recorder = new_log(folder, scene, simulation, program='run')
     step_ms, refused, notes, shots = [], 0, [*simulation.notes], None
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
@@ -104,7 +96,7 @@ def run(arguments) -> int:
                 if shots:
                     shots.look(frame)
                 notes += [f'frame {index}: {text}' for text in frame.news]
-                recorder.frame(frame, outputs.frame(frame, recorder.epoch_ns + frame.time_ns))
+                recorder.frame(frame)
                 if signals:
                     raise KeyboardInterrupt
     finally:

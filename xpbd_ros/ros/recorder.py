@@ -6,7 +6,6 @@ import platform
 from types import MappingProxyType
 
 from diagnostic_msgs.msg import DiagnosticArray
-from llvmlite.binding import get_host_cpu_name
 import numba
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -19,6 +18,7 @@ from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.sim.backend.simd import PROCESSOR
 from xpbd_ros.sim.checkpoint import checkpoint
 from xpbd_ros.sim.simulation import Frame
 
@@ -95,20 +95,23 @@ class Recorder:
         self._write_all(self.outputs.state(frame, time_ns), frame)
         self._write_all({'state_hash': self.outputs.hash()}, frame)
 
-    def frame(self, frame: Frame, encoded: dict[str, bytes], stamp_ns: int | None = None) -> None:
+    def frame(self, frame: Frame, encoded: dict[str, bytes] | None = None,
+              stamp_ns: int | None = None) -> None:
         """
         Write a frame and the inputs that acted on it.
 
         Parameters
         ----------
         frame : the frame just computed
-        encoded : its serialized messages, by topic
+        encoded : its serialized messages, by topic; None to serialize them here
         stamp_ns : their stamp [ns]; None for simulation time after ``epoch_ns``
 
         """
         outputs = self.outputs
         before_ns = self.epoch_ns + outputs.simulation.time_ns(frame.index - 1)
         stamp_ns = self.epoch_ns + frame.time_ns if stamp_ns is None else stamp_ns
+        if encoded is None:
+            encoded = outputs.frame(frame, stamp_ns)
         for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
             self._write_one(topic, type(message), message, before_ns, frame.index)
         self._write_all(encoded, frame)
@@ -152,7 +155,7 @@ class Recorder:
 def environment() -> dict[str, str]:
     """Return the versions and the processor that a run is computed with."""
     return {'python': platform.python_version(), 'numpy': np.__version__,
-            'numba': numba.__version__, 'cpu': get_host_cpu_name()}
+            'numba': numba.__version__, 'cpu': PROCESSOR}
 
 
 def type_name(kind: type) -> str:

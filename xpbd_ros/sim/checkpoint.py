@@ -13,9 +13,9 @@ from io import BytesIO
 import pickle
 from types import MethodType
 from typing import Any
+import zlib
 
 import numpy as np
-import zstandard
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.simulation import Simulation
@@ -36,7 +36,7 @@ def checkpoint(simulation: Simulation) -> bytes:
     """Return the whole state of a simulation, between two frames."""
     stream = BytesIO()
     _Pickler(stream, simulation).dump(simulation.__dict__)
-    return zstandard.ZstdCompressor().compress(stream.getbuffer())
+    return zlib.compress(stream.getbuffer(), 1)
 
 
 def restore(simulation: Simulation, data: bytes) -> None:
@@ -54,7 +54,7 @@ def restore(simulation: Simulation, data: bytes) -> None:
 
     """
     try:
-        raw = zstandard.ZstdDecompressor().decompress(data, max_output_size=LARGEST)
+        raw = zlib.decompressobj().decompress(data, LARGEST)
         found = _Unpickler(BytesIO(raw), simulation).load()
         same = (list(found) == list(simulation.__dict__)
                 and np.array_equal(found['slot'], simulation.slot)

@@ -23,6 +23,8 @@ from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
 import numpy as np
 
+PROCESSOR = binding.get_host_cpu_name()
+"""LLVM's name of this machine's processor, such as znver4"""
 _FEATURES = binding.get_host_cpu_features()
 BITS = int(os.environ.get('XPBD_ROS_VECTOR_BITS') or (
     512 if _FEATURES.get('avx512f') else 256 if _FEATURES.get('avx') else 128))
