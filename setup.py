@@ -48,10 +48,13 @@ setup(
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
+        # logs as tables, mesh sequences and USD
+        'export': ['meshio>=5.3', 'pyarrow>=14', 'usd-core>=24.5'],
         # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
         'view': VIEW,
-        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2', 'pytest',
-                 'pytest-xdist', 'rosbags', 'ruff'],
+        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2',
+                 'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',
+                 'usd-core>=24.5; python_version < "3.14"'],
     },
     entry_points={
         'console_scripts': [

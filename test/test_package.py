@@ -30,9 +30,10 @@ BELOW = {
     'log': {'scene', 'effects', 'sim'},
     'study': {'log', 'scene', 'effects', 'sim'},
     'ros': {'log', 'scene', 'effects', 'sim'},
+    'export': {'ros', 'log', 'scene', 'effects', 'sim'},
     'demo': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
     'node_stress': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
-    'cli': {'node_stress', 'demo', 'ros', 'study', 'log', 'scene', 'effects', 'sim'},
+    'cli': {'export', 'node_stress', 'demo', 'ros', 'study', 'log', 'scene', 'effects', 'sim'},
 }
 BESIDE = {'', 'errors', 'share'}    # at the top of the package, for all: __version__ and two files
 WITHOUT_ROS = ('sim', 'effects', 'scene', 'study')

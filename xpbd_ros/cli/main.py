@@ -24,6 +24,7 @@ VERBS = {
     'run': 'simulate a scene as fast as possible, without DDS, and write the same log as the node',
     'replay': 'publish a log, as ros2 bag play does',
     'resim': 'solve a recorded run again, from its log alone, and compare the states',
+    'export': 'write the states of a log as arrays, tables or meshes',
     'info': 'list the content of a log, and check that it is whole',
     'recover': 'write the readable part of a damaged or incomplete log to a new one',
     'verify': 'compare the simulation with known solutions',

@@ -1,0 +1,1 @@
+"""Write the states of a log for other programs, one format per file; memory stays bounded."""
