@@ -106,7 +106,7 @@ def test_inputs_of_a_damaged_log_are_used_with_a_warning(done, scene, tmp_path, 
 
 def test_frames_whose_hash_a_damaged_log_has_lost_are_counted(scene, tmp_path, capsys,
                                                               monkeypatch):
-    monkeypatch.setattr('xpbd_ros.log.writer.CHUNK_SIZE', 800)
+    monkeypatch.setattr('xpbd_ros.log.mcap_file.CHUNK_SIZE', 800)
     assert main(['run', str(scene), '-o', str(tmp_path / 'out')]) == 0
     whole, = (tmp_path / 'out').glob('*.mcap')
     with open(whole, 'rb') as file:

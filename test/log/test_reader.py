@@ -19,9 +19,10 @@ from rosbags.typesys import get_typestore, Stores
 
 from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.errors import InputError
-from xpbd_ros.log import writer
+from xpbd_ros.log import mcap_file
 from xpbd_ros.log.qos import DEFAULT, Qos, recorded_qos
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.writer import LogWriter
 
 START = 1_700_000_000_000_000_000
 FRAME = 16_666_667
@@ -32,7 +33,7 @@ IN_CHUNK = 100    # bytes from the start of a chunk to somewhere in its data
 @pytest.fixture
 def run(write_log, monkeypatch) -> Path:
     """A log of many small chunks."""
-    monkeypatch.setattr(writer, 'CHUNK_SIZE', 800)
+    monkeypatch.setattr(mcap_file, 'CHUNK_SIZE', 800)
     return write_log()
 
 
@@ -189,7 +190,7 @@ def test_a_log_cut_short_may_end_in_anything(run, damaged, tail):
 
 
 def test_a_log_can_be_read_while_it_is_written(tmp_path):
-    with writer.LogWriter(tmp_path / 'run', scene='a: 1\n', settings={}) as log:
+    with LogWriter(tmp_path / 'run', scene='a: 1\n', settings={}) as log:
         log.add_channel('/count', 'std_msgs/msg/UInt64', Qos())
         log.write('/count', cdr_uint64(3), time_ns=START, frame=3)
         log.flush()
@@ -200,7 +201,7 @@ def test_a_log_can_be_read_while_it_is_written(tmp_path):
 
 
 def test_a_log_without_messages_is_whole(tmp_path):
-    with writer.LogWriter(tmp_path / 'run', scene='', settings={}):
+    with LogWriter(tmp_path / 'run', scene='', settings={}):
         pass
     reader = LogReader(tmp_path / 'run')
     assert reader.whole
@@ -273,13 +274,13 @@ def test_what_is_no_log_is_said_in_one_line(tmp_path):
     (tmp_path / 'text.mcap').write_text('these are words\n')
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'two').mkdir()
-    for name in ('two_1.mcap', 'two_0.mcap'):
+    for name in ('one_0.mcap', 'two_0.mcap'):
         (tmp_path / 'two' / name).write_bytes(b'')
     for name, said in {
             'missing': 'no such file or folder', 'empty.mcap': 'is empty',
             'begun.mcap': 'is empty', 'text.mcap': 'is not an MCAP file',
             'folder': 'holds no .mcap file',
-            'two': 'holds several .mcap files; name one of two_0.mcap, two_1.mcap'}.items():
+            'two': 'holds several .mcap files; name one of one_0.mcap, two_0.mcap'}.items():
         with pytest.raises(InputError) as caught:
             LogReader(tmp_path / name)
         assert str(caught.value) == f'{tmp_path / name}: {said}'

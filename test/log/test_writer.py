@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+import random
 import signal
 import struct
 import subprocess
@@ -91,8 +92,9 @@ def test_the_file_has_what_rosbag2_and_foxglove_look_for(write_log):
     assert all(index.message_index_offsets for index in summary.chunk_indexes)
     scene, = reader.iter_attachments()
     assert (scene.name, scene.data) == ('scene.yaml', b'gravity: [0.0, 0.0, -9.8]\n')
-    record, = reader.iter_metadata()
-    assert (record.name, record.metadata) == ('xpbd_ros', {'version': __version__, 'seed': '7'})
+    assert [(record.name, record.metadata) for record in reader.iter_metadata()] == [
+        ('xpbd_ros', {'version': __version__, 'seed': '7'}),
+        ('scene.yaml', {'yaml': 'gravity: [0.0, 0.0, -9.8]\n'})]
 
 
 def test_attachments_travel_with_the_scene(tmp_path):
@@ -165,6 +167,39 @@ def test_the_folder_is_a_bag_whenever_it_is_flushed(tmp_path):
             assert bag['duration']['nanoseconds'] == 10**count - 1
     assert sorted(path.name for path in (tmp_path / 'run').iterdir()) == [
         'metadata.yaml', 'run_0.mcap']
+
+
+@pytest.mark.parametrize('split', [{'split_size': 10_000}, {'split_duration': 10 * FRAME}])
+def test_a_split_log_is_one_bag(tmp_path, split):
+    """Every frame lies in one file, and each file can be read by itself."""
+    run = tmp_path / 'run'
+    with LogWriter(run, scene='a: 1\n', settings={}, flush_period=0.0, **split) as log:
+        log.add_channel('/count', 'std_msgs/msg/UInt64', Qos())
+        log.add_channel('/text', 'std_msgs/msg/String', Qos())
+        for frame in range(60):
+            time_ns = START + frame * FRAME
+            log.write('/count', cdr_uint64(frame), time_ns=time_ns, frame=frame)
+            log.write('/text', cdr_string(os.urandom(400).hex()), time_ns=time_ns, frame=frame)
+        assert log.bytes_written > 20_000
+    files = sorted(run.glob('*.mcap'))
+    assert len(files) >= 2
+    assert read_strictly(run) == {'/count': 60, '/text': 60}
+    parts = [LogReader(file) for file in files]
+    assert sum(part.frames for part in parts) == 60
+    assert all(part.whole and part.scene == 'a: 1\n' for part in parts)
+    reader = LogReader(run)
+    assert (reader.whole, reader.frames, reader.path) == (True, 60, run)
+    assert [message.frame for message in reader.messages({'/count'})] == list(range(60))
+    bag = yaml.safe_load((run / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert bag['relative_file_paths'] == [f'run_{k}.mcap' for k in range(len(files))]
+    assert sum(file['message_count'] for file in bag['files']) == bag['message_count'] == 120
+    assert bag['duration']['nanoseconds'] == 59 * FRAME
+    files[0].unlink()
+    reader = LogReader(run)
+    assert reader.damage == ['run_0.mcap: the file is missing']
+    assert reader.lossy
+    whole = recover(reader, tmp_path / 'whole')
+    assert (whole.whole, whole.frames) == (True, 60 - parts[0].frames)
 
 
 def test_settings_of_any_text_survive_in_both_places(tmp_path):
@@ -284,11 +319,14 @@ while True:
 """
 
 
-def test_a_kill_loses_no_more_than_the_flush_period(tmp_path):
+@pytest.mark.parametrize('frames', [
+    1500, *(pytest.param(frames, marks=pytest.mark.slow)
+            for frames in random.Random(1).sample(range(1200, 3000), 50))])
+def test_a_kill_loses_no_more_than_the_flush_period(tmp_path, frames):
     run = tmp_path / 'run'
     writer = subprocess.Popen([sys.executable, '-c', WRITE_UNTIL_KILLED, run], env=environment(),
                               stdout=subprocess.PIPE)
-    told = writer.stdout.read(16 * 1500)    # by then it has flushed more than once
+    told = writer.stdout.read(16 * frames)    # by then it has flushed more than once
     writer.send_signal(signal.SIGKILL)
     told += writer.stdout.read()
     writer.wait()
@@ -362,10 +400,10 @@ def test_an_interrupt_within_a_write_leaves_whole_records(tmp_path, monkeypatch)
         log.write('/count', cdr_uint64(1), time_ns=START + 1, frame=1)
 
         def interrupted():
-            log._file.write(b'half a record')
+            log._file._file.write(b'half a record')
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(log._mcap, 'flush', interrupted)
+        monkeypatch.setattr(log._file._mcap, 'flush', interrupted)
         with pytest.raises(KeyboardInterrupt):
             log.flush()
     reader = LogReader(tmp_path / 'run')

@@ -34,7 +34,7 @@ def run(arguments) -> int:
         'whole': log.whole,
         'damage': log.damage,
         **content(log),
-        'bytes': log.path.stat().st_size,
+        'bytes': log.size,
         'settings': log.settings,
     })
     if arguments.json != '-':
@@ -60,7 +60,7 @@ def lines(log: LogReader, run: str) -> list[str]:
     if not log.whole:
         found.append(f"'xpbd_ros recover {shlex.quote(str(run))}' writes a whole log of the "
                      'readable part')
-    rows = [('size', f'{log.path.stat().st_size * 1e-6:.3f} MB')]
+    rows = [('size', f'{log.size * 1e-6:.3f} MB')]
     if log.start_ns is not None and log.end_ns is not None:
         start = datetime.fromtimestamp(log.start_ns * 1e-9, timezone.utc)
         rows += [('start', f'{start:%Y-%m-%d %H:%M:%S.%f} UTC ({log.start_ns} ns)'),

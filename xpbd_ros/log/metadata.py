@@ -1,6 +1,6 @@
 """The ``metadata.yaml`` of rosbag2, version 9 as Jazzy writes it, which makes a folder a bag."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import json
 import os
@@ -10,6 +10,7 @@ from textwrap import indent
 from xpbd_ros.log.qos import Qos
 
 FILE = 'metadata.yaml'
+ITEM = '\n    - '
 WIDTH = 20
 """width of a number, for 64 bits and a sign [characters]"""
 
@@ -25,32 +26,43 @@ class TopicRecord:
     count: int = 0
 
 
+@dataclass
+class FileRecord:
+    """An MCAP file of the log."""
+
+    name: str
+    start_ns: int = 0
+    """log time of its first message [ns]"""
+    end_ns: int = 0
+    """log time of its last message [ns]"""
+    count: int = 0
+    """number of messages"""
+
+
 class MetadataFile:
     """
-    The ``metadata.yaml`` of a folder with one MCAP file, which may still grow.
+    The ``metadata.yaml`` of a folder of MCAP files, the last of which may still grow.
 
-    All numbers have the same width, so the length of the text changes only when topics are added.
-    Then the file is replaced atomically, which takes milliseconds on ext4. Otherwise it is
-    overwritten in place, which takes microseconds and no disk space; if that is interrupted, each
-    number is either the old or the new one.
+    All numbers have the same width, so the length of the text changes only when topics or files
+    are added. Then the file is replaced atomically, which takes milliseconds on ext4. Otherwise it
+    is overwritten in place, which takes microseconds and no disk space; if that is interrupted,
+    each number is either the old or the new one.
 
     Parameters
     ----------
     folder : folder of the log
-    file : name of the MCAP file in it
     custom_data : entries of ``custom_data``
     """
 
-    def __init__(self, folder: Path, file: str, custom_data: Mapping[str, str]):
+    def __init__(self, folder: Path, custom_data: Mapping[str, str]):
         self._folder = folder
-        self._name = file
         self._custom_data = custom_data
         self._descriptor: int | None = None
         self._length = 0
 
-    def write(self, topics: Iterable[TopicRecord], *, start_ns: int, end_ns: int) -> None:
-        """Write the topics and the times of the first and the last message [ns]."""
-        text = metadata_text(self._name, list(topics), start_ns, end_ns, self._custom_data)
+    def write(self, topics: Iterable[TopicRecord], files: Sequence[FileRecord]) -> None:
+        """Write the topics and the files."""
+        text = metadata_text(list(topics), files, self._custom_data)
         data = text.encode()
         if self._descriptor is not None and len(data) == self._length:
             os.pwrite(self._descriptor, data, 0)
@@ -70,7 +82,7 @@ class MetadataFile:
             self._descriptor = None
 
 
-def metadata_text(file: str, topics: list[TopicRecord], start_ns: int, end_ns: int,
+def metadata_text(topics: list[TopicRecord], files: Sequence[FileRecord],
                   custom_data: Mapping[str, str]) -> str:
     """
     Return the text of ``metadata.yaml``.
@@ -80,6 +92,8 @@ def metadata_text(file: str, topics: list[TopicRecord], start_ns: int, end_ns: i
     MCAP compresses its chunks itself.
     """
     count = sum(topic.count for topic in topics)
+    start_ns = min((file.start_ns for file in files if file.count), default=0)
+    end_ns = max(file.end_ns for file in files)
     return f"""\
 rosbag2_bagfile_information:
   version: 9
@@ -92,15 +106,8 @@ rosbag2_bagfile_information:
   topics_with_message_count:{''.join(map(topic_text, topics)) or ' []'}
   compression_format: ""
   compression_mode: ""
-  relative_file_paths:
-    - {quoted(file)}
-  files:
-    - path: {quoted(file)}
-      starting_time:
-        nanoseconds_since_epoch: {start_ns:{WIDTH}}
-      duration:
-        nanoseconds: {end_ns - start_ns:{WIDTH}}
-      message_count: {count:{WIDTH}}
+  relative_file_paths:{''.join(f'{ITEM}{quoted(file.name)}' for file in files)}
+  files:{''.join(map(file_text, files))}
   custom_data:{''.join(map(custom_text, custom_data.items())) or ' ~'}
   ros_distro: jazzy
 """
@@ -118,6 +125,17 @@ def topic_text(topic: TopicRecord) -> str:
 {profiles}
         type_description_hash: {quoted(topic.type_hash)}
       message_count: {topic.count:{WIDTH}}"""
+
+
+def file_text(file: FileRecord) -> str:
+    """Return the YAML entry of a file."""
+    return f"""
+    - path: {quoted(file.name)}
+      starting_time:
+        nanoseconds_since_epoch: {file.start_ns:{WIDTH}}
+      duration:
+        nanoseconds: {file.end_ns - file.start_ns:{WIDTH}}
+      message_count: {file.count:{WIDTH}}"""
 
 
 def custom_text(entry: tuple[str, str]) -> str:

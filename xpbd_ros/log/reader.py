@@ -8,6 +8,7 @@ before use. Only the positions of the messages stay in memory.
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+import re
 from typing import BinaryIO, NamedTuple
 
 from mcap.opcode import Opcode
@@ -19,6 +20,8 @@ from xpbd_ros.log.records import pieces
 from xpbd_ros.log.scan import decompressed, MESSAGE, Scan, Span
 from xpbd_ros.log.writer import METADATA, SCENE
 
+SPLIT = re.compile(r'(.*)_(0|[1-9]\d*)')
+"""name of a file of a split log: that of the log, and a number"""
 NO_SCHEMA = Schema(id=0, data=b'', encoding='', name='')
 
 
@@ -57,12 +60,14 @@ class LogReader:
     Parameters
     ----------
     path
-        Folder of a run with one .mcap file, or such a file.
+        Folder of a run with its .mcap files, or one of these.
 
     Attributes
     ----------
     path : Path
-        The .mcap file.
+        The .mcap file; the folder of several.
+    size : int
+        Length of all files [bytes].
     topics : dict of Topic
         Topics by name.
     settings : dict of str
@@ -83,26 +88,28 @@ class LogReader:
     """
 
     def __init__(self, path: Path | str):
-        self.path = log_file(Path(path).absolute())
-        try:
-            with open(self.path, 'rb') as file:
-                scan = Scan(file, self.path)
-        except OSError as error:
-            raise InputError(f'{self.path}: cannot be read: {error.strerror}') from None
-        self._spans = scan.spans
-        self._channels = scan.channels
-        self._types = {number: scan.schemas.get(channel.schema_id, NO_SCHEMA)
-                       for number, channel in scan.channels.items()}
+        files, missing = log_files(Path(path).absolute())
+        self.path = files[0] if len(files) == 1 else files[0].parent
+        self._parts = [(file, scanned(file)) for file in files]
+        scans = [scan for _, scan in self._parts]
         self.topics: dict[str, Topic] = {}
-        for number in scan.channels:
-            self._add_topic(scan.channels[number], scan.counts[number])
-        self.settings = scan.metadata.get(METADATA, {})
-        self.attachments = scan.attachments
-        self.start_ns = scan.start_ns
-        self.end_ns = scan.end_ns
-        self.frames = len(scan.frames)
-        self.damage = scan.damage
-        self.lossy = scan.lossy
+        for scan in scans:
+            for number, channel in scan.channels.items():
+                self._add_topic(channel, scan.schemas.get(channel.schema_id, NO_SCHEMA),
+                                scan.counts[number])
+        self.settings = scans[0].metadata.get(METADATA, {})
+        self.attachments = {name: data for scan in reversed(scans)
+                            for name, data in scan.attachments.items()}
+        self.start_ns = min((scan.start_ns for scan in scans if scan.start_ns is not None),
+                            default=None)
+        self.end_ns = max((scan.end_ns for scan in scans if scan.end_ns is not None),
+                          default=None)
+        self.frames = len(set().union(*(scan.frames for scan in scans)))
+        self.damage = [f'{name}: the file is missing' for name in missing] + [
+            text if len(files) == 1 else f'{file.name}: {text}'
+            for file, scan in self._parts for text in scan.damage]
+        self.lossy = bool(missing) or any(scan.lossy for scan in scans)
+        self.size = sum(file.stat().st_size for file in files)
 
     @property
     def whole(self) -> bool:
@@ -112,8 +119,9 @@ class LogReader:
     @property
     def scene(self) -> str | None:
         """YAML text of the scene; None if the log has none."""
-        text = self.attachments.get(SCENE)
-        return None if text is None else text.decode(errors='replace')
+        if SCENE in self.attachments:
+            return self.attachments[SCENE].decode(errors='replace')
+        return self._parts[0][1].metadata.get(SCENE, {}).get('yaml')
 
     @property
     def count(self) -> int:
@@ -122,17 +130,19 @@ class LogReader:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """Yield the messages of these topics (None: all), in file order."""
-        wanted = {number: (channel.topic, self._types[number].name)
-                  for number, channel in self._channels.items()
-                  if topics is None or channel.topic in topics}
-        with open(self.path, 'rb') as file:
-            for span in self._spans:
-                if span.channels.isdisjoint(wanted):
-                    continue
-                for body in self._bodies(file, span):
-                    number, frame, time_ns, _ = MESSAGE.unpack_from(body)
-                    if number in wanted:
-                        yield Message(*wanted[number], time_ns, frame, bytes(body[MESSAGE.size:]))
+        for path, scan in self._parts:
+            wanted = {number: (channel.topic, self.topics[channel.topic].type)
+                      for number, channel in scan.channels.items()
+                      if topics is None or channel.topic in topics}
+            with open(path, 'rb') as file:
+                for span in scan.spans:
+                    if span.channels.isdisjoint(wanted):
+                        continue
+                    for body in self._bodies(file, span):
+                        number, frame, time_ns, _ = MESSAGE.unpack_from(body)
+                        if number in wanted:
+                            yield Message(*wanted[number], time_ns, frame,
+                                          bytes(body[MESSAGE.size:]))
 
     def _bodies(self, file: BinaryIO, span: Span) -> Iterator[memoryview]:
         """Yield the bodies of the messages in a span, which was intact when the log was opened."""
@@ -144,30 +154,48 @@ class LogReader:
         try:
             records = decompressed(body)
         except Exception:
-            raise InputError(f'{self.path}: the file changed while it was read') from None
+            raise InputError(f'{file.name}: the file changed while it was read') from None
         yield from (body for opcode, body in pieces(records) if opcode == Opcode.MESSAGE)
 
-    def _add_topic(self, channel: Channel, count: int) -> None:
-        """Add a channel to its topic; a topic may have several, one per publisher."""
+    def _add_topic(self, channel: Channel, schema: Schema, count: int) -> None:
+        """Add a channel to its topic; a topic has one for each publisher and file."""
         if channel.topic in self.topics:
             count += self.topics[channel.topic].count
-        schema = self._types[channel.id]
         self.topics[channel.topic] = Topic(
             schema.name, count, recorded_qos(channel.metadata.get('offered_qos_profiles', '')),
             channel.message_encoding, schema.data.decode(errors='replace'),
             channel.metadata.get('topic_type_hash', ''))
 
 
-def log_file(path: Path) -> Path:
-    """Return the .mcap file at a path: the file itself, or the only one in a folder."""
+def scanned(path: Path) -> Scan:
+    """Return the scan of a file; raise InputError if it cannot be read."""
+    try:
+        with open(path, 'rb') as file:
+            return Scan(file, path)
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read: {error.strerror}') from None
+
+
+def log_files(path: Path) -> tuple[list[Path], list[str]]:
+    """
+    Return the .mcap files at a path, in order, and the names of files that are missing.
+
+    The path is a file, or a folder with one file, or with the files NAME_0, NAME_1 … of a split
+    log. Only those of a number below the highest can be known to be missing.
+    """
     if not path.exists():
         raise InputError(f'{path}: no such file or folder')
     if not path.is_dir():
-        return path
+        return [path], []
     found = sorted(path.glob('*.mcap'))
     if not found:
         raise InputError(f'{path}: holds no .mcap file')
-    if len(found) > 1:
+    if len(found) == 1:
+        return found, []
+    parts = {match[2]: match[1] for file in found if (match := SPLIT.fullmatch(file.stem))}
+    if len(parts) != len(found) or len(set(parts.values())) > 1:
         raise InputError(f'{path}: holds several .mcap files; name one of '
                          f'{", ".join(file.name for file in found)}')
-    return found[0]
+    name, numbers = next(iter(parts.values())), sorted(map(int, parts))
+    return ([path / f'{name}_{number}.mcap' for number in numbers],
+            [f'{name}_{number}.mcap' for number in range(numbers[-1]) if number not in numbers])

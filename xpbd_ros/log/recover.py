@@ -10,7 +10,7 @@ from pathlib import Path
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
-from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.log.writer import LogWriter, SCENE
 
 
 def recover(log: LogReader, folder: Path) -> LogReader:
@@ -20,7 +20,8 @@ def recover(log: LogReader, folder: Path) -> LogReader:
                          "log; for bags of other programs use 'mcap recover'")
     settings = {**log.settings, **({'recovered': '; '.join(log.damage)} if log.damage else {})}
     topics = {name: topic for name, topic in log.topics.items() if topic.definition}
-    with LogWriter(folder, scene=None, settings=settings, attachments=log.attachments) as whole:
+    others = {name: data for name, data in log.attachments.items() if name != SCENE}
+    with LogWriter(folder, scene=log.scene, settings=settings, attachments=others) as whole:
         for name, topic in topics.items():
             whole.add_channel(name, topic.type, topic.qos, definition=topic.definition,
                               hashed=topic.type_hash)

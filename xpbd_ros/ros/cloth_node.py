@@ -357,6 +357,8 @@ class ClothNode(LifecycleNode):
             folder, self.outputs, name=self.get_fully_qualified_name(),
             epoch_ns=self.stamps.epoch_ns, flush_period=self.value('record.flush_period'),
             checkpoint_period=self.value('record.checkpoint_period'),
+            split_size=round(1e6 * self.value('record.split_size')),
+            split_duration=round(1e9 * self.value('record.split_duration')),
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')},
             files=as_attachments(self.scene.raw))

@@ -106,6 +106,10 @@ class LiveParameters:
                 recorder.log.flush_period = parameter.value
             elif recorder is not None and parameter.name == 'record.checkpoint_period':
                 recorder.checkpoint_period = parameter.value
+            elif recorder is not None and parameter.name == 'record.split_size':
+                recorder.log.split_size = round(1e6 * parameter.value)
+            elif recorder is not None and parameter.name == 'record.split_duration':
+                recorder.log.split_duration = round(1e9 * parameter.value)
 
 
 def publish_interval(rate: float, simulation) -> int:

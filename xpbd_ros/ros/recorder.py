@@ -43,6 +43,7 @@ class Recorder:
     epoch_ns : log time of simulation time 0 [ns]
     flush_period : a crash loses at most this much [s]
     checkpoint_period : period at which the complete state is written [s of simulation time]
+    split_size, split_duration : of a file, at most [bytes, ns]; 0: one file
     settings : further entries of the log's metadata
     files : files that the scene refers to, by name
 
@@ -52,6 +53,7 @@ class Recorder:
 
     def __init__(self, folder: Path, outputs: Outputs, *, name: str = '/cloth',
                  epoch_ns: int, flush_period: float = 1.0, checkpoint_period: float = 10.0,
+                 split_size: int = 0, split_duration: int = 0,
                  settings: dict[str, str] | None = None,
                  files: Mapping[str, bytes] = MappingProxyType({})):
         self.folder = folder
@@ -65,7 +67,8 @@ class Recorder:
             attachments[CHECKPOINT] = checkpoint(simulation)
         self.log = LogWriter(folder, scene=outputs.scene_text,
                              settings={**environment(), **(settings or {})},
-                             attachments=attachments, flush_period=flush_period)
+                             attachments=attachments, flush_period=flush_period,
+                             split_size=split_size, split_duration=split_duration)
         for output in outputs.topics.values():
             if not output.view_only:
                 self.log.add_channel(self._full(output.topic), type_name(output.kind),
