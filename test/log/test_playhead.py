@@ -45,6 +45,16 @@ def test_no_time_passes_while_paused():
     assert head.time_ns == 2_000_000_100
 
 
+def test_another_rate_goes_on_from_the_present():
+    steady = Steady()
+    head = Playhead(0, clock=steady)
+    steady.pass_s(1.0)
+    head.set_rate(3.0)
+    assert head.time_ns == 1_000_000_000
+    steady.pass_s(1.0)
+    assert head.time_ns == 4_000_000_000
+
+
 def test_a_pause_while_paused_changes_nothing():
     steady = Steady()
     head = Playhead(100, paused=True, clock=steady)

@@ -6,9 +6,12 @@ What must not be missed is replayed in a loop, so that nothing depends on how lo
 
 import json
 import os
+import pty
+import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 from mcap.writer import Writer
@@ -255,6 +258,39 @@ def test_a_topic_may_get_another_name(write_log, replay, listener):
     listener.until(lambda: listener.heard)
     listener.spin(0.2)
     assert {topic for topic, _ in listener.heard} == {'/other/count'}
+
+
+def test_keys_of_the_terminal_control_it(write_log, own_domain):
+    run = write_log(frames=600)
+    terminal, inner = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'xpbd_ros', 'replay', str(run), '--start-paused', '--loop'],
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))},
+        stdin=inner, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    os.close(inner)
+
+    def until(text):
+        """Return the line that ends with a text."""
+        for line in process.stderr:
+            if re.search(text, line):
+                return line
+        pytest.fail(f'ended before {text}')
+
+    try:
+        timer = threading.Timer(PATIENCE, process.kill)
+        timer.start()
+        for keys, text in ((b'\x1b[C', 'frame 0, at 0.000 s'), (b'\x1b[C', 'frame 0, at 0.000 s'),
+                           (b'\x1b[C\x1b[C', 'frame 1, at 0.017 s'), (b'\x1b[A', 'rate 1.1$'),
+                           (b'\x1b[B', 'rate 1$'), (b'x ', 'playing at '), (b' ', 'paused at ')):
+            os.write(terminal, keys)
+            until(text)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    finally:
+        timer.cancel()
+        process.kill()
+        process.communicate()
+        os.close(terminal)
 
 
 @pytest.mark.parametrize(('frame_ns', 'rate', 'least', 'most'), [

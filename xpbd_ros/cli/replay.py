@@ -3,9 +3,10 @@ Publish a log, with the options of ros2 bag play.
 
 Each message is published with its recorded bytes and quality of service, at its log time. The
 services ~/pause, ~/resume, ~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) control the
-replay. A damaged log is played as far as it is readable. Inputs in the log (pins, colliders, wind,
-parameters) are left out, since they would drive a running node; --inputs publishes them, as does
---topics with their names.
+replay, as do keys in a terminal: space pauses, right publishes the next message while paused, up
+and down change the rate by 10 %. A damaged log is played as far as it is readable. Inputs in the
+log (pins, colliders, wind, parameters) are left out, since they would drive a running node;
+--inputs publishes them, as does --topics with their names.
 """
 
 import argparse
@@ -44,6 +45,8 @@ def add_arguments(parser):
                         help='publish the inputs in the log too, which drive a subscribed node')
     parser.add_argument('-m', '--remap', type=rule, nargs='+', default=[], metavar='FROM:=TO',
                         help='publish a topic under another name')
+    parser.add_argument('--disable-keyboard-controls', action='store_true',
+                        help='read no keys from the terminal')
     add_json_argument(parser)
 
 
@@ -67,7 +70,8 @@ def run(arguments) -> int:
     published, stopped = replay(
         log, topics=topics, rate=arguments.rate, loop=arguments.loop,
         start_offset=arguments.start_offset, paused=arguments.start_paused,
-        clock_hz=arguments.clock, remap=arguments.remap)
+        clock_hz=arguments.clock, remap=arguments.remap,
+        keyboard=not arguments.disable_keyboard_controls)
     say(f'{"stopped" if stopped else "ended"} after {published.total()} messages')
     write_json(arguments.json, {
         'run': Path(arguments.run), 'whole': log.whole, 'damage': log.damage,

@@ -51,6 +51,11 @@ class Playhead:
         self.jump(self.time_ns)
         self.paused = False
 
+    def set_rate(self, rate: float) -> None:
+        """Continue at another rate."""
+        self.jump(self.time_ns)
+        self.rate = rate
+
     def wait(self, time_ns: int) -> float:
         """Return the wall time until a log time [s]; 0 if it has passed, infinite while paused."""
         if self.paused:

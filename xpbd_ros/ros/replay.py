@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
 from xpbd_ros.log.replay_clock import Playhead
+from xpbd_ros.ros.keyboard import pressed_keys
 from xpbd_ros.ros.logged_commands import is_input
 from xpbd_ros.ros.signals import collected_signals, ignore_signals
 
@@ -38,12 +39,16 @@ TYPE = re.compile(r'(\w+)/msg/(\w+)')
 SERVE_PERIOD = 0.02    # longest time that a burst of messages delays a service [s]
 STOP_PERIOD = 0.1      # longest time that a signal waits [s]
 LOOK_PERIOD = 0.2      # period of checks for subscribers to inputs [s]
+KEY_PERIOD = 0.05      # period at which the keyboard is read [s]
+RATE_STEP = 1.1        # factor of the rate by a key
+SLOWEST, FASTEST = 0.01, 100.0
 UNKNOWN = '_UNKNOWN_'  # rmw's placeholder in a node name that discovery has not delivered yet
 ACK_TIMEOUT = 2.0      # longest wait at the end for acknowledgements by subscribers [s]
 ANSWER_TIME = 1.0      # time for a service's answer to arrive, which is not acknowledged [s]
 
 
-def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[Counter[str], bool]:
+def replay(log: LogReader, *, remap: Collection[str] = (), keyboard: bool = False,
+           **options) -> tuple[Counter[str], bool]:
     """
     Publish a log until its end or until SIGINT or SIGTERM.
 
@@ -53,6 +58,8 @@ def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[C
         The log to publish.
     remap
         Rules FROM:=TO for topics and services.
+    keyboard
+        Whether keys of the terminal control the replay.
     options
         Options of Replay.
 
@@ -65,10 +72,10 @@ def replay(log: LogReader, *, remap: Collection[str] = (), **options) -> tuple[C
 
     """
     rules = [word for rule in remap for word in ('--remap', rule)]
-    with stop_flag() as stopped:
+    with stop_flag() as stopped, pressed_keys(keyboard) as keys:
         rclpy.init(args=['--ros-args', *rules], signal_handler_options=SignalHandlerOptions.NO)
         try:
-            node = Replay(log, **options)
+            node = Replay(log, keys=keys, **options)
             try:
                 node.run(stopped)
             finally:
@@ -110,12 +117,15 @@ class Replay:
         Whether to wait for ~/resume or ~/play_next.
     clock_hz
         Rate of /clock [Hz], which replaces a recorded one; None for no clock.
+    keys
+        Function that returns the keys pressed since its last call; None without a keyboard.
 
     """
 
     def __init__(self, log: LogReader, *, topics: Collection[str] | None = None,
                  rate: float = 1.0, loop: bool = False, start_offset: float = 0.0,
-                 paused: bool = False, clock_hz: float | None = None):
+                 paused: bool = False, clock_hz: float | None = None,
+                 keys: Callable[[], list[str]] | None = None):
         self.published: Counter[str] = Counter()
         self._log = log
         self._loop = loop
@@ -136,6 +146,9 @@ class Replay:
         if clock_hz:
             self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
             self._node.create_timer(1.0 / clock_hz, self._publish_clock,
+                                    clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if keys is not None:
+            self._node.create_timer(KEY_PERIOD, lambda: self._obey(keys()),
                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
         if self._inputs:
             self._node.create_timer(LOOK_PERIOD, self._look_for_listeners,
@@ -275,6 +288,20 @@ class Replay:
         self._publish_next()
         return self._told(answer, True,
                           f'{message.topic}, frame {message.frame}, at {self._where()}')
+
+    def _obey(self, keys: list[str]) -> None:
+        """Act on keys as ros2 bag play does: pause, next message, faster, slower."""
+        for key in keys:
+            if key == 'space':
+                (self._playhead.resume if self._playhead.paused else self._playhead.pause)()
+                text = f'{"paused" if self._playhead.paused else "playing"} at {self._where()}'
+            elif key == 'right':
+                text = self._play_next(Trigger.Request(), Trigger.Response()).message
+            else:
+                rate = self._playhead.rate * (RATE_STEP if key == 'up' else 1.0 / RATE_STEP)
+                self._playhead.set_rate(min(max(rate, SLOWEST), FASTEST))
+                text = f'rate {self._playhead.rate:.3g}'
+            self._node.get_logger().info(text)
 
     def _told(self, answer: Trigger.Response, success: bool, message: str) -> Trigger.Response:
         """Fill in and return a service's answer."""
