@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = 'xpbd_ros'
-VIEW = ['pyvista>=0.44', 'vtk>=9.4']
+VIEW = ['pyvista>=0.44', 'viser>=1.0', 'vtk>=9.4']
 
 
 def shared(folder: str) -> list[tuple[str, list[str]]]:
@@ -50,7 +50,8 @@ setup(
         'mesh': ['meshio>=5.3'],
         # logs as tables, mesh sequences and USD
         'export': ['meshio>=5.3', 'pyarrow>=14', 'usd-core>=24.5'],
-        # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
+        # the page of view; pictures of runs: run --picture, and the demo's. VTK has rendered by
+        # EGL since 9.4
         'view': VIEW,
         'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2',
                  'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',

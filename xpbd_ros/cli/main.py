@@ -21,6 +21,7 @@ os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 VERBS = {
     'demo': 'start the node, drive it as a robot would, record and draw the run',
     'node': 'start the node, as ros2 run xpbd_ros cloth_node does',
+    'view': 'show a scene in a browser page, to look at and to touch',
     'run': 'simulate a scene as fast as possible, without DDS, and write the same log as the node',
     'replay': 'publish a log, as ros2 bag play does',
     'resim': 'solve a recorded run again, from its log alone, and compare the states',

@@ -1,0 +1,136 @@
+"""A headless Chromium, driven through the DevTools protocol: real pages, a real pointer."""
+
+import base64
+from io import BytesIO
+from itertools import count
+import json
+from pathlib import Path
+import shutil
+import subprocess
+import tempfile
+import time
+from urllib.request import urlopen
+
+from matplotlib.image import imread
+import numpy as np
+
+CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
+MISSING = 'Chromium is not installed (Debian, Ubuntu: apt install chromium)'
+PATIENCE = 60.0
+"""[s]; only a failure takes that long"""
+WIDTH, HEIGHT = 1200, 800
+
+
+class Browser:
+    """One page in a browser of its own."""
+
+    def __init__(self):
+        from websockets.sync.client import connect
+
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self._process = subprocess.Popen(
+            [CHROMIUM, '--headless=new', '--no-sandbox', '--remote-debugging-port=0',
+             '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
+             '--disable-dev-shm-usage', f'--window-size={WIDTH},{HEIGHT}',
+             f'--user-data-dir={self._folder.name}', 'about:blank'],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        port = self._port()
+        with urlopen(f'http://127.0.0.1:{port}/json') as answer:
+            page = next(each for each in json.load(answer) if each['type'] == 'page')
+        self._socket = connect(page['webSocketDebuggerUrl'], max_size=2**27)
+        self._numbers = count(1)
+        self.errors: list[str] = []
+        """exceptions, and messages of the level error, of the page's console"""
+        for domain in ('Runtime', 'Log', 'Page'):
+            self.call(f'{domain}.enable')
+
+    def _port(self) -> int:
+        file = Path(self._folder.name) / 'DevToolsActivePort'
+        deadline = time.monotonic() + PATIENCE
+        while not file.exists() or not file.read_text():
+            assert self._process.poll() is None, 'Chromium ended'
+            assert time.monotonic() < deadline, 'Chromium opened no port'
+            time.sleep(0.05)
+        return int(file.read_text().splitlines()[0])
+
+    def call(self, method: str, **parameters) -> dict:
+        """Call a method of the protocol, and return its result."""
+        number = next(self._numbers)
+        self._socket.send(json.dumps({'id': number, 'method': method, 'params': parameters}))
+        while True:
+            message = json.loads(self._socket.recv(timeout=PATIENCE))
+            if message.get('id') == number:
+                assert 'error' not in message, message['error']
+                return message['result']
+            self._note(message)
+
+    def _note(self, message: dict) -> None:
+        about = message.get('params', {})
+        if message.get('method') == 'Runtime.exceptionThrown':
+            details = about['exceptionDetails']
+            self.errors.append(details.get('exception', details).get('description', str(details)))
+        elif message.get('method') == 'Runtime.consoleAPICalled' and about['type'] == 'error':
+            self.errors.append(' '.join(str(each.get('value', each.get('description')))
+                                        for each in about['args']))
+        elif message.get('method') == 'Log.entryAdded' and about['entry']['level'] == 'error':
+            self.errors.append(about['entry']['text'])
+
+    def open(self, url: str) -> None:
+        """Open a page."""
+        self.call('Page.navigate', url=url)
+
+    def value(self, expression: str):
+        """Return the value of a JavaScript expression."""
+        return self.call('Runtime.evaluate', expression=expression,
+                         returnByValue=True)['result'].get('value')
+
+    def until(self, true, what: str) -> None:
+        """Wait until a function returns something true."""
+        deadline = time.monotonic() + PATIENCE
+        while not true():
+            assert time.monotonic() < deadline, f'waited in vain for {what}'
+            time.sleep(0.1)
+
+    def text(self) -> str:
+        """Return the text of the page."""
+        return self.value('document.body ? document.body.innerText : ""') or ''
+
+    def picture(self) -> np.ndarray:
+        """Return what the page looks like; sRGB from 0 to 1, shape (height, width, 3)."""
+        data = self.call('Page.captureScreenshot', format='png')['data']
+        return imread(BytesIO(base64.b64decode(data)))[..., :3]
+
+    def press(self, label: str) -> None:
+        """Click the button with a label."""
+        self.until(lambda: self.value(f'!!{self._button(label)}'), f'the button {label}')
+        box = self.value(f'JSON.stringify({self._button(label)}.getBoundingClientRect())')
+        box = json.loads(box)
+        self.click(box['x'] + 0.5 * box['width'], box['y'] + 0.5 * box['height'])
+
+    def _button(self, label: str) -> str:
+        return ('[...document.querySelectorAll("button")].find('
+                f'each => each.innerText.trim() === {json.dumps(label)})')
+
+    def click(self, x: float, y: float) -> None:
+        """Click at a place [pixels]."""
+        self.drag((x, y))
+
+    def drag(self, *places) -> None:
+        """Press the pointer at the first place [pixels], move it over the others, release it."""
+        self._mouse('mouseMoved', places[0], button='none', buttons=0)
+        time.sleep(0.2)    # the page finds out what is below the pointer
+        self._mouse('mousePressed', places[0], button='left', buttons=1, clickCount=1)
+        for place in places[1:]:
+            self._mouse('mouseMoved', place, button='left', buttons=1)
+            time.sleep(0.05)
+        self._mouse('mouseReleased', places[-1], button='left', buttons=0, clickCount=1)
+
+    def _mouse(self, kind: str, place, **about) -> None:
+        self.call('Input.dispatchMouseEvent', type=kind, x=place[0], y=place[1], **about)
+
+    def close(self) -> None:
+        """End the browser."""
+        self._socket.close()
+        self._process.kill()
+        self._process.wait()
+        self._folder.cleanup()

@@ -1,0 +1,246 @@
+"""``view``: a real browser looks at a running scene, and takes it in the hand."""
+
+import importlib.util
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from support.browser import Browser, CHROMIUM, MISSING
+from xpbd_ros.cli.main import main
+from xpbd_ros.cli.ros import new_log
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, SetKey
+from xpbd_ros.view.live import LiveView
+from xpbd_ros.view.server import close_server, open_server
+from xpbd_ros.view.stage import EYE, FIELD_OF_VIEW
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
+                                reason="viser is not installed: pip install 'xpbd_ros[view]'")
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
+SHEET = """
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.6], resolution: [7, 7]}
+    pose:
+      position: [0.0, 0.0, 1.0]
+      orientation: [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}, shear: {stiffness: 30.0}}
+pins:
+  left: {cloth: sheet, at: corner_10}
+  right: {cloth: sheet, at: corner_11}
+effects: {damping: {rate: 3.0}}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+
+
+def program(*words) -> subprocess.Popen:
+    """Start ``view`` in a process of its own."""
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [sys.executable, '-m', 'xpbd_ros', 'view', *map(str, words), '--port', '0',
+         '--no-browser'], env=environment, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE)
+
+
+@pytest.fixture(scope='module')
+def scene(tmp_path_factory):
+    """Return the file of a sheet that hangs from its upper corners."""
+    file = tmp_path_factory.mktemp('scene') / 'sheet.yaml'
+    file.write_text(SHEET)
+    return file
+
+
+@pytest.fixture
+def page(browser):
+    """Return the page, playing from the scene's start."""
+    if 'Play' in browser.text().split('\n'):
+        browser.press('Play')
+    browser.press('Reset')
+    browser.until(lambda: {name: place for name, (_, place) in pins(browser).items()} == {
+        'left': (0.0, 0.0, 1.6), 'right': (0.6, 0.0, 1.6)}, 'the start')
+    return browser
+
+
+@pytest.fixture(scope='module')
+def browser(scene):
+    """Return a browser with the page of the running scene."""
+    process = program(scene)
+    url = next(line.split()[0] for line in process.stdout if line.startswith('http'))
+    browser = Browser()
+    browser.open(url)
+    browser.until(lambda: 'real time' in browser.text(), 'the figures')
+    yield browser
+    browser.close()
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    assert process.returncode == 0
+
+
+def seconds(page) -> float:
+    """Return the simulated time that the page shows [s]."""
+    return next(float(line.split()[0]) for line in page.text().splitlines()
+                if line.endswith(' particles') and ' s, ' in line)
+
+
+def still(page) -> float:
+    """Wait until the time that the page shows stands still, and return it [s]."""
+    seen = [seconds(page)]
+
+    def stands() -> bool:
+        time.sleep(0.6)    # longer than the figures' period
+        seen.append(seconds(page))
+        return seen[-1] == seen[-2]
+    page.until(stands, 'the pause')
+    return seen[-1]
+
+
+def is_blue(pixel) -> bool:
+    return pixel[2] > pixel[0] + 0.15
+
+
+@needs_browser
+def test_the_cloth_is_seen_and_nothing_else_is_blue(page):
+    picture = page.picture()[:, :800]    # beside the panel
+    assert is_blue(picture[len(picture) // 2, 600])
+    blue = (picture[..., 2] > picture[..., 0] + 0.15).mean()
+    assert 0.02 < blue < 0.6
+    for corner in ((-20, 20), (-20, -20), (20, -20)):
+        assert not is_blue(picture[corner])
+    assert page.errors == []
+
+
+@needs_browser
+def test_the_buttons_pause_step_and_reset(page):
+    page.press('Pause')
+    before = still(page)
+    page.press('Step')
+    page.until(lambda: seconds(page) > before, 'a step')
+    assert still(page) == pytest.approx(before + 1.0 / 60.0, abs=0.011)
+    page.press('Play')
+    page.until(lambda: seconds(page) > before + 0.5, 'play')
+    assert page.errors == []
+
+
+@needs_browser
+def test_a_dragged_pin_takes_the_cloth_along(page):
+    corner = pixel(page, (0.0, 0.0, 1.6))
+    assert is_blue(page.picture()[int(corner[1]) + 25, int(corner[0]) + 10])
+    grip, goal = pixel(page, (0.0, 0.0, 1.62)), pixel(page, (0.0, 0.0, 1.32))
+    page.drag(grip, *(tuple(np.add(grip, share * np.subtract(goal, grip)))
+                      for share in np.linspace(0.1, 1.0, 15)))
+    page.until(lambda: pins(page)['left'][1][2] < 1.4, 'the pin')
+    x, y, z = pins(page)['left'][1]
+    assert (x, y) == (0.0, 0.0)
+    assert z == pytest.approx(1.3, abs=0.06)
+    assert pins(page)['right'][1] == (0.6, 0.0, 1.6)
+    page.until(lambda: not is_blue(page.picture()[int(corner[1]) + 25, int(corner[0]) + 10]),
+               'the cloth')
+    assert page.errors == []
+
+
+@needs_browser
+def test_a_click_grasps_the_cloth_and_another_releases_it(page):
+    page.click(*pixel(page, (0.3, 0.0, 1.3)))
+    page.until(lambda: len(pins(page)) == 3, 'the grasp')
+    page.press('Release all')
+    page.until(lambda: not pins(page), 'the release')
+    assert page.errors == []
+
+
+def pins(page) -> dict[str, tuple]:
+    """Return force [N] and position [m] of each pin that the page shows."""
+    found = {}
+    for line in page.text().splitlines():
+        match = re.fullmatch(r'(\w+): (\S+) N at (\S+), (\S+), (\S+) m', line)
+        if match:
+            found[match[1]] = float(match[2]), tuple(map(float, match.groups()[2:]))
+    return found
+
+
+def pixel(page, point) -> tuple[float, float]:
+    """Return where a point [m] is seen by the camera of the page's start."""
+    centre, size = np.array([0.3, 0.0, 1.3]), 0.6
+    eye = centre + size * np.array(EYE)
+    forward = (centre - eye) / np.linalg.norm(centre - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    away = np.subtract(point, eye)
+    width, height = json.loads(page.value('JSON.stringify([innerWidth, innerHeight])'))
+    scale = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW) / (away @ forward)
+    return (0.5 * width + scale * (away @ right),
+            0.5 * height - scale * (away @ np.cross(right, forward)))
+
+
+def test_a_viewed_run_has_the_bits_of_any_other(scene):
+    process = program(scene, '--duration', '3', '--json', '-')
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    found = json.loads(out)
+    assert found['frames'] > 20
+    simulation = compile_scene(load_scene(str(scene)))
+    for _ in range(found['frames']):
+        simulation.step()
+    assert f'{simulation.hash():016x}' == found['state_hash']
+
+
+def test_a_recorded_session_is_solved_again_bit_for_bit(scene, tmp_path, capsys):
+    """All that a page does becomes commands: a drag, a grasp, a live key, a reset, a release."""
+    ended = threading.Event()
+    server = open_server('127.0.0.1', 0)
+    view = LiveView(server, str(scene), {}, [str(scene)], lambda scene, simulation: new_log(
+        tmp_path / 'run', scene, simulation, program='view'))
+    thread = threading.Thread(target=view.run, args=(ended.is_set,))
+    thread.start()
+    deadline = time.monotonic() + 120.0
+
+    def wait(frames):
+        until = view.frames + frames
+        while view.frames < until:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+    try:
+        wait(3)
+        view.record(True)
+        for act in (lambda: view.put(MovePin('left', Pose((0.1, 0.0, 1.5)))),
+                    lambda: view.put(Grasp('click_0', Pose((0.3, 0.0, 1.3)), 0.15)),
+                    lambda: view.put(SetKey('gravity', (0.0, 1.0, -9.0))),
+                    view.reset, view.release_all):
+            act()
+            wait(4)
+        hashed = view.simulation
+    finally:
+        ended.set()
+        thread.join()
+        close_server(server)
+    assert hashed.index > 20
+    assert main(['resim', str(tmp_path / 'run'), '--json', '-']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found['identical']
+    assert found['first_frame'] > 0
+    kinds = {topic.rsplit('/', 1)[-1] for topic in LogReader(tmp_path / 'run').topics}
+    assert {'pins', 'pin_targets', 'parameter_events', 'resets'} <= kinds
+
+
+def test_mistakes_are_one_line(scene, capsys):
+    with socket.socket() as taken:
+        taken.bind(('127.0.0.1', 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(['view', str(scene), '--port', str(port), '--no-browser']) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert f'--port {port} on 127.0.0.1: cannot be used' in said
+    assert main(['view', 'no_such_scene', '--no-browser']) == 2
+    assert 'no_such_scene: unknown scene (known: ' in capsys.readouterr().err
