@@ -136,7 +136,8 @@ def test_the_buttons_pause_step_and_reset(page):
 @needs_browser
 def test_a_dragged_pin_takes_the_cloth_along(page):
     corner = pixel(page, (0.0, 0.0, 1.6))
-    assert is_blue(page.picture()[int(corner[1]) + 25, int(corner[0]) + 10])
+    below = int(corner[1]) + 25, int(corner[0]) + 10
+    page.until(lambda: is_blue(page.picture()[below]), 'the corner')
     grip, goal = pixel(page, (0.0, 0.0, 1.62)), pixel(page, (0.0, 0.0, 1.32))
     page.drag(grip, *(tuple(np.add(grip, share * np.subtract(goal, grip)))
                       for share in np.linspace(0.1, 1.0, 15)))
@@ -145,8 +146,7 @@ def test_a_dragged_pin_takes_the_cloth_along(page):
     assert (x, y) == (0.0, 0.0)
     assert z == pytest.approx(1.3, abs=0.06)
     assert pins(page)['right'][1] == (0.6, 0.0, 1.6)
-    page.until(lambda: not is_blue(page.picture()[int(corner[1]) + 25, int(corner[0]) + 10]),
-               'the cloth')
+    page.until(lambda: not is_blue(page.picture()[below]), 'the cloth')
     assert page.errors == []
 
 
