@@ -36,9 +36,10 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.simulation import Frame, SavedState as State, Simulation
 
 __all__ = [
-    'Click', 'Frame', 'Grasp', 'InputError', 'LoadState', 'MoveCollider', 'MovePin', 'PlaceCollider',
-    'Pose', 'Release', 'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider', 'Reset', 'SaveState',
-    'SetKey', 'SetState', 'SetWind', 'Simulation', 'State', 'Twist', 'load', 'rollouts']
+    'Click', 'Frame', 'Grasp', 'InputError', 'LoadState', 'MoveCollider', 'MovePin',
+    'PlaceCollider', 'Pose', 'Release', 'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider',
+    'Reset', 'SaveState', 'SetKey', 'SetState', 'SetWind', 'Simulation', 'State', 'Twist', 'load',
+    'rollouts']
 
 Result = TypeVar('Result')
 

@@ -1,6 +1,5 @@
 """The same inputs give the same states, bit for bit: again, in another process, without DDS."""
 
-import json
 import os
 import subprocess
 import sys
@@ -11,8 +10,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from support.logs import recorded_inputs, state_hashes
 from support.node import child_environment, Cloth, collider, pin, pose_stamped, targets
+from support.repeated import repeated
 from support.strict_reader import read_strictly
-from xpbd_ros.log.reader import LogReader
 from xpbd_ros.node_stress.node import SCENE
 
 AUTO = SCENE.replace(', substeps: SUBSTEPS', '').replace('0.004}', '0.004, mesh_nodes: 50000}')
@@ -92,22 +91,6 @@ def record(cloth, run, mode: str, wait) -> dict[int, int]:
     assert cloth.record(False) == (True, str(run))
     assert read_strictly(run)['/parameter_events'] > 0
     return state_hashes(run)
-
-
-def repeated(run, folder) -> dict[int, int]:
-    """Return the hashes of a log's inputs applied to a log's scene by ``xpbd_ros run``."""
-    (folder / 'scene.yaml').write_text(LogReader(run).scene)
-    last = max(state_hashes(run))
-    done = subprocess.run(
-        [sys.executable, '-m', 'xpbd_ros', 'run', folder / 'scene.yaml', '--commands', run,
-         '-o', folder / 'again', '--json', '-'],
-        env=child_environment(), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)['refused'] == 0
-    assert json.loads(done.stdout)['commands']['identical']
-    assert json.loads(done.stdout)['frames'] == last
-    assert recorded_inputs(folder / 'again') == recorded_inputs(run)
-    return state_hashes(folder / 'again')
 
 
 def test_lockstep_twice_gives_the_same_bits(cloth, tmp_path):

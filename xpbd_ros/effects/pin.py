@@ -319,7 +319,8 @@ class BuiltPin(Built):
                 elif len(holds) == len(self.data.start):
                     return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
                 else:
-                    holds[unused_name((*holds, *self.entries))], taken[nearest] = np.array([nearest]), True
+                    holds[unused_name((*holds, *self.entries))] = np.array([nearest])
+                    taken[nearest] = True
             elif isinstance(command, Grasp):
                 if command.pin in holds:
                     continue
@@ -366,7 +367,8 @@ class BuiltPin(Built):
             self._let_go(holder, state)
             return
         x, y, z = state.x[:, nearest].tolist()
-        self._hold(unused_name((*self.held, *self.entries)), np.array([nearest]), Pose((x, y, z)), state)
+        name = unused_name((*self.held, *self.entries))
+        self._hold(name, np.array([nearest]), Pose((x, y, z)), state)
 
     def pose(self, name: str) -> Pose:
         """Return the present pose of a pin of the scene, or of an active one."""

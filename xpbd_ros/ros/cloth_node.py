@@ -28,8 +28,11 @@ from xpbd_ros.ros.inputs import topic_of
 from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
+from xpbd_ros.ros.particle_fields import words_of
+from xpbd_ros.ros.pin_services import PinServices
 from xpbd_ros.ros.recorder import Recorder
-from xpbd_ros.ros.services import Services
+from xpbd_ros.ros.services import ANSWER_SECONDS, Services
+from xpbd_ros.ros.set_state import CloudStates
 from xpbd_ros.ros.signals import exit_at_once_on_signals, ignore_signals, interrupt_on_signals
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
@@ -37,8 +40,9 @@ from xpbd_ros.ros.topics import Topics
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
-from xpbd_ros.sim.commands import SetKey
-from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.commands import Command, SetKey
+from xpbd_ros.sim.particle_values import has_tensions
+from xpbd_ros.sim.simulation import SavedState, Simulation
 
 POLL = 0.002
 """period at which a node that follows /clock reads it [s]"""
@@ -61,6 +65,7 @@ class ClothNode(LifecycleNode):
         self.stamps = Stamps()
         self.topics: Topics | None = None
         self.node_services: Services | None = None
+        self.pin_services: PinServices | None = None
         self.live_parameters = LiveParameters(self)
         self._answer_every_transition()
 
@@ -122,22 +127,47 @@ class ClothNode(LifecycleNode):
         if changed:
             self.command_queue.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
         self.outputs = Outputs(simulation, scene.top.frame_id,
-                               scene_text(scene, simulation.solver))
+                               scene_text(scene, simulation.solver),
+                               fields=words_of(self.value('particle_fields')),
+                               marker_color=self._marker_color(simulation))
         self.status = Status(self)
         self.error_monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                                           most=scene.top.solver.max_substeps)
+        self.cloud_states = CloudStates(
+            self._saved, lambda: self.value('set_state_radius'),
+            lambda text: log.info(f'{self.resolve_topic_name("~/set_state")}: {text}'))
         self.topics = Topics(self, scene, self.outputs, self._take,
-                             clock=self.value('publish_clock'))
+                             clock=self.value('publish_clock'),
+                             read_cloud=self.cloud_states.read)
         self.topics.open()
         self.node_services = Services(self)
+        self.pin_services = PinServices(self) if 'pin' in simulation.effects else None
+        self._substeps = simulation.solver.substeps
         for text in self.live_parameters.unknown():
             log.warning(text)
+
+    def _marker_color(self, simulation: Simulation) -> str:
+        """Return the parameter ``marker_color``; 'none' where the simulation keeps no forces."""
+        if self.value('marker_color') == 'force' and not has_tensions(simulation):
+            self.get_logger().warning(
+                "marker_color: this scene keeps no forces of edges; add effects.pin, or take "
+                "'strain'")
+            return 'none'
+        return self.value('marker_color')
 
     def _max_entries(self) -> int:
         """Return the most entries of an array message: delete all, then delete and add each."""
         effects = self.scene.effects
         return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
                            getattr(effects.get('contact'), 'max_colliders', 0))
+
+    def _saved(self) -> SavedState:
+        """Return the state between two frames."""
+        assert self.stepper is not None and self.simulation is not None
+        try:
+            return self.stepper.ask(self.simulation.save).result(ANSWER_SECONDS)
+        except (TimeoutError, RuntimeError) as error:
+            raise InputError(f'no state to start from: {error}') from error
 
     def _take(self, topic: str, raw: bytes, kind: type, read) -> None:
         """Queue the commands of a message; refuse it while the node is not active."""
@@ -202,8 +232,8 @@ class ClothNode(LifecycleNode):
             folder = Path(self.value('record.path'))
             own = folder.exists() and folder.absolute() in self._recorded
             self.start_recording(fresh_folder('node') if own else folder)
-        for topic, data in self.outputs.start().items():
-            self.topics.publish(topic, data)
+        self._publish(self.outputs.start())
+        self._publish_recording()
         self._publish(self.outputs.frame(frame, self.stamps.last_ns))
         self._begun = True
 
@@ -219,10 +249,10 @@ class ClothNode(LifecycleNode):
 
     def _release(self) -> None:
         """Release all that ``_configure`` created, also where it failed halfway."""
-        for part in (self.topics, self.node_services, self.error_monitor):
+        for part in (self.topics, self.node_services, self.pin_services, self.error_monitor):
             if part is not None:
                 part.close()
-        self.topics = self.node_services = self.error_monitor = None
+        self.topics = self.node_services = self.pin_services = self.error_monitor = None
         if self.simulation is not None:
             self.command_queue.close()
         self.simulation = None
@@ -267,7 +297,6 @@ class ClothNode(LifecycleNode):
             self._publish_initial_state()
         assert self.simulation is not None and self.topics is not None
         assert self.error_monitor is not None
-        substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
         frame = self.simulation.step([*self.command_queue.drain(), *self.error_monitor.commands()],
                                      keep=self.error_monitor.due())
@@ -275,17 +304,20 @@ class ClothNode(LifecycleNode):
         self.error_monitor.look(now - begin)
         self.status.timing.add(1e3 * (now - begin), now)
         for command, reason in frame.refused:
-            self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
+            self._refuse(command, reason)
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
         due = frame.index % self.publish_every == 0
         encoded = self.outputs.frame(frame, stamp_ns) if due else {}
+        if due:
+            self._publish(self.outputs.wrenches(frame, stamp_ns, self.topics.is_heard))
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
             encoded['scene'] = self._changed(keys)
-            frame = with_chosen_substeps(frame, keys.get('solver.substeps', substeps),
+            frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
                                          self.simulation.solver.substeps)
+            self._substeps = self.simulation.solver.substeps
         if self.makes_clock:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
@@ -298,6 +330,26 @@ class ClothNode(LifecycleNode):
                 self.get_logger().error(f'recording stopped: {error}')
                 self.stop_recording()
         self._publish_on_wall_time(frame)
+
+    def act(self, *commands: Command) -> None:
+        """
+        Apply commands between two frames, after those that wait.
+
+        Raises
+        ------
+        InputError : one is refused
+
+        """
+        assert self.simulation is not None
+        if not self._begun:
+            raise InputError('use_sim_time: waiting for /clock')
+        for command, reason in self.simulation.apply(self.command_queue.drain()):
+            self._refuse(command, reason)
+        for _, reason in self.simulation.apply(commands):
+            raise InputError(reason)
+
+    def _refuse(self, command: Command, reason: str) -> None:
+        self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
 
     def _changed(self, keys: dict) -> bytes:
         """
@@ -359,12 +411,20 @@ class ClothNode(LifecycleNode):
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')})
         self._recorded.add(folder.absolute())
+        self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')
+
+    def _publish_recording(self) -> None:
+        """Publish the path of the log, empty without one."""
+        if rclpy.ok() and self.topics is not None:
+            self._publish(self.outputs.recording(
+                '' if self.recorder is None else str(self.recorder.folder.absolute())))
 
     def stop_recording(self) -> None:
         """Finish the log, if one is open."""
         recorder, self.recorder = self.recorder, None
         if recorder is not None:
+            self._publish_recording()
             try:
                 recorder.close()
                 self._log_or_print('info', f'recorded {recorder.folder.absolute()}')

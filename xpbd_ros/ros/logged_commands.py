@@ -1,7 +1,6 @@
 """Read a recorded run: its scene, its inputs as commands, and the hashes of its states."""
 
 from collections.abc import Callable, Iterator
-import re
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2
@@ -9,13 +8,11 @@ from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
-from xpbd_ros.ros.inputs import INPUTS, unpacked
+from xpbd_ros.ros.inputs import input_of, unpacked
 from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.commands import Command
-
-COLLIDER = re.compile(r'/collider/\w+/pose$')
 
 
 class Recording:
@@ -95,7 +92,7 @@ class Recording:
                 if last_part(topic) == name and about.type == type_name(kind)]
 
     def _commands(self) -> dict[int, list[Command]]:
-        inputs = {topic: INPUTS[last_part(topic)] for topic, about in self._reader.topics.items()
+        inputs = {topic: input_of(topic) for topic, about in self._reader.topics.items()
                   if is_recorded_input(topic, about.type)}
         found: dict[int, list[Command]] = {}
         for message in self._reader.messages(inputs):
@@ -117,10 +114,11 @@ def last_part(topic: str) -> str:
 
 def is_recorded_input(topic: str, kind: str) -> bool:
     """Return whether a log keeps inputs on a topic of this name and type."""
-    return last_part(topic) in INPUTS and type_name(INPUTS[last_part(topic)].kind) == kind
+    about = input_of(topic)
+    return about is not None and type_name(about.kind) == kind
 
 
 def is_input(topic: str, kind: str) -> bool:
     """Return whether a node takes messages on a topic of this name and type as inputs."""
     return is_recorded_input(topic, kind) or (
-        kind == 'geometry_msgs/msg/PoseStamped' and COLLIDER.search(topic) is not None)
+        last_part(topic) == 'set_state' and kind == 'sensor_msgs/msg/PointCloud2')
