@@ -7,18 +7,12 @@ import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
-from std_srvs.srv import SetBool
 from visualization_msgs.msg import MarkerArray
 
 from support.logs import recorded_inputs, state_hashes
-from support.node import Cloth, pin, points, pose_stamped, targets, TOWEL
+from support.node import Cloth, pin, PINNED, points, pose_stamped, targets
 from support.repeated import repeated
 
-SCENE = TOWEL + """
-pins:
-  left: {cloth: towel, at: corner_00, radius: 0.02}
-  right: {cloth: towel, near: [0.2, -0.2, 0.004], radius: 0.06}
-"""
 LEFT = (-0.2, -0.2, 0.004)
 
 
@@ -26,7 +20,7 @@ LEFT = (-0.2, -0.2, 0.004)
 def node(start, peer, tmp_path_factory):
     """Return a node with two pins in mode lockstep."""
     file = tmp_path_factory.mktemp('scene') / 'pins.yaml'
-    file.write_text(SCENE)
+    file.write_text(PINNED)
     cloth = Cloth(peer, start(scene=file, mode='lockstep', publish_clock='true'))
     cloth.meet(pins=MarkerArray(), pin_targets=targets())
     peer.say('/cloth/pin/left/target', pose_stamped(LEFT))
@@ -49,12 +43,6 @@ def clicked(point, frame_id: str = 'world') -> PointStamped:
     return message
 
 
-def grasp(cloth, name: str, on: bool) -> tuple[bool, str]:
-    """Call ~/pin/<name>/grasp."""
-    answer = cloth.peer.ask(SetBool, f'/cloth/pin/{name}/grasp', SetBool.Request(data=on))
-    return answer.success, answer.message
-
-
 def click(cloth, point) -> int:
     """Click, and return the next frame."""
     cloth.peer.say('/cloth/clicked_point', clicked(point))
@@ -69,30 +57,30 @@ def test_a_pin_follows_its_own_target(cloth):
 
 
 def test_a_gripper_opens_moves_and_grasps_where_it_is(cloth):
-    assert grasp(cloth, 'left', False) == (True, 'released 1 particle')
+    assert cloth.grasp('left', False) == (True, 'released 1 particle')
     frame = cloth.step()
     assert list(cloth.pin_state(frame)) == ['right']
-    assert grasp(cloth, 'left', False) == (False, "pin 'left' holds nothing (holding: right)")
+    assert cloth.grasp('left', False) == (False, "pin 'left' holds nothing (holding: right)")
     cloth.peer.say('/cloth/pin/left/target', pose_stamped((-0.2, 0.2, 0.104)))
     cloth.step(10)
-    good, said = grasp(cloth, 'left', True)
+    good, said = cloth.grasp('left', True)
     assert not good
     assert said == ("pin 'left': no free particle within 0.02 m of [-0.2, 0.2, 0.104]; the "
                     'nearest is 0.1 m away')
     cloth.peer.say('/cloth/pin/left/target', pose_stamped((-0.2, 0.2, 0.014)))
     cloth.step(10)
-    good, said = grasp(cloth, 'left', True)
+    good, said = cloth.grasp('left', True)
     assert good
     assert said == 'holds 1 particle, the nearest 0.01 m away'
-    assert grasp(cloth, 'left', True) == (True, f'{said} already')
+    assert cloth.grasp('left', True) == (True, f'{said} already')
     cloth.peer.say('/cloth/pin/left/target', pose_stamped((-0.2, 0.2, 0.214)))
     frame = cloth.step(20)
     assert cloth.cloud(frame)[8, 0] == pytest.approx([-0.2, 0.2, 0.204], abs=1e-3), 'other corner'
 
 
 def test_a_pin_that_holds_several_says_how_many(cloth):
-    assert grasp(cloth, 'right', False) == (True, 'released 3 particles')
-    good, said = grasp(cloth, 'right', True)
+    assert cloth.grasp('right', False) == (True, 'released 3 particles')
+    good, said = cloth.grasp('right', True)
     assert good
     assert said.startswith('holds 3 particles, the nearest 0')
 
@@ -168,12 +156,12 @@ def play(cloth) -> None:
     click(cloth, (0.0, 0.0, 0.004))
     assert cloth.trigger('save_state')[0]
     cloth.step(4)
-    assert grasp(cloth, 'left', False)[0]
-    assert grasp(cloth, 'right', False)[0]
+    assert cloth.grasp('left', False)[0]
+    assert cloth.grasp('right', False)[0]
     cloth.step(8)
     cloth.peer.say('/cloth/pin/right/target', pose_stamped((0.2, -0.2, 0.02)))
     cloth.step(3)
-    grasp(cloth, 'right', True)
+    cloth.grasp('right', True)
     assert cloth.set(solver__substeps=13, gravity=[0.5, 0.0, -9.0]) == (True, '')
     cloth.step(3)
     assert cloth.trigger('load_state')[0]
@@ -203,7 +191,7 @@ def test_an_inactive_node_refuses_them(node):
     try:
         for service in ('save_state', 'load_state', 'release_all'):
             assert node.trigger(service) == (False, 'the node is not active')
-        assert grasp(node, 'left', True) == (False, 'the node is not active')
+        assert node.grasp('left', True) == (False, 'the node is not active')
     finally:
         assert node.go('activate')
     assert points(node.clouds[-1]).shape == (9, 9, 3)

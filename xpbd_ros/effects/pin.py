@@ -33,7 +33,6 @@ Cloth does not slide within a pin: it is held or released.
 """
 
 from dataclasses import dataclass
-import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +47,7 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
 from xpbd_ros.sim.pins.entry import Entry
+from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.states import chosen, Held, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
@@ -301,66 +301,13 @@ class BuiltPin(Built):
     def refusal(self, commands, state):
         if all(isinstance(command, MovePin) and command.pin in self.held for command in commands):
             return None    # no copy of all pins for each of a hundred targets
-        holds = {name: held.particles for name, held in self.held.items()}
-        taken = (self._taken(state) if any(isinstance(c, (Grasp, Click)) for c in commands)
-                 else None)
-        for command in commands:
-            gone = list(holds) if isinstance(command, ReleaseAll) else []
-            if isinstance(command, Click):
-                assert taken is not None
-                nearest, distance = self._clicked(command, state)
-                holder = next((name for name, these in holds.items() if nearest in these), None)
-                if distance > self.usual.click_radius:
-                    return (f'no particle within {self.usual.click_radius:g} m of '
-                            f'{[round(c, 4) for c in command.point]}; the nearest is '
-                            f'{distance:.3g} m away')
-                if holder is not None:
-                    gone = [holder]
-                elif len(holds) == len(self.data.start):
-                    return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
-                else:
-                    holds[unused_name((*holds, *self.entries))] = np.array([nearest])
-                    taken[nearest] = True
-            elif isinstance(command, Grasp):
-                if command.pin in holds:
-                    continue
-                if len(holds) == len(self.data.start):
-                    return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
-                assert taken is not None
-                near, nearest = self._near(command, taken, state)
-                if not len(near):
-                    return (f"pin '{command.pin}': no free particle within {command.radius:g} m "
-                            f'of {[round(c, 4) for c in command.pose.position]}; the nearest is '
-                            f'{nearest:.3g} m away')
-                holds[command.pin], taken[near] = near, True
-            elif not isinstance(command, ReleaseAll):
-                if command.pin not in holds and not (
-                        isinstance(command, MovePin) and command.pin in self.entries):
-                    return (f"pin '{command.pin}' holds nothing (holding: "
-                            f'{", ".join(holds) or "none"})')
-                gone = [command.pin] if isinstance(command, Release) else []
-            for name in gone:
-                particles = holds.pop(name)
-                if taken is not None:
-                    taken[particles] = False
-        return None
-
-    def _near(self, command, taken, state) -> tuple[np.ndarray, float]:
-        """Return the slots that a grasp takes, and the distance to the nearest free one [m]."""
-        distance = length(places(state.x) - command.pose.position)
-        distance[taken] = np.inf
-        return np.flatnonzero(distance <= command.radius), float(distance.min())
-
-    def _clicked(self, command, state) -> tuple[int, float]:
-        """Return the slot of the particle nearest to a click, and its distance [m]."""
-        distance = length(places(state.x) - command.point)
-        distance[state.mass == 0.0] = np.inf
-        nearest = int(distance.argmin())
-        return nearest, float(distance[nearest])
+        return Picking({name: held.particles for name, held in self.held.items()},
+                       self._taken(state), self.entries, len(self.data.start),
+                       self.usual.click_radius).refusal(commands, state)
 
     def click(self, command, clock, state) -> None:
         """Hold the particle nearest to a point, or release the pin that holds it."""
-        nearest, _ = self._clicked(command, state)
+        nearest, _ = nearest_particle(command, state)
         holder = next((name for name, held in self.held.items() if nearest in held.particles),
                       None)
         if holder is not None:
@@ -379,7 +326,7 @@ class BuiltPin(Built):
         """Hold the free particles near a point; a pin that holds already moves there instead."""
         held = self.held.get(command.pin)
         if held is None:
-            near, _ = self._near(command, self._taken(state), state)
+            near, _ = within(command, self._taken(state), state)
             held = self._hold(command.pin, near, command.pose, state)
         else:
             held.motion.aim(command.pose, None, 0, clock.begin_ns)
@@ -477,11 +424,6 @@ class BuiltPin(Built):
         return {'pins': len(self.held), 'pins_slipped': self.slipped,
                 'pins_at_max_speed': sum(motion.limited for motion in motions),
                 **delays('pin_target', motions)}
-
-
-def unused_name(names) -> str:
-    """Return the name of a new clicked pin: the first of clicked_0, clicked_1, … not in use."""
-    return next(name for k in itertools.count() if (name := f'clicked_{k}') not in names)
 
 
 def _room(count: int, slots: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:

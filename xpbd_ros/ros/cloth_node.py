@@ -13,7 +13,6 @@ import time
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -25,15 +24,15 @@ from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
 from xpbd_ros.ros.inputs import topic_of
+from xpbd_ros.ros.interaction import Interaction
 from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
 from xpbd_ros.ros.particle_fields import words_of
-from xpbd_ros.ros.pin_services import PinServices
+from xpbd_ros.ros.process import run
 from xpbd_ros.ros.recorder import Recorder
-from xpbd_ros.ros.services import ANSWER_SECONDS, Services
-from xpbd_ros.ros.set_state import CloudStates
-from xpbd_ros.ros.signals import exit_at_once_on_signals, ignore_signals, interrupt_on_signals
+from xpbd_ros.ros.services import Services
+from xpbd_ros.ros.signals import exit_at_once_on_signals
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.topics import Topics
@@ -41,8 +40,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import Command, SetKey
-from xpbd_ros.sim.particle_values import has_tensions
-from xpbd_ros.sim.simulation import SavedState, Simulation
+from xpbd_ros.sim.simulation import Simulation
 
 POLL = 0.002
 """period at which a node that follows /clock reads it [s]"""
@@ -65,7 +63,7 @@ class ClothNode(LifecycleNode):
         self.stamps = Stamps()
         self.topics: Topics | None = None
         self.node_services: Services | None = None
-        self.pin_services: PinServices | None = None
+        self.interaction: Interaction | None = None
         self.live_parameters = LiveParameters(self)
         self._answer_every_transition()
 
@@ -129,45 +127,27 @@ class ClothNode(LifecycleNode):
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver),
                                fields=words_of(self.value('particle_fields')),
-                               marker_color=self._marker_color(simulation))
+                               marker_color=self.value('marker_color'))
+        for text in self.outputs.notes:
+            log.warning(text)
         self.status = Status(self)
         self.error_monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                                           most=scene.top.solver.max_substeps)
-        self.cloud_states = CloudStates(
-            self._saved, lambda: self.value('set_state_radius'),
-            lambda text: log.info(f'{self.resolve_topic_name("~/set_state")}: {text}'))
+        self.interaction = Interaction(self)
         self.topics = Topics(self, scene, self.outputs, self._take,
                              clock=self.value('publish_clock'),
-                             read_cloud=self.cloud_states.read)
+                             read_cloud=self.interaction.clouds.read)
         self.topics.open()
         self.node_services = Services(self)
-        self.pin_services = PinServices(self) if 'pin' in simulation.effects else None
         self._substeps = simulation.solver.substeps
         for text in self.live_parameters.unknown():
             log.warning(text)
-
-    def _marker_color(self, simulation: Simulation) -> str:
-        """Return the parameter ``marker_color``; 'none' where the simulation keeps no forces."""
-        if self.value('marker_color') == 'force' and not has_tensions(simulation):
-            self.get_logger().warning(
-                "marker_color: this scene keeps no forces of edges; add effects.pin, or take "
-                "'strain'")
-            return 'none'
-        return self.value('marker_color')
 
     def _max_entries(self) -> int:
         """Return the most entries of an array message: delete all, then delete and add each."""
         effects = self.scene.effects
         return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
                            getattr(effects.get('contact'), 'max_colliders', 0))
-
-    def _saved(self) -> SavedState:
-        """Return the state between two frames."""
-        assert self.stepper is not None and self.simulation is not None
-        try:
-            return self.stepper.ask(self.simulation.save).result(ANSWER_SECONDS)
-        except (TimeoutError, RuntimeError) as error:
-            raise InputError(f'no state to start from: {error}') from error
 
     def _take(self, topic: str, raw: bytes, kind: type, read) -> None:
         """Queue the commands of a message; refuse it while the node is not active."""
@@ -179,7 +159,7 @@ class ClothNode(LifecycleNode):
     def on_activate(self, state):
         """Publish the initial state, open the log of ``record.path``, and start stepping."""
         result = super().on_activate(state)
-        self._begun = False
+        self.begun = False
         self._next_markers = self._next_diagnostics = 0.0
         self.status.begin()
         if self.waits:
@@ -235,7 +215,7 @@ class ClothNode(LifecycleNode):
         self._publish(self.outputs.start())
         self._publish_recording()
         self._publish(self.outputs.frame(frame, self.stamps.last_ns))
-        self._begun = True
+        self.begun = True
 
     def on_deactivate(self, state):
         """Stop stepping and close the log."""
@@ -249,10 +229,10 @@ class ClothNode(LifecycleNode):
 
     def _release(self) -> None:
         """Release all that ``_configure`` created, also where it failed halfway."""
-        for part in (self.topics, self.node_services, self.pin_services, self.error_monitor):
+        for part in (self.topics, self.node_services, self.interaction, self.error_monitor):
             if part is not None:
                 part.close()
-        self.topics = self.node_services = self.pin_services = self.error_monitor = None
+        self.topics = self.node_services = self.interaction = self.error_monitor = None
         if self.simulation is not None:
             self.command_queue.close()
         self.simulation = None
@@ -293,7 +273,7 @@ class ClothNode(LifecycleNode):
 
     def step(self, late_ns=None) -> None:
         """Compute, publish and record one frame; ``late_ns()`` is how long ago it was due."""
-        if not self._begun:
+        if not self.begun:
             self._publish_initial_state()
         assert self.simulation is not None and self.topics is not None
         assert self.error_monitor is not None
@@ -304,7 +284,7 @@ class ClothNode(LifecycleNode):
         self.error_monitor.look(now - begin)
         self.status.timing.add(1e3 * (now - begin), now)
         for command, reason in frame.refused:
-            self._refuse(command, reason)
+            self.refuse(command, reason)
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
@@ -331,24 +311,8 @@ class ClothNode(LifecycleNode):
                 self.stop_recording()
         self._publish_on_wall_time(frame)
 
-    def act(self, *commands: Command) -> None:
-        """
-        Apply commands between two frames, after those that wait.
-
-        Raises
-        ------
-        InputError : one is refused
-
-        """
-        assert self.simulation is not None
-        if not self._begun:
-            raise InputError('use_sim_time: waiting for /clock')
-        for command, reason in self.simulation.apply(self.command_queue.drain()):
-            self._refuse(command, reason)
-        for _, reason in self.simulation.apply(commands):
-            raise InputError(reason)
-
-    def _refuse(self, command: Command, reason: str) -> None:
+    def refuse(self, command: Command, reason: str) -> None:
+        """Count and report a refused command under its topic."""
         self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
 
     def _changed(self, keys: dict) -> bytes:
@@ -367,7 +331,7 @@ class ClothNode(LifecycleNode):
         return self.outputs.scene(scene_text(self.scene, solver))
 
     def _idle(self) -> None:
-        if not self._begun and not self.waits:
+        if not self.begun and not self.waits:
             self._publish_initial_state()
         if self.recorder is not None:
             self.recorder.log.flush_if_due()
@@ -383,6 +347,8 @@ class ClothNode(LifecycleNode):
             if self.topics.is_heard('markers'):
                 for data in self.outputs.markers(frame, self.stamps.last_ns):
                     self.topics.publish('markers', data)
+        if self.interaction is not None:
+            self.interaction.publish()
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + 1.0
             self.topics.publish('/diagnostics', self.status.message())
@@ -450,48 +416,9 @@ def with_chosen_substeps(frame, asked: int, chosen: int):
     return replace(frame, applied=(*frame.applied, SetKey('solver.substeps', chosen)))
 
 
-def spin(node: ClothNode) -> None:
-    """Spin until shutdown; report and skip a /clock before time 0, at which rclpy raises."""
-    while True:
-        try:
-            rclpy.spin(node)
-            return
-        except ValueError as error:
-            if 'must not be negative' not in str(error):
-                raise
-            node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until a signal; return 0, 1 if stepping failed, 2 if it cannot start."""
-    interrupt_on_signals()
-    node = None
-    try:
-        rclpy.init(args=args)
-        node = ClothNode()
-        if node.value('autostart'):
-            good = TransitionCallbackReturn.SUCCESS
-            if node.trigger_configure() != good or node.trigger_activate() != good:
-                return 2 if rclpy.ok() else 0
-        spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except ParameterException as error:
-        print(f'cloth_node: {error}', file=sys.stderr)
-        return 2
-    except RuntimeError as error:
-        if node is None:
-            print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
-            return 2
-        if rclpy.ok():    # otherwise the context was shut down during a call
-            raise
-    finally:
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
-        ignore_signals()
-    return 1 if node is not None and node.failed else 0
+    return run(ClothNode, args)
 
 
 if __name__ == '__main__':

@@ -53,7 +53,7 @@ from xpbd_ros.sim.commands import (
 
 SECOND = 10**9
 """one second [ns]"""
-SAVED = {'save': SaveState, 'load': LoadState}
+SAVED: dict[str, type[SaveState] | type[LoadState]] = {'save': SaveState, 'load': LoadState}
 """commands by their words in a log"""
 MOST_RESETS = 4096
 """resets in one frame, at most; a log with more was not written by this program"""

@@ -92,9 +92,9 @@ class Recording:
                 if last_part(topic) == name and about.type == type_name(kind)]
 
     def _commands(self) -> dict[int, list[Command]]:
-        inputs = {topic: input_of(topic) for topic, about in self._reader.topics.items()
-                  if is_recorded_input(topic, about.type)}
-        found: dict[int, list[Command]] = {}
+        inputs = {topic: found for topic, about in self._reader.topics.items()
+                  if (found := input_of(topic)) and type_name(found.kind) == about.type}
+        by_frame: dict[int, list[Command]] = {}
         for message in self._reader.messages(inputs):
             about = inputs[message.topic]
             try:
@@ -103,8 +103,8 @@ class Recording:
             except InputError as error:
                 raise InputError(f'{self.path}: {message.topic}, frame {message.frame}: '
                                  f'{error}') from error
-            found.setdefault(message.frame, []).extend(commands)
-        return found
+            by_frame.setdefault(message.frame, []).extend(commands)
+        return by_frame
 
 
 def last_part(topic: str) -> str:
@@ -112,13 +112,9 @@ def last_part(topic: str) -> str:
     return topic.rsplit('/', 1)[-1]
 
 
-def is_recorded_input(topic: str, kind: str) -> bool:
-    """Return whether a log keeps inputs on a topic of this name and type."""
-    about = input_of(topic)
-    return about is not None and type_name(about.kind) == kind
-
-
 def is_input(topic: str, kind: str) -> bool:
     """Return whether a node takes messages on a topic of this name and type as inputs."""
-    return is_recorded_input(topic, kind) or (
-        last_part(topic) == 'set_state' and kind == 'sensor_msgs/msg/PointCloud2')
+    about = input_of(topic)
+    if about is None:
+        return last_part(topic) == 'set_state' and kind == 'sensor_msgs/msg/PointCloud2'
+    return type_name(about.kind) == kind

@@ -27,7 +27,7 @@ from std_msgs.msg import ColorRGBA, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.sim.effect import Cloth
-from xpbd_ros.sim.pins.states import PinStates
+from xpbd_ros.sim.pins.states import PinState, PinStates
 from xpbd_ros.sim.simulation import Frame
 
 COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))
@@ -231,12 +231,11 @@ class PinArray:
         return bytes(self._buffer)
 
 
-def pin_wrench(pins: PinStates, name: str, frame_id: str, time_ns: int) -> WrenchStamped:
-    """Return the wrench of the cloth on one pin, about its pose; 0 while it holds nothing."""
+def pin_wrench(pin: PinState | None, frame_id: str, time_ns: int) -> WrenchStamped:
+    """Return the wrench of the cloth on a pin, about its pose; 0 for one that holds nothing."""
     message = WrenchStamped()
     message.header.frame_id = frame_id
     set_stamp(message.header.stamp, time_ns)
-    pin = pins.get(name)
     if pin is not None:
         message.wrench = Wrench(force=vector(Vector3, pin.force),
                                 torque=vector(Vector3, pin.torque))

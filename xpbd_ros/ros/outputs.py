@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages, particle_fields
-from xpbd_ros.sim.particle_values import strains, tensions
+from xpbd_ros.sim.measure import has_tensions, strains, tensions
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.pins.states import PinStates
 from xpbd_ros.sim.simulation import Frame, Simulation
@@ -70,6 +70,12 @@ class Outputs:
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
         self._pins = messages.PinArray(frame_id)
+        self.notes: list[str] = []
+        """notes on the parameters for the user"""
+        if marker_color == 'force' and not has_tensions(simulation):
+            self.notes.append("marker_color: this scene keeps no forces of edges; add "
+                              "effects.pin, or take 'strain'")
+            marker_color = 'none'
         self._fields, self._marker_color = tuple(fields), marker_color
         several = len(simulation.cloths) > 1
         fields, history = STATE_FIELDS, simulation.state.history
@@ -157,7 +163,7 @@ class Outputs:
             str, bytes]:
         """Return the wrench of each pin of the scene, by topic, where someone listens."""
         return {topic: serialize_message(
-            messages.pin_wrench(frame.pins, name, self.frame_id, time_ns))
+            messages.pin_wrench(frame.pins.get(name), self.frame_id, time_ns))
             for topic, name in self._wrenches.items() if heard(topic)}
 
     def recording(self, path: str) -> dict[str, bytes]:

@@ -38,6 +38,8 @@ TABLE = (
         'never', minimum=0.0, maximum=1000.0, live=True),
     Row('marker_color', 'none', "colour of the surfaces in ~/markers: 'strain', 'force' (tension) "
         "or 'none'", choices=('none', 'strain', 'force')),
+    Row('interactive_markers', False, "handles for the scene's pins in RViz: drag them, or grasp "
+        'and release from their menu'),
     Row('particle_fields', '', "further fields of ~/particles, separated by spaces: 'velocity "
         "normal strain pinned id'; '': none"),
     Row('set_state_radius', 0.05, 'largest distance of a particle from its point of a cloud on '

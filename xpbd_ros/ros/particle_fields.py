@@ -8,7 +8,7 @@ from sensor_msgs.msg import PointField
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.read import unknown
 from xpbd_ros.sim.effect import Cloth
-from xpbd_ros.sim.particle_values import normals, strains
+from xpbd_ros.sim.measure import normals, strains
 from xpbd_ros.sim.simulation import Frame
 
 FIELDS = {'velocity': 'vx vy vz', 'normal': 'normal_x normal_y normal_z', 'strain': 'strain',

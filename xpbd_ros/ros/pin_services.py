@@ -39,28 +39,28 @@ class PinServices:
 
     def _release_all(self, request, response):
         def release_all():
-            self._node.act()
+            self._node.interaction.act()
             count = len(self._node.simulation.effects['pin'].held)
-            self._node.act(ReleaseAll())
+            self._node.interaction.act(ReleaseAll())
             return f'{count} pin{"s" * (count != 1)}'
         return answer(self._node, response, release_all, 'released {}')
 
 
 def grasp(node, name: str) -> str:
     """Close a pin of the scene at its present pose; return what it holds."""
-    node.act()
+    node.interaction.act()
     pin = node.simulation.effects['pin']
     if name in pin.held:
         return f'holds {_held(node, name)} already'
-    node.act(Grasp(name, pin.pose(name), node.scene.sections['pins'][name].radius))
+    node.interaction.act(Grasp(name, pin.pose(name), node.scene.sections['pins'][name].radius))
     return f'holds {_held(node, name)}'
 
 
 def release(node, name: str) -> str:
     """Open a pin of the scene; return what it held."""
-    node.act()
+    node.interaction.act()
     held = node.simulation.effects['pin'].held.get(name)
-    node.act(Release(name))
+    node.interaction.act(Release(name))
     return f'released {_particles(len(held.particles))}'
 
 

@@ -111,13 +111,13 @@ class Services:
 
     def _save_state(self, request, response):
         def save():
-            self._node.act(SaveState())
+            self._node.interaction.act(SaveState())
             return self._node.simulation.index
         return self._answer(response, save, 'saved the state of frame {}')
 
     def _load_state(self, request, response):
         def load():
-            self._node.act(LoadState())
+            self._node.interaction.act(LoadState())
             self._node.step()
             return self._node.simulation.index
         return self._answer(response, load, 'back at the saved state, in frame {}')

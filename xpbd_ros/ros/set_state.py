@@ -4,22 +4,26 @@
 A cloud of the same rows and columns as ``~/particles`` maps to the particles one to one. A missing
 point (NaN, in a cloud with ``is_dense: false``) becomes the mean of its neighbours on the grid, or
 along the edges of a mesh, ring by ring from the points that are there; with fewer than LEAST_SHARE
-of the points it is refused.
+of the points it is refused. Positions are taken as they are: noise of them is strain.
 
 Any other cloud is registered to the present cloth, with each particle's nearest point of the cloud
 within a radius:
 
 1. rigid: the rotation and translation that bring the particles nearest to their points, in least
    squares (Kabsch 1976), at most RIGID_ROUNDS times;
-2. elastic: ROUNDS times each particle moves to its point, and a frame of the simulation from rest,
-   without gravity, relaxes the constraints.
+2. elastic: ROUNDS times each particle moves to its point within twice the radius, and a frame of
+   the simulation from rest, without gravity, relaxes the constraints;
+3. SETTLING further such frames, without points, so that noise of the cloud leaves no strain that
+   would set the cloth in motion.
 
-The residual is the distance of the particles from their points at the end. The result is refused
-if fewer than LEAST_SHARE of the particles have a point.
+The residual is the distance of the particles from their points at the end. Points of the cloud
+further than the radius from every particle are counted: the cloth is not where they are. The
+result is refused if fewer than LEAST_SHARE of the particles have a point.
 
-Limits: the method finds the nearest alignment, not the global one: the cloth must lie within about
-the radius of the cloud. Nothing tells front from back, or one layer of a fold from another. Pinned
-particles stay at their pins.
+Limits: the method finds the nearest alignment, not the global one. Parts of the cloth that are
+further than about the radius from their place in the cloud, such as a fold that the cloth does not
+have yet, are not found. Nothing tells front from back, or one layer from another. Pinned particles
+stay at their pins.
 """
 
 from collections.abc import Callable
@@ -41,7 +45,8 @@ LEAST_SHARE = 0.5
 RIGID_ROUNDS = 50
 STILL = 1e-6
 """largest motion of a particle in the last rigid round [m]"""
-ROUNDS = 10
+ROUNDS = 30
+SETTLING = 10
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class Registered:
     """positions [m], shape (particles, 3)"""
     distance: np.ndarray
     """of each particle that has a point from it [m], shape (n,)"""
+    left: int
+    """number of points without a particle within the radius"""
 
     @property
     def rms(self) -> float:
@@ -105,10 +112,12 @@ class CloudStates:
         self.values = {'set_state_points': len(points),
                        'set_state_particles': len(found.distance),
                        'set_state_residual_m': found.rms,
-                       'set_state_residual_max_m': float(found.distance.max())}
+                       'set_state_residual_max_m': float(found.distance.max()),
+                       'set_state_points_left': found.left}
         self._tell(f"'{cloth.name}' is registered to {len(points)} points: "
                    f'{len(found.distance)} of {count} particles, residual {found.rms:.3g} m RMS, '
-                   f'{found.distance.max():.3g} m at most')
+                   f'{found.distance.max():.3g} m at most; {found.left} points are further than '
+                   f'{self._radius():g} m from the cloth')
         return found.x
 
 
@@ -162,7 +171,7 @@ def registered(points: np.ndarray, simulation: Simulation, cloth: Cloth,
 
     tree, count = cKDTree(points), len(cloth.slots)
 
-    def near(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def near(x: np.ndarray, radius: float = radius) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return which particles have a point, these points, and how far they are."""
         distance, index = tree.query(x, distance_upper_bound=radius)
         has = np.isfinite(distance)
@@ -178,13 +187,15 @@ def registered(points: np.ndarray, simulation: Simulation, cloth: Cloth,
         if np.abs(x - before).max() < STILL:
             break
     simulation.state.gravity[:] = 0.0
-    for _ in range(ROUNDS):
-        has, there, _ = near(x)
-        x[has] = there
+    for k in range(ROUNDS + SETTLING):
+        if k < ROUNDS:
+            has, there, _ = near(x, 2.0 * radius)
+            x[has] = there
         simulation.state.v[:] = 0.0
         simulation.apply([SetState(cloth.name, tuple(x.ravel().tolist()))])
         x = simulation.step().x[cloth.particles]
-    return Registered(x, near(x)[2])
+    apart, _ = cKDTree(x).query(points, distance_upper_bound=radius)
+    return Registered(x, near(x)[2], int(np.isinf(apart).sum()))
 
 
 def rigidly_moved(x: np.ndarray, here: np.ndarray, there: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """A compiled scene: applies commands and computes one frame at a time; no callbacks, no I/O."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import copy
 from dataclasses import dataclass
 from fractions import Fraction
@@ -93,8 +93,9 @@ class Simulation:
         self.start: Start | None = None
         """start of the last frame, if ``step`` was called with ``keep``"""
         self._retune = retune
-        self._own = {Reset: self._reset, SetKey: self._set, SaveState: self._keep_state,
-                     LoadState: self._load_state, SetState: self._set_state}
+        self._own: dict[type, Callable[[Any], str | None]] = {
+            Reset: self._reset, SetKey: self._set, SaveState: self._keep_state,
+            LoadState: self._load_state, SetState: self._set_state}
         self._pending: list[Command] = []    # applied since the last frame
         self._saved: SavedState | None = None
         self._lag = 0    # frames by which a loaded state is older than the index
