@@ -55,6 +55,7 @@ def play(cloth, wait) -> None:
     wait(10)
     cloth.peer.say(f'{cloth.name}/collider_states', targets(ball=(0.05, 0.1, 0.15), twist=rub))
     assert cloth.set(**{STIFF: 2500.0}) == (True, '')
+    assert cloth.trigger('save_state')[0], 'behind the key, from which auto chooses substeps'
     wedge = collider('wedge', (0.0, 0.1, -0.03), (0.1, 0.1, 0.1), kind=Marker.TRIANGLE_LIST)
     a, b, c, d = (Point(x=x, y=y, z=z) for x, y, z in (
         (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
@@ -76,7 +77,9 @@ def play(cloth, wait) -> None:
     cloth.mark(pin('again', (0.0, 0.0, 0.004), radius=0.05))
     assert cloth.set(solver__substeps=11, effects__damping__rate=0.3) == (True, '')
     wait(10)
-    cloth.mark(pin('', action=Marker.DELETEALL))
+    assert cloth.trigger('load_state')[0]
+    wait(10)
+    assert cloth.trigger('release_all')[0]
     wait(20)
 
 
@@ -111,7 +114,7 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
     first = record(cloth, run, 'realtime', wait)
     kinds = {topic for _, topic in recorded_inputs(run)}
     assert kinds == {'pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events',
-                     'resets'}
+                     'resets', 'saved_states'}
     assert cloth.get('solver.substeps') == [11]
     assert set(first) == set(range(max(first) + 1)), 'every frame'
     assert repeated(run, tmp_path) == first

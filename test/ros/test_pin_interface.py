@@ -2,11 +2,9 @@
 
 from math import nan
 
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import PointStamped
 import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
-from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from support.logs import recorded_inputs, state_hashes
@@ -128,24 +126,9 @@ def test_a_loaded_state_is_the_saved_one_and_time_goes_on(cloth):
     assert list(cloth.pin_state(last + 1)) == ['left', 'right']
 
 
-BAD = {
-    'pin/left/target': (PoseStamped, [
-        (pose_stamped((0, nan, 0)), 'left: position or orientation is not finite'),
-        (pose_stamped((0, 0, 0), frame_id='map'), "header: TF frame 'map' is not the scene's"),
-        (serialize_message(String(data='no pose')), 'cannot be unpacked')]),
-    'clicked_point': (PointStamped, [
-        (clicked((0, 0, nan)), 'point [0.0, 0.0, nan] is not finite'),
-        (clicked((0, 0, 0), 'camera'), "header: TF frame 'camera' is not the scene's"),
-        (b'\0\1\0\0', 'cannot be unpacked')]),
-}
-
-
-def test_invalid_targets_and_clicks_are_refused_and_the_node_goes_on(cloth):
-    for k in range(3):
-        for topic, (kind, bad) in BAD.items():
-            cloth.peer.say(f'/cloth/{topic}', bad[k][0], kind)
-            cloth.node.wait_for(f'/cloth/{topic}: refused: ', bad[k][1])
-        cloth.peer.spin(1.1)    # one warning a second and topic
+def test_an_invalid_target_is_refused_and_the_node_goes_on(cloth):
+    cloth.peer.say('/cloth/pin/left/target', pose_stamped((0, nan, 0)))
+    cloth.node.wait_for('/cloth/pin/left/target: refused: left: position or orientation is not')
     assert list(cloth.pin_state(cloth.step())) == ['left', 'right']
 
 
