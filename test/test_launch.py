@@ -131,6 +131,7 @@ def test_a_namespace_moves_the_node_and_what_rviz_listens_to():
     assert cloth.node_name == '/left/cloth'
     assert rviz.condition.evaluate(context)
     assert '/cloth/particles:=/left/cloth/particles' in command_line(rviz, context)
+    assert parameters(cloth, context)['interactive_markers'] is True
 
 
 @needs_launch

@@ -1,9 +1,12 @@
 """Saved and loaded states, states that are set, clicks, open pins: commands of a simulation."""
 
+import pickle
+
 import numpy as np
 import pytest
 
 from support.scenes import run, simulate, with_effects
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Click,
     Grasp,
@@ -98,6 +101,17 @@ def test_a_state_saved_in_a_copy_is_its_own():
     other = simulation.save().simulation()
     run(simulation, 3, [SaveState()])
     assert states(other, 3, [LoadState()]) == expected
+
+
+def test_a_saved_state_stays_in_memory():
+    """A pickle of a simulation that holds one, such as a log's checkpoint, holds no threads."""
+    simulation = sheet()
+    simulation.apply([SaveState()])
+    other = pickle.loads(pickle.dumps(simulation._saved))
+    with pytest.raises(InputError, match='in the memory of another process'):
+        simulation.restore(other)
+    simulation._saved = other
+    assert simulation.step([LoadState()]).refused[0][1] == 'no state has been saved'
 
 
 @pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])

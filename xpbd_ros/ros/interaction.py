@@ -4,6 +4,8 @@ Commands that answer: services and handles of pins, saved states, clouds for ``~
 They act between two frames, after the messages that have arrived before them.
 """
 
+from concurrent import futures
+
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.pin_handles import PinHandles
 from xpbd_ros.ros.pin_services import PinServices
@@ -68,5 +70,5 @@ class Interaction:
         """Return the state between two frames."""
         try:
             return self._node.stepper.ask(self._node.simulation.save).result(ANSWER_SECONDS)
-        except (TimeoutError, RuntimeError) as error:
+        except (futures.TimeoutError, RuntimeError) as error:
             raise InputError(f'no state to start from: {error}') from error

@@ -263,7 +263,7 @@ class Simulation:
         self._saved = self.save()
 
     def _load_state(self, command: LoadState) -> str | None:
-        if self._saved is None:
+        if not self._saved:
             return 'no state has been saved'
         index, saved, pending, keys = self.index, self._saved, self._pending, self._keys
         self.restore(saved)
@@ -375,10 +375,24 @@ class Simulation:
 
 
 class SavedState:
-    """A saved state of a simulation; read-only."""
+    """A saved state of a simulation; read-only, and in memory only: pickled, it is empty."""
 
-    def __init__(self, simulation: Simulation):
-        self._simulation = simulation
+    def __init__(self, simulation: Simulation | None):
+        self._found = simulation
+
+    def __bool__(self) -> bool:
+        """Return False if the state is empty."""
+        return self._found is not None
+
+    def __reduce__(self) -> tuple:
+        """Return how to unpickle: as an empty state."""
+        return SavedState, (None,)
+
+    @property
+    def _simulation(self) -> Simulation:
+        if self._found is None:
+            raise InputError('the state is empty: it was in the memory of another process')
+        return self._found
 
     def __deepcopy__(self, memo: dict) -> 'SavedState':
         """Return the state itself, which never changes."""
