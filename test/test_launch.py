@@ -131,6 +131,7 @@ def test_a_namespace_moves_the_node_and_what_rviz_listens_to():
     assert cloth.node_name == '/left/cloth'
     assert rviz.condition.evaluate(context)
     assert '/cloth/particles:=/left/cloth/particles' in command_line(rviz, context)
+    assert parameters(cloth, context)['interactive_markers'] is True
 
 
 @needs_launch
@@ -182,8 +183,7 @@ def check_view(view: dict, published) -> None:
     from rclpy.serialization import deserialize_message
     from sensor_msgs.msg import PointCloud2
     manager = view['Visualization Manager']
-    shown = {entry['Topic']['Value']: entry for entry in manager['Displays'] + manager['Tools']
-             if 'Topic' in entry}
+    shown = {entry['Topic']['Value']: entry for entry in manager['Displays'] if 'Topic' in entry}
     kinds = {f'/cloth/{topic}': output.kind.__name__ for topic, output in published.topics.items()}
     assert {topic: entry['Class'].split('/')[1] for topic, entry in shown.items()} == {
         topic: kind for topic, kind in kinds.items()
@@ -210,7 +210,9 @@ def test_rviz_shows_several_cloths(tmp_path):
     words = command_line(rviz, context)
     view = yaml.safe_load(Path(words[words.index('-d') + 1]).read_text())
     check_view(view, outputs('shirt', 'sock'))
-    assert '/cloth/cloth/sock/particles:=/left/cloth/cloth/sock/particles' in words
+    for topic in ('cloth/sock/particles', 'markers', 'clicked_point', 'pin_handles/update',
+                  'pin_handles/feedback', 'pin_handles/get_interactive_markers'):
+        assert f'/cloth/{topic}:=/left/cloth/{topic}' in words
 
 
 def test_the_parameter_file_holds_the_defaults_of_the_node():

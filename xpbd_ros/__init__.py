@@ -5,9 +5,10 @@ from typing import Any
 __version__ = '0.1.0'
 
 __all__ = [
-    'Frame', 'Grasp', 'InputError', 'MoveCollider', 'MovePin', 'PlaceCollider', 'Pose', 'Release',
-    'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider', 'Reset', 'SetKey', 'SetWind',
-    'Simulation', 'State', 'Twist', 'load', 'rollouts']
+    'Click', 'Frame', 'Grasp', 'InputError', 'LoadState', 'MoveCollider', 'MovePin',
+    'PlaceCollider', 'Pose', 'Release', 'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider',
+    'Reset', 'SaveState', 'SetKey', 'SetState', 'SetWind', 'Simulation', 'State', 'Twist', 'load',
+    'rollouts']
 
 
 def __getattr__(name: str) -> Any:

@@ -14,8 +14,10 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import (
+    Click,
     Command,
     Grasp,
+    LoadState,
     MoveCollider,
     MovePin,
     PlaceCollider,
@@ -25,16 +27,19 @@ from xpbd_ros.sim.commands import (
     RemoveAllColliders,
     RemoveCollider,
     Reset,
+    SaveState,
     SetKey,
+    SetState,
     SetWind,
     Twist,
 )
 from xpbd_ros.sim.simulation import Frame, SavedState as State, Simulation
 
 __all__ = [
-    'Frame', 'Grasp', 'InputError', 'MoveCollider', 'MovePin', 'PlaceCollider', 'Pose', 'Release',
-    'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider', 'Reset', 'SetKey', 'SetWind',
-    'Simulation', 'State', 'Twist', 'load', 'rollouts']
+    'Click', 'Frame', 'Grasp', 'InputError', 'LoadState', 'MoveCollider', 'MovePin',
+    'PlaceCollider', 'Pose', 'Release', 'ReleaseAll', 'RemoveAllColliders', 'RemoveCollider',
+    'Reset', 'SaveState', 'SetKey', 'SetState', 'SetWind', 'Simulation', 'State', 'Twist', 'load',
+    'rollouts']
 
 Result = TypeVar('Result')
 

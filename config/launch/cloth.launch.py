@@ -22,6 +22,8 @@ from launch_ros.parameter_descriptions import ParameterValue
 import yaml
 
 SHARE = Path(__file__).resolve().parents[1]    # holds launch/, views/, scenes/, cloth_node.yaml
+OTHER_TOPICS = ('markers', 'clicked_point', 'pin_handles/update', 'pin_handles/feedback',
+                'pin_handles/get_interactive_markers')    # of RViz' view, besides the clouds
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -65,6 +67,8 @@ def nodes(context):
                   for name, value in given.items() if value}
     parameters['use_sim_time'] = ParameterValue(
         LaunchConfiguration('use_sim_time'), value_type=bool)
+    if LaunchConfiguration('rviz').perform(context) == 'true':
+        parameters['interactive_markers'] = True
     file = LaunchConfiguration('params_file').perform(context)
     if not Path(file).is_file():    # launch would warn, and start the node without it
         raise ValueError(f'params_file: no such file: {file}')
@@ -81,7 +85,7 @@ def nodes(context):
         arguments=['-d', str(view(cloths))],
         parameters=[{'use_sim_time': parameters['use_sim_time']}],
         remappings=[(f'/cloth/{topic}', f'/{namespace}/cloth/{topic}')
-                    for topic in (*clouds(cloths), 'markers') if namespace],
+                    for topic in (*clouds(cloths), *OTHER_TOPICS) if namespace],
         condition=IfCondition(LaunchConfiguration('rviz')))
     return [rviz, cloth]    # rviz first: where it is missing, launch gives up with nothing started
 

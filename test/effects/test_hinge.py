@@ -9,6 +9,7 @@ from support.scenes import run, run_stage, simulate
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.commands import SetState
 from xpbd_ros.sim.measure import kinetic_energy
 from xpbd_ros.sim.particles.state import places, Substep
 from xpbd_ros.sim.stepping import stages
@@ -197,3 +198,20 @@ def test_a_fold_opens_with_the_energy_that_it_stores(name):
                          if simulation.step()))
     assert max(moving) == pytest.approx(stored, rel=0.05)
     assert min(left) < 0.02 * stored
+
+
+def test_a_fold_that_is_set_is_no_turn_of_the_one_before():
+    """From 170° up to 170° down is not 20° further."""
+    def folded(degrees):
+        x = simulate((3, 2), effects={'hinge': {'stiffness': B}}, gravity=(0, 0, 0)).frame().x
+        turn = np.radians(degrees)
+        beyond = np.maximum(x[:, 0] - 0.5, 0.0)
+        x[:, 2] = np.sin(turn) * beyond
+        x[:, 0] += (np.cos(turn) - 1.0) * beyond
+        return SetState('c', tuple(x.ravel().tolist()))
+
+    found = []
+    for commands in [folded(170.0), folded(-170.0)], [folded(-170.0)]:
+        simulation = simulate((3, 2), effects={'hinge': {'stiffness': B}}, gravity=(0, 0, 0))
+        found.append([simulation.step([command]) for command in commands][-1].x)
+    assert np.array_equal(*found)

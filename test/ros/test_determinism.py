@@ -11,8 +11,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from support.logs import recorded_inputs, state_hashes
 from support.node import child_environment, Cloth, collider, pin, pose_stamped, targets
+from support.repeated import repeated
 from support.strict_reader import read_strictly
-from xpbd_ros.log.reader import LogReader
 from xpbd_ros.node_stress.node import SCENE
 
 AUTO = SCENE.replace(', substeps: SUBSTEPS', '').replace('0.004}', '0.004, mesh_nodes: 50000}')
@@ -56,6 +56,7 @@ def play(cloth, wait) -> None:
     wait(10)
     cloth.peer.say(f'{cloth.name}/collider_states', targets(ball=(0.05, 0.1, 0.15), twist=rub))
     assert cloth.set(**{STIFF: 2500.0}) == (True, '')
+    assert cloth.trigger('save_state')[0], 'behind the key, from which auto chooses substeps'
     wedge = collider('wedge', (0.0, 0.1, -0.03), (0.1, 0.1, 0.1), kind=Marker.TRIANGLE_LIST)
     a, b, c, d = (Point(x=x, y=y, z=z) for x, y, z in (
         (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
@@ -77,7 +78,9 @@ def play(cloth, wait) -> None:
     cloth.mark(pin('again', (0.0, 0.0, 0.004), radius=0.05))
     assert cloth.set(solver__substeps=11, effects__damping__rate=0.3) == (True, '')
     wait(10)
-    cloth.mark(pin('', action=Marker.DELETEALL))
+    assert cloth.trigger('load_state')[0]
+    wait(10)
+    assert cloth.trigger('release_all')[0]
     wait(20)
 
 
@@ -92,22 +95,6 @@ def record(cloth, run, mode: str, wait) -> dict[int, int]:
     assert cloth.record(False) == (True, str(run))
     assert read_strictly(run)['/parameter_events'] > 0
     return state_hashes(run)
-
-
-def repeated(run, folder) -> dict[int, int]:
-    """Return the hashes of a log's inputs applied to a log's scene by ``xpbd_ros run``."""
-    (folder / 'scene.yaml').write_text(LogReader(run).scene)
-    last = max(state_hashes(run))
-    done = subprocess.run(
-        [sys.executable, '-m', 'xpbd_ros', 'run', folder / 'scene.yaml', '--commands', run,
-         '-o', folder / 'again', '--json', '-'],
-        env=child_environment(), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)['refused'] == 0
-    assert json.loads(done.stdout)['commands']['identical']
-    assert json.loads(done.stdout)['frames'] == last
-    assert recorded_inputs(folder / 'again') == recorded_inputs(run)
-    return state_hashes(folder / 'again')
 
 
 def test_lockstep_twice_gives_the_same_bits(cloth, tmp_path):
@@ -128,7 +115,7 @@ def test_a_run_in_real_time_can_be_repeated_from_its_log(cloth, tmp_path):
     first = record(cloth, run, 'realtime', wait)
     kinds = {topic for _, topic in recorded_inputs(run)}
     assert kinds == {'pins', 'pin_targets', 'colliders', 'collider_states', 'parameter_events',
-                     'resets'}
+                     'resets', 'saved_states'}
     assert cloth.get('solver.substeps') == [11]
     assert set(first) == set(range(max(first) + 1)), 'every frame'
     assert repeated(run, tmp_path) == first

@@ -18,6 +18,7 @@ from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.inputs import (
     count_in,
+    input_of,
     INPUTS,
     read_colliders,
     read_pins,
@@ -28,7 +29,9 @@ from xpbd_ros.ros.inputs import (
 )
 from xpbd_ros.sim import commands
 from xpbd_ros.sim.commands import (
+    Click,
     Grasp,
+    LoadState,
     MoveCollider,
     MovePin,
     PlaceCollider,
@@ -38,7 +41,9 @@ from xpbd_ros.sim.commands import (
     RemoveAllColliders,
     RemoveCollider,
     Reset,
+    SaveState,
     SetKey,
+    SetState,
     SetWind,
 )
 
@@ -242,7 +247,9 @@ def random_commands(count: int) -> list[commands.Command]:
              lambda: SetKey('solver.substeps', noise.randint(1, 99)),
              lambda: SetKey('gravity', [number(), number(), number()]),
              lambda: SetKey('cloths.towel.friction', noise.random()),
-             lambda: SetWind((number(), number(), number()))]
+             lambda: SetWind((number(), number(), number())),
+             lambda: Click((number(), number(), number())), SaveState, LoadState,
+             lambda: SetState('towel', tuple(number() for _ in range(6)))]
     return [noise.choice(kinds)() for _ in range(count)]
 
 
@@ -251,7 +258,7 @@ def test_commands_come_out_of_the_log_as_they_went_in():
     before = random_commands(2000)
     after = []
     for topic, message in as_messages(before, 'world', 1_700_000_000_123_456_789):
-        kind, read = INPUTS[topic.rsplit('/', 1)[-1]][:2]
+        kind, read = input_of(topic)[:2]
         after += read(unpacked(serialize_message(message), kind), 'world')
     assert list(map(repr, after)) == list(map(repr, before))    # repr tells -0.0 from 0.0
 

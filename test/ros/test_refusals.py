@@ -5,22 +5,24 @@ import random
 import struct
 import time
 
-from geometry_msgs.msg import PoseStamped, Twist
+from geometry_msgs.msg import PointStamped, PoseStamped, Twist
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import MultiDOFJointState
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from support.node import Cloth, collider, PATIENCE, pin, points, pose_stamped, targets
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.clouds import cloud_of
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
 KINDS = {'pins': MarkerArray, 'pin_targets': MultiDOFJointState,
          'colliders': MarkerArray, 'collider_states': MultiDOFJointState,
-         'collider/ball/pose': PoseStamped}
+         'collider/ball/pose': PoseStamped, 'clicked_point': PointStamped,
+         'set_state': PointCloud2}
 TINY = Twist()
 TINY.linear.x = 1e-200
 """its square is 0"""
@@ -39,7 +41,34 @@ def uneven() -> MultiDOFJointState:
     return message
 
 
+def clicked(x: float, frame_id: str = 'world') -> PointStamped:
+    """Return a message for ~/clicked_point."""
+    message = PointStamped()
+    message.header.frame_id, message.point.x = frame_id, float(x)
+    return message
+
+
+def cloud(count: int, frame_id: str = 'world', **changes) -> PointCloud2:
+    """Return a message for ~/set_state."""
+    message = cloud_of([0.0] * 3 * count, frame_id, 0)
+    for name, value in changes.items():
+        setattr(message, name, value)
+    return message
+
+
 BAD = {
+    'clicked_point': [
+        (clicked(1.2), 'no particle within 0.05 m of [1.2, 0.0, 0.0]; the nearest is 1 m away'),
+        (clicked(nan), 'point [nan, 0.0, 0.0] is not finite'),
+        (clicked(0.0, 'camera'), "header: TF frame 'camera' is not the scene's 'world'"),
+        (b'\0\1\0\0', 'cannot be unpacked'),
+    ],
+    'set_state': [
+        (cloud(80), "80 points, and 'towel' has 81 particles: too few to register"),
+        (cloud(99, 'camera'), "header: TF frame 'camera' is not the scene's 'world'"),
+        (cloud(99, fields=[]), 'fields: no x, y, z (there are: none)'),
+        (cloud(99, row_step=2000), '1 rows of 99 points of 24 bytes, row_step 2000: and there'),
+    ],
     'pins': [
         (markers(pin('a', CORNER, frame_id='map')),
          "marker a/0: TF frame 'map' is not the scene's 'world'; transform it first"),

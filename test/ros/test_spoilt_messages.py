@@ -5,14 +5,16 @@ from dataclasses import astuple
 import math
 import random
 
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from geometry_msgs.msg import PointStamped, Vector3Stamped
 import pytest
 from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from support.node import collider, pin, pose_stamped, targets
+from xpbd_ros.ros.clouds import cloud_of
 from xpbd_ros.ros.command_queue import CommandQueue
-from xpbd_ros.ros.inputs import INPUTS, read_pose
+from xpbd_ros.ros.inputs import input_of
 
 NAN = float('nan')
 GOOD = {
@@ -22,11 +24,13 @@ GOOD = {
                   MarkerArray(markers=[collider('c', kind=3, lifetime_ns=5)])],
     'pin_targets': [targets(a=(0, 0, 1), b=(NAN, 0, 0)), targets(a=(1, 2, 3), stamp=10**18)],
     'collider_states': [targets(ball=(0, 0, 1))],
-    'pose': [pose_stamped((0, 0, 0)), pose_stamped((0, 0, 0), frame_id='é')],
+    'collider/a/pose': [pose_stamped((0, 0, 0)), pose_stamped((0, 0, 0), frame_id='é')],
     'wind': [Vector3Stamped()],
+    'clicked_point': [PointStamped()],
+    'saved_states': [String(data='save')],
+    'cloth/a/set_state': [cloud_of([0.1 * k for k in range(24)], 'world', 10**9)],
 }
-"""messages to begin with, by the last word of the topic"""
-ONE_POSE = (PoseStamped, lambda message, frame_id: read_pose(message, frame_id, 'ball'))
+"""messages to begin with, by topic"""
 NUMBERS = [b'\xff' * 4, b'\xff' * 8, b'\0' * 8, b'\xff\xff\xff\x7f', b'\0\0\0\x80',
            b'\0\0\0\0\0\0\xf0\x7f', b'\0\0\0\0\0\0\xf8\x7f', b'\xff\xff\xff\xff\xff\xff\xef\x7f',
            b'\x01\0\0\0\0\0\0\0', b'\xc3\x28\xff\0']
@@ -68,7 +72,7 @@ def attack(count: int, seed: int) -> Counter:
     found = Counter()
     for _ in range(count):
         name = noise.choice(list(GOOD))
-        kind, read = {**INPUTS, 'pose': ONE_POSE}[name][:2]
+        kind, read = input_of(f'/{name}')[:2]
         before = box.accepted.total(), box.refused.total()
         data = spoilt(noise, noise.choice(sent[name]))
         box.take(f'/{name}', data, kind, lambda message, read=read: read(message, 'world'))

@@ -77,21 +77,23 @@ PINS = 'effects: {pin: {}}\n'
 CORNER = 'pins: {a: {cloth: sheet, at: corner_00}}\n'
 CONTACT = 'effects: {contact: {thickness: 0.004}}\n'
 BALL = 'colliders: {ball: {sphere: {radius: 0.1}, position: [9, 0, 0]}}\n'
-ONE = {'/cloth/markers', '/cloth/scene', '/cloth/particles', '/cloth/mesh'}
-OF_PINS = {'/cloth/pins', '/cloth/pin_targets'}
+ONE = {'/cloth/markers', '/cloth/scene', '/cloth/recording', '/cloth/particles', '/cloth/mesh'}
+OF_PINS = {'/cloth/pins', '/cloth/pin_targets', '/cloth/clicked_point'}
+OF_A = {'/cloth/pin_states', '/cloth/pin/a/wrench'}
 OF_COLLIDERS = {'/cloth/colliders', '/cloth/collider_states', '/cloth/collider/ball/pose'}
 
 
 @pytest.mark.parametrize(('text', 'publishes', 'listens'), [
     (SHEET, ONE, set()),
     (SHEET + PINS, ONE | {'/cloth/pin_states'}, OF_PINS),
-    (SHEET + CORNER, ONE | {'/cloth/pin_states'}, OF_PINS),
+    (SHEET + CORNER, ONE | OF_A, OF_PINS | {'/cloth/pin/a/target'}),
     (SHEET + CONTACT, ONE, {'/cloth/colliders', '/cloth/collider_states'}),
     (SHEET + BALL + CONTACT, ONE, OF_COLLIDERS),
     (SHEET + 'effects: {wind: {velocity: [1, 0, 0]}}\n', ONE, {'/cloth/wind'}),
 ], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders', 'effects.wind'])
 def test_topics_follow_the_scene(use, text, publishes, listens):
     cloth = use(text)
+    listens = {*listens, '/cloth/set_state'}
     cloth.peer.until(lambda: cloth.topics() == (publishes, listens), f'{publishes}, {listens}',
                      cloth.topics)
 
@@ -101,10 +103,11 @@ def test_several_cloths_have_topics_each(use):
     second = sheet.replace('cloths:\n', '').replace('sheet:', 'second:').replace(
         'density', 'pose: {position: [0, 0, 1]}\n    density').replace('[7, 5]', '[3, 4]')
     cloth = use(f'{sheet}{second}solver:{solver}')
-    publishes = {'/cloth/markers', '/cloth/scene', *(
+    publishes = {'/cloth/markers', '/cloth/scene', '/cloth/recording', *(
         f'/cloth/cloth/{name}/{what}' for name in ('sheet', 'second')
         for what in ('particles', 'mesh'))}
-    cloth.peer.until(lambda: cloth.topics() == (publishes, set()), f'{publishes}',
+    listens = {f'/cloth/cloth/{name}/set_state' for name in ('sheet', 'second')}
+    cloth.peer.until(lambda: cloth.topics() == (publishes, listens), f'{publishes}',
                      cloth.topics)
     heard = {name: cloth.peer.hear(PointCloud2, f'/cloth/cloth/{name}/particles')
              for name in ('sheet', 'second')}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from support.scenes import simulate
+from support.meshes import ball, file_of
+from support.scenes import hang, run_until_still, simulate
 from xpbd_ros.sim import measure
 
 
@@ -56,3 +57,61 @@ def test_the_largest_strain_is_that_of_the_worst_grid_edge():
 @pytest.mark.parametrize('grid', [(1, 1), (1, 4), (4, 1)])
 def test_a_cloth_without_a_direction_has_no_strain_there(grid):
     assert measure.largest_strain(simulate(grid)) < 1e-14
+
+
+def moved(simulation, seed: int = 4) -> np.ndarray:
+    """Return positions of its first cloth, each off by some centimetres, shape (particles, 3)."""
+    x = simulation.frame().x[simulation.cloths[0].particles]
+    return x + np.random.default_rng(seed).normal(0.0, 0.03, x.shape)
+
+
+@pytest.mark.parametrize('grid', [(4, 3), (1, 4), (4, 1), (1, 1)])
+def test_a_particle_of_a_grid_has_the_largest_strain_of_its_edges(grid):
+    simulation = simulate(grid, (0.3, 0.4))
+    cloth, x = simulation.cloths[0], moved(simulation)
+    columns, rows = grid
+    expected = np.zeros((rows, columns))
+    for row in range(rows):
+        for column in range(columns):
+            for r, c, rest in [(row, column + d, cloth.mesh.spacing[0]) for d in (-1, 1)] + [
+                    (row + d, column, cloth.mesh.spacing[1]) for d in (-1, 1)]:
+                if 0 <= r < rows and 0 <= c < columns:
+                    apart = np.linalg.norm(x[row * columns + column] - x[r * columns + c])
+                    expected[row, column] = max(expected[row, column], abs(apart / rest - 1.0))
+    assert measure.strains(cloth, x) == pytest.approx(expected.ravel(), abs=1e-14)
+
+
+def test_a_particle_of_a_mesh_has_the_largest_strain_of_its_edges():
+    simulation = simulate(mesh=True)
+    cloth, x = simulation.cloths[0], moved(simulation)
+    expected = np.zeros(len(x))
+    for a, b in cloth.mesh.edges.tolist():
+        rest = np.linalg.norm(cloth.mesh.positions[a] - cloth.mesh.positions[b])
+        strain = abs(np.linalg.norm(x[a] - x[b]) / rest - 1.0)
+        expected[a], expected[b] = max(expected[a], strain), max(expected[b], strain)
+    assert measure.strains(cloth, x) == pytest.approx(expected, rel=1e-12)
+    simulation.state.x[:, simulation.slot] = x.T
+    assert measure.strains(cloth, x).max() == measure.largest_strain(simulation)
+
+
+def test_normals_of_a_ball_point_outward():
+    vertices, triangles = ball(2)
+    simulation = simulate(mesh=file_of(vertices, triangles))
+    found = measure.normals(simulation.cloths[0], vertices)
+    outward = vertices / np.linalg.norm(vertices, axis=1)[:, None]
+    assert (found * outward).sum(1) == pytest.approx(1.0, abs=1e-3)
+    flat = simulate((3, 2))
+    assert (measure.normals(flat.cloths[0], flat.frame().x) == [0.0, 0.0, 1.0]).all()
+    assert (measure.normals(flat.cloths[0], flat.frame().x * 0.0) == 0.0).all(), 'no area'
+
+
+def test_the_tension_of_a_hanging_strip_is_the_weight_below():
+    simulation = hang(4, effects={'stretch': {'compliance': 1e-4}})
+    run_until_still(simulation)
+    assert measure.has_tensions(simulation)
+    weight = 9.80665 * simulation.state.mass[simulation.slot]
+    below = np.cumsum(weight[::-1])[::-1][1:]    # at each edge
+    found = measure.tensions(simulation)
+    assert found[1:] == pytest.approx(below, rel=1e-9), 'the edge above pulls most'
+    assert found[0] == found[1]
+    assert not measure.has_tensions(simulate((2, 1)))

@@ -72,8 +72,8 @@ def state_hashes(run) -> dict[int, int]:
 
 def recorded_inputs(run) -> list[tuple[int, str]]:
     """Return the frames at which there was an input, and its topic."""
-    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'wind',
-             'parameter_events', 'resets')
+    known = ('pins', 'pin_targets', 'colliders', 'collider_states', 'wind', 'clicked_point',
+             'parameter_events', 'resets', 'saved_states', 'set_state')
     return [(message.frame, message.topic.rsplit('/', 1)[-1])
             for message in LogReader(run).messages()
             if message.topic.rsplit('/', 1)[-1] in known]

@@ -34,6 +34,12 @@ from xpbd_ros.node_stress.node import SCENE, TIMEOUT as PATIENCE
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 TOWEL = SCENE.replace('SUBSTEPS', '20')
 """a towel on a table, and a ball out of its way: four corners at ±0.2 m"""
+PINNED = TOWEL + """
+pins:
+  left: {cloth: towel, at: corner_00, radius: 0.02}
+  right: {cloth: towel, near: [0.2, -0.2, 0.004], radius: 0.06}
+"""
+"""the towel with two pins"""
 WEIGHT = 0.25 * 0.4 * 0.4 * 9.80665
 """of that towel [N]"""
 OF_EVERY_NODE = '/rosout', '/parameter_events', '/diagnostics', '/clock'
@@ -217,6 +223,11 @@ class Cloth:
     def trigger(self, service: str) -> tuple[bool, str]:
         """Call one of the Trigger services."""
         answer = self.peer.ask(Trigger, f'{self.name}/{service}')
+        return answer.success, answer.message
+
+    def grasp(self, pin: str, on: bool) -> tuple[bool, str]:
+        """Call ~/pin/<name>/grasp."""
+        answer = self.peer.ask(SetBool, f'{self.name}/pin/{pin}/grasp', SetBool.Request(data=on))
         return answer.success, answer.message
 
     def record(self, on: bool) -> tuple[bool, str]:

@@ -186,8 +186,11 @@ class BuiltHinge(Built):
     def again(self):
         self.data.angle[:] = self._before
 
-    def reset(self, state, now_ns):
+    def moved(self):
         self.data.angle[:] = self.data.rest_angle
+
+    def reset(self, state, now_ns):
+        self.moved()
 
     def adopt(self, old):
         self.data.angle[:] = old.data.angle

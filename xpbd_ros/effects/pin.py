@@ -39,7 +39,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, ReleaseAll
+from xpbd_ros.sim.commands import Click, Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.geometry.quaternion import conjugate, interpolate, rotate
@@ -47,6 +47,7 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
 from xpbd_ros.sim.pins.entry import Entry
+from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.states import chosen, Held, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
@@ -60,6 +61,8 @@ class Parameters:
     max_pins: int = quantity(16, minimum=1, maximum=10_000, doc='most pins at a time')
     compliance: float = quantity(0.0, unit='m/N', minimum=0.0, doc='default compliance')
     slip: float | None = quantity(None, unit='N', above=0.0, doc='default release force')
+    click_radius: float = quantity(0.05, unit='m', above=0.0,
+                                   doc='largest distance of a click from its particle')
 
 
 class Pin(NamedTuple):
@@ -204,6 +207,8 @@ class BuiltPin(Built):
                                 np.zeros((count, 3))),)
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
+        self.open: dict[str, Motion] = {}
+        """pins of the scene that hold nothing, and follow their targets"""
         self._wrench = np.zeros((slots, 6))
         self.states = self._states(np.inf)
         self.pinned_changed = True
@@ -212,11 +217,12 @@ class BuiltPin(Built):
         self._v_before = np.zeros((3, 0))
         self._news: list[str] = []
         self.commands = {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
-                         MovePin: self.move}
+                         MovePin: self.move, Click: self.click}
 
     def reset(self, state, now_ns):
         for name in list(self.held):
             self._let_go(name, state)
+        self.open.clear()
         self.slipped = 0
         self.free_slots.sort()
         for name, entry in self.entries.items():
@@ -262,6 +268,7 @@ class BuiltPin(Built):
         for pin in self._lists:
             pin.last[particles] = pin.older[particles] = 0.0
         self.held[name] = held
+        self.open.pop(name, None)
         self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
                                                                   *pose.orientation)
         self._changed()
@@ -294,44 +301,32 @@ class BuiltPin(Built):
     def refusal(self, commands, state):
         if all(isinstance(command, MovePin) and command.pin in self.held for command in commands):
             return None    # no copy of all pins for each of a hundred targets
-        holds = {name: held.particles for name, held in self.held.items()}
-        taken = self._taken(state) if any(isinstance(c, Grasp) for c in commands) else None
-        for command in commands:
-            gone = list(holds) if isinstance(command, ReleaseAll) else []
-            if isinstance(command, Grasp):
-                if command.pin in holds:
-                    continue
-                if len(holds) == len(self.data.start):
-                    return f'all {len(holds)} pins are in use (effects.pin.max_pins)'
-                assert taken is not None
-                near, nearest = self._near(command, taken, state)
-                if not len(near):
-                    return (f"pin '{command.pin}': no free particle within {command.radius:g} m "
-                            f'of {[round(c, 4) for c in command.pose.position]}; the nearest is '
-                            f'{nearest:.3g} m away')
-                holds[command.pin], taken[near] = near, True
-            elif not isinstance(command, ReleaseAll):
-                if command.pin not in holds:
-                    return (f"pin '{command.pin}' holds nothing (holding: "
-                            f'{", ".join(holds) or "none"})')
-                gone = [command.pin] if isinstance(command, Release) else []
-            for name in gone:
-                particles = holds.pop(name)
-                if taken is not None:
-                    taken[particles] = False
-        return None
+        return Picking({name: held.particles for name, held in self.held.items()},
+                       self._taken(state), self.entries, len(self.data.start),
+                       self.usual.click_radius).refusal(commands, state)
 
-    def _near(self, command, taken, state) -> tuple[np.ndarray, float]:
-        """Return the slots that a grasp takes, and the distance to the nearest free one [m]."""
-        distance = length(places(state.x) - command.pose.position)
-        distance[taken] = np.inf
-        return np.flatnonzero(distance <= command.radius), float(distance.min())
+    def click(self, command, clock, state) -> None:
+        """Hold the particle nearest to a point, or release the pin that holds it."""
+        nearest, _ = nearest_particle(command, state)
+        holder = next((name for name, held in self.held.items() if nearest in held.particles),
+                      None)
+        if holder is not None:
+            self._let_go(holder, state)
+            return
+        x, y, z = state.x[:, nearest].tolist()
+        name = unused_name((*self.held, *self.entries))
+        self._hold(name, np.array([nearest]), Pose((x, y, z)), state)
+
+    def pose(self, name: str) -> Pose:
+        """Return the present pose of a pin of the scene, or of an active one."""
+        held = self.held.get(name)
+        return self.open[name].pose if held is None else held.motion.pose
 
     def grasp(self, command, clock, state) -> None:
         """Hold the free particles near a point; a pin that holds already moves there instead."""
         held = self.held.get(command.pin)
         if held is None:
-            near, _ = self._near(command, self._taken(state), state)
+            near, _ = within(command, self._taken(state), state)
             held = self._hold(command.pin, near, command.pose, state)
         else:
             held.motion.aim(command.pose, None, 0, clock.begin_ns)
@@ -349,6 +344,8 @@ class BuiltPin(Built):
 
     def _let_go(self, name: str, state) -> None:
         held = self.held.pop(name)
+        if name in self.entries:
+            self.open[name] = held.motion
         self.free_slots.insert(0, held.slot)
         state.inv_mass[held.particles] = 1.0 / state.mass[held.particles]
         forget(state, held.particles)
@@ -356,16 +353,18 @@ class BuiltPin(Built):
 
     def move(self, command, clock, state) -> None:
         """Set the target of a pin."""
-        held = self.held[command.pin]
-        held.renew(clock.begin_ns)
-        held.motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
+        held = self.held.get(command.pin)
+        motion = self.open[command.pin] if held is None else held.motion
+        motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
+        if held is not None:
+            held.renew(clock.begin_ns)
 
     def begin(self, clock, state):
         for name in [n for n, held in self.held.items()
                      if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]:
             self._let_go(name, state)
         motions = [held.motion for held in self.held.values()]
-        for motion in motions:
+        for motion in (*motions, *self.open.values()):
             motion.advance(clock.end_ns, clock.dt)
         if motions:
             slots = [held.slot for held in self.held.values()]

@@ -13,7 +13,6 @@ import time
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
@@ -25,12 +24,15 @@ from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
 from xpbd_ros.ros.inputs import topic_of
+from xpbd_ros.ros.interaction import Interaction
 from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
+from xpbd_ros.ros.particle_fields import words_of
+from xpbd_ros.ros.process import run
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.services import Services
-from xpbd_ros.ros.signals import exit_at_once_on_signals, ignore_signals, interrupt_on_signals
+from xpbd_ros.ros.signals import exit_at_once_on_signals
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
 from xpbd_ros.ros.topics import Topics
@@ -38,7 +40,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
-from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.commands import Command, SetKey
 from xpbd_ros.sim.simulation import Simulation
 
 POLL = 0.002
@@ -62,6 +64,7 @@ class ClothNode(LifecycleNode):
         self.stamps = Stamps()
         self.topics: Topics | None = None
         self.node_services: Services | None = None
+        self.interaction: Interaction | None = None
         self.live_parameters = LiveParameters(self)
         self._answer_every_transition()
 
@@ -123,14 +126,21 @@ class ClothNode(LifecycleNode):
         if changed:
             self.command_queue.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
         self.outputs = Outputs(simulation, scene.top.frame_id,
-                               scene_text(scene, simulation.solver))
+                               scene_text(scene, simulation.solver),
+                               fields=words_of(self.value('particle_fields')),
+                               marker_color=self.value('marker_color'))
+        for text in self.outputs.notes:
+            log.warning(text)
         self.status = Status(self)
         self.error_monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                                           most=scene.top.solver.max_substeps)
+        self.interaction = Interaction(self)
         self.topics = Topics(self, scene, self.outputs, self._take,
-                             clock=self.value('publish_clock'))
+                             clock=self.value('publish_clock'),
+                             read_cloud=self.interaction.clouds.read)
         self.topics.open()
         self.node_services = Services(self)
+        self._substeps = simulation.solver.substeps
         for text in self.live_parameters.unknown():
             log.warning(text)
 
@@ -150,7 +160,7 @@ class ClothNode(LifecycleNode):
     def on_activate(self, state):
         """Publish the initial state, open the log of ``record.path``, and start stepping."""
         result = super().on_activate(state)
-        self._begun = False
+        self.begun = False
         self._next_markers = self._next_diagnostics = 0.0
         self.status.begin()
         if self.waits:
@@ -203,10 +213,10 @@ class ClothNode(LifecycleNode):
             folder = Path(self.value('record.path'))
             own = folder.exists() and folder.absolute() in self._recorded
             self.start_recording(fresh_folder('node') if own else folder)
-        for topic, data in self.outputs.start().items():
-            self.topics.publish(topic, data)
+        self._publish(self.outputs.start())
+        self._publish_recording()
         self._publish(self.outputs.frame(frame, self.stamps.last_ns))
-        self._begun = True
+        self.begun = True
 
     def on_deactivate(self, state):
         """Stop stepping and close the log."""
@@ -220,10 +230,10 @@ class ClothNode(LifecycleNode):
 
     def _release(self) -> None:
         """Release all that ``_configure`` created, also where it failed halfway."""
-        for part in (self.topics, self.node_services, self.error_monitor):
+        for part in (self.topics, self.node_services, self.interaction, self.error_monitor):
             if part is not None:
                 part.close()
-        self.topics = self.node_services = self.error_monitor = None
+        self.topics = self.node_services = self.interaction = self.error_monitor = None
         if self.simulation is not None:
             self.command_queue.close()
         self.simulation = None
@@ -264,11 +274,10 @@ class ClothNode(LifecycleNode):
 
     def step(self, late_ns=None) -> None:
         """Compute, publish and record one frame; ``late_ns()`` is how long ago it was due."""
-        if not self._begun:
+        if not self.begun:
             self._publish_initial_state()
         assert self.simulation is not None and self.topics is not None
         assert self.error_monitor is not None
-        substeps = self.simulation.solver.substeps
         begin = time.perf_counter()
         frame = self.simulation.step([*self.command_queue.drain(), *self.error_monitor.commands()],
                                      keep=self.error_monitor.due())
@@ -276,17 +285,20 @@ class ClothNode(LifecycleNode):
         self.error_monitor.look(now - begin)
         self.status.timing.add(1e3 * (now - begin), now)
         for command, reason in frame.refused:
-            self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
+            self.refuse(command, reason)
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
         due = frame.index % self.publish_every == 0
         encoded = self.outputs.frame(frame, stamp_ns) if due else {}
+        if due:
+            self._publish(self.outputs.wrenches(frame, stamp_ns, self.topics.is_heard))
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
             encoded['scene'] = self._changed(keys)
-            frame = with_chosen_substeps(frame, keys.get('solver.substeps', substeps),
+            frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
                                          self.simulation.solver.substeps)
+            self._substeps = self.simulation.solver.substeps
         if self.makes_clock:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
@@ -299,6 +311,10 @@ class ClothNode(LifecycleNode):
                 self.get_logger().error(f'recording stopped: {error}')
                 self.stop_recording()
         self._publish_on_wall_time(frame)
+
+    def refuse(self, command: Command, reason: str) -> None:
+        """Count and report a refused command under its topic."""
+        self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
 
     def _changed(self, keys: dict) -> bytes:
         """
@@ -316,7 +332,7 @@ class ClothNode(LifecycleNode):
         return self.outputs.scene(scene_text(self.scene, solver))
 
     def _idle(self) -> None:
-        if not self._begun and not self.waits:
+        if not self.begun and not self.waits:
             self._publish_initial_state()
         if self.recorder is not None:
             self.recorder.log.flush_if_due()
@@ -332,6 +348,8 @@ class ClothNode(LifecycleNode):
             if self.topics.is_heard('markers'):
                 for data in self.outputs.markers(frame, self.stamps.last_ns):
                     self.topics.publish('markers', data)
+        if self.interaction is not None:
+            self.interaction.publish()
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + 1.0
             self.topics.publish('/diagnostics', self.status.message())
@@ -363,12 +381,20 @@ class ClothNode(LifecycleNode):
                       'mode': self.value('mode')},
             files=as_attachments(self.scene.raw))
         self._recorded.add(folder.absolute())
+        self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')
+
+    def _publish_recording(self) -> None:
+        """Publish the path of the log, empty without one."""
+        if rclpy.ok() and self.topics is not None:
+            self._publish(self.outputs.recording(
+                '' if self.recorder is None else str(self.recorder.folder.absolute())))
 
     def stop_recording(self) -> None:
         """Finish the log, if one is open."""
         recorder, self.recorder = self.recorder, None
         if recorder is not None:
+            self._publish_recording()
             try:
                 recorder.close()
                 self._log_or_print('info', f'recorded {recorder.folder.absolute()}')
@@ -394,48 +420,9 @@ def with_chosen_substeps(frame, asked: int, chosen: int):
     return replace(frame, applied=(*frame.applied, SetKey('solver.substeps', chosen)))
 
 
-def spin(node: ClothNode) -> None:
-    """Spin until shutdown; report and skip a /clock before time 0, at which rclpy raises."""
-    while True:
-        try:
-            rclpy.spin(node)
-            return
-        except ValueError as error:
-            if 'must not be negative' not in str(error):
-                raise
-            node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the node until a signal; return 0, 1 if stepping failed, 2 if it cannot start."""
-    interrupt_on_signals()
-    node = None
-    try:
-        rclpy.init(args=args)
-        node = ClothNode()
-        if node.value('autostart'):
-            good = TransitionCallbackReturn.SUCCESS
-            if node.trigger_configure() != good or node.trigger_activate() != good:
-                return 2 if rclpy.ok() else 0
-        spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except ParameterException as error:
-        print(f'cloth_node: {error}', file=sys.stderr)
-        return 2
-    except RuntimeError as error:
-        if node is None:
-            print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
-            return 2
-        if rclpy.ok():    # otherwise the context was shut down during a call
-            raise
-    finally:
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
-        ignore_signals()
-    return 1 if node is not None and node.failed else 0
+    return run(ClothNode, args)
 
 
 if __name__ == '__main__':

@@ -6,17 +6,27 @@ Convert commands to the messages that the log keeps.
 
 from itertools import groupby
 
-from geometry_msgs.msg import Point, Transform, Twist as TwistMessage, Vector3, Vector3Stamped
+from geometry_msgs.msg import (
+    Point,
+    PointStamped,
+    Transform,
+    Twist as TwistMessage,
+    Vector3,
+    Vector3Stamped,
+)
 from rcl_interfaces.msg import Parameter, ParameterEvent
 from rclpy.parameter import Parameter as RclpyParameter
 from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import UInt64
+from std_msgs.msg import String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
+from xpbd_ros.ros.clouds import cloud_of
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.messages import quaternion, set_stamp, vector
 from xpbd_ros.sim.commands import (
+    Click,
     Grasp,
+    LoadState,
     MoveCollider,
     MovePin,
     PlaceCollider,
@@ -25,7 +35,9 @@ from xpbd_ros.sim.commands import (
     RemoveAllColliders,
     RemoveCollider,
     Reset,
+    SaveState,
     SetKey,
+    SetState,
     SetWind,
 )
 
@@ -58,6 +70,14 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
             found.append(('/parameter_events', event))
         elif kind is Reset:
             found.append(('resets', UInt64(data=len(group))))
+        elif kind is Click:
+            found += [('clicked_point', _click(c, frame_id, time_ns)) for c in group]
+        elif kind in (SaveState, LoadState):
+            found += [('saved_states', String(data='save' if kind is SaveState else 'load'))
+                      for _ in group]
+        elif kind is SetState:
+            found += [(f'cloth/{c.cloth}/set_state', cloud_of(c.positions, frame_id, time_ns))
+                      for c in group]
     return found
 
 
@@ -131,6 +151,13 @@ def _targets(group, frame_id: str) -> MultiDOFJointState:
 
 def _wind(command: SetWind, frame_id: str, time_ns: int) -> Vector3Stamped:
     message = Vector3Stamped(vector=vector(Vector3, command.velocity))
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, time_ns)
+    return message
+
+
+def _click(command: Click, frame_id: str, time_ns: int) -> PointStamped:
+    message = PointStamped(point=vector(Point, command.point))
     message.header.frame_id = frame_id
     set_stamp(message.header.stamp, time_ns)
     return message

@@ -15,7 +15,7 @@ import time
 
 from xpbd_ros.errors import brief, InputError
 from xpbd_ros.ros.inputs import count_in, unpacked
-from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider, SetWind
+from xpbd_ros.sim.commands import Command, MoveCollider, MovePin, PlaceCollider, SetState, SetWind
 
 MAX_WAITING = 4096
 """commands from messages that may wait for the next frame, at most"""
@@ -23,7 +23,7 @@ MAX_STAMPED = 64
 """messages with stamps about the same names that wait for the next frame, at most"""
 WARN_PERIOD = 1.0
 """time between two warnings about a topic [s]"""
-TARGETS = MovePin, MoveCollider, PlaceCollider, SetWind
+TARGETS = MovePin, MoveCollider, PlaceCollider, SetState, SetWind
 """commands of which a newer one replaces an older one"""
 
 Group = tuple[Command, ...]
@@ -146,6 +146,8 @@ def _name(command: Command):
     """Return (kind, name) of the object that a command is about; None if it is about all."""
     if isinstance(command, SetWind):
         return 'wind', ''
+    if isinstance(command, SetState):
+        return 'cloth', command.cloth
     pin, collider = getattr(command, 'pin', None), getattr(command, 'collider', None)
     if pin is not None:
         return 'pin', pin

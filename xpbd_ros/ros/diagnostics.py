@@ -90,6 +90,7 @@ class Status:
             **{f'rejected {topic}': count for topic, count in sorted(refused.items())},
             **{f'age_s {topic}': now - then for topic, then in sorted(accepted.items())},
             **simulation.stats(),
+            **node.interaction.clouds.values,
             'bytes_recorded': node.recorder.log.bytes_written if node.recorder else 0,
         }
         level, summary = self._findings(dropped, values['frames_taken_back'])

@@ -7,23 +7,34 @@ the reason.
 
 from collections.abc import Callable
 from math import isfinite
+import re
 import struct
 from typing import NamedTuple
 
-from geometry_msgs.msg import Vector3Stamped
+from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
 from rclpy.parameter import parameter_value_to_python
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import UInt64
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.ros.clouds import points_of
 from xpbd_ros.scene.read import NAME
-from xpbd_ros.sim.command_check import checked_pose, checked_twist, checked_velocity, FAR
+from xpbd_ros.sim.command_check import (
+    checked,
+    checked_point,
+    checked_pose,
+    checked_twist,
+    checked_velocity,
+    FAR,
+)
 from xpbd_ros.sim.commands import (
+    Click,
     Command,
     Grasp,
+    LoadState,
     MoveCollider,
     MovePin,
     PlaceCollider,
@@ -33,13 +44,17 @@ from xpbd_ros.sim.commands import (
     RemoveAllColliders,
     RemoveCollider,
     Reset,
+    SaveState,
     SetKey,
+    SetState,
     SetWind,
     Twist,
 )
 
 SECOND = 10**9
 """one second [ns]"""
+SAVED: dict[str, type[SaveState] | type[LoadState]] = {'save': SaveState, 'load': LoadState}
+"""commands by their words in a log"""
 MOST_RESETS = 4096
 """resets in one frame, at most; a log with more was not written by this program"""
 
@@ -175,11 +190,18 @@ def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list
     return commands
 
 
-def read_pose(message, frame_id: str, collider: str) -> list[Command]:
-    """Read ``~/collider/<name>/pose``: the target of one collider."""
+def read_pose(message, frame_id: str, name: str, kind: type = MoveCollider) -> list[Command]:
+    """Read ``~/collider/<name>/pose`` and ``~/pin/<name>/target``: the target of one."""
     stamp_ns = check_frame(message.header, frame_id, 'header')
-    return [MoveCollider(collider, pose(message.pose.position, message.pose.orientation,
-                                        collider), None, stamp_ns)]
+    return [kind(name, pose(message.pose.position, message.pose.orientation, name), None,
+                 stamp_ns)]
+
+
+def read_click(message: PointStamped, frame_id: str) -> list[Command]:
+    """Read ``~/clicked_point``: a particle to pin, or a pin to release."""
+    check_frame(message.header, frame_id, 'header')
+    point = message.point
+    return [Click(checked_point((point.x, point.y, point.z), 'point'))]
 
 
 def read_wind(message: Vector3Stamped, frame_id: str) -> list[Command]:
@@ -200,6 +222,19 @@ def read_resets(message: UInt64) -> list[Command]:
     if message.data > MOST_RESETS:
         raise InputError(f'{message.data} resets in one frame (at most {MOST_RESETS})')
     return [Reset()] * message.data
+
+
+def read_saved_states(message: String) -> list[Command]:
+    """Read ``~/saved_states`` of a log: 'save' or 'load'."""
+    if message.data not in SAVED:
+        raise InputError(f"{message.data[:40]!r} is neither 'save' nor 'load'")
+    return [SAVED[message.data]()]
+
+
+def read_set_state(message: PointCloud2, frame_id: str, cloth: str) -> list[Command]:
+    """Read ``~/cloth/<name>/set_state`` of a log: the positions of all particles of a cloth."""
+    check_frame(message.header, frame_id, 'header')
+    return [checked(SetState(cloth, tuple(points_of(message).ravel().tolist())))]
 
 
 def unpacked(raw: bytes, kind: type):
@@ -247,15 +282,39 @@ INPUTS = {
                        (PlaceCollider, RemoveCollider, RemoveAllColliders), 'contact'),
     'collider_states': Input(MultiDOFJointState, lambda m, f: read_targets(m, f, MoveCollider),
                              (MoveCollider,), 'contact'),
+    'clicked_point': Input(PointStamped, read_click, (Click,), 'pin'),
     'wind': Input(Vector3Stamped, read_wind, (SetWind,), 'wind'),
     'parameter_events': Input(ParameterEvent, lambda m, f: read_events(m), (SetKey,), None),
     'resets': Input(UInt64, lambda m, f: read_resets(m), (Reset,), None),
+    'saved_states': Input(String, lambda m, f: read_saved_states(m), (SaveState, LoadState),
+                          None),
 }
 """by topic below the node's name; a log may have all, with ``parameter_events`` at the root"""
+
+
+NAMED = {
+    re.compile(r'(?:^|/)collider/(\w+)/pose$'): lambda name: Input(
+        PoseStamped, lambda m, f: read_pose(m, f, name), (), None),
+    re.compile(r'(?:^|/)pin/(\w+)/target$'): lambda name: Input(
+        PoseStamped, lambda m, f: read_pose(m, f, name, MovePin), (), None),
+    re.compile(r'(?:^|/)cloth/(\w+)/set_state$'): lambda name: Input(
+        PointCloud2, lambda m, f: read_set_state(m, f, name), (SetState,), None),
+}
+"""inputs of one collider, pin or cloth, from its name, by the topic"""
+
+
+def input_of(topic: str) -> Input | None:
+    """Return the input on a topic of a log or of a node; None if it has none of that name."""
+    for pattern, about in NAMED.items():
+        if found := pattern.search(topic):
+            return about(found[1])
+    return INPUTS.get(topic.rsplit('/', 1)[-1])
 
 
 def topic_of(command: Command) -> str:
     """Return the topic that carries a command, or ``parameters`` for a live key."""
     if isinstance(command, SetKey):
         return 'parameters'
+    if isinstance(command, SetState):
+        return 'set_state'
     return next(topic for topic, about in INPUTS.items() if isinstance(command, about.commands))

@@ -6,6 +6,7 @@ from rcl_interfaces.msg import SetParametersResult
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.parameters import descriptor, TABLE
+from xpbd_ros.ros.particle_fields import words_of
 from xpbd_ros.scene.read import unknown
 from xpbd_ros.sim.commands import SetKey
 
@@ -72,6 +73,11 @@ class LiveParameters:
                 if simulation is not None and not row.live:
                     return refusal(f'{row.name}: is read when the node is configured; call its '
                                    'cleanup transition first')
+                if row.name == 'particle_fields':
+                    try:
+                        words_of(value)
+                    except InputError as error:
+                        return refusal(str(error))
                 if row.name == 'publish_rate' and simulation is not None:
                     try:
                         publish_interval(value, simulation)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-import re
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -12,7 +11,7 @@ from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
-from xpbd_ros.ros.inputs import INPUTS, unpacked
+from xpbd_ros.ros.inputs import input_of, unpacked
 from xpbd_ros.ros.messages import positions_in
 from xpbd_ros.ros.recorder import CHECKPOINT, type_name
 from xpbd_ros.scene.files import written_out
@@ -21,8 +20,6 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.checkpoint import restore
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.simulation import Simulation
-
-COLLIDER = re.compile(r'/collider/\w+/pose$')
 
 
 class Recording:
@@ -132,9 +129,9 @@ class Recording:
                 if last_part(topic) == name and about.type == type_name(kind)]
 
     def _commands(self) -> dict[int, list[Command]]:
-        inputs = {topic: INPUTS[last_part(topic)] for topic, about in self._reader.topics.items()
-                  if is_recorded_input(topic, about.type)}
-        found: dict[int, list[Command]] = {}
+        inputs = {topic: found for topic, about in self._reader.topics.items()
+                  if (found := input_of(topic)) and type_name(found.kind) == about.type}
+        by_frame: dict[int, list[Command]] = {}
         for message in self._reader.messages(inputs):
             about = inputs[message.topic]
             try:
@@ -143,8 +140,8 @@ class Recording:
             except InputError as error:
                 raise InputError(f'{self.path}: {message.topic}, frame {message.frame}: '
                                  f'{error}') from error
-            found.setdefault(message.frame, []).extend(commands)
-        return found
+            by_frame.setdefault(message.frame, []).extend(commands)
+        return by_frame
 
 
 def last_part(topic: str) -> str:
@@ -152,12 +149,9 @@ def last_part(topic: str) -> str:
     return topic.rsplit('/', 1)[-1]
 
 
-def is_recorded_input(topic: str, kind: str) -> bool:
-    """Return whether a log keeps inputs on a topic of this name and type."""
-    return last_part(topic) in INPUTS and type_name(INPUTS[last_part(topic)].kind) == kind
-
-
 def is_input(topic: str, kind: str) -> bool:
     """Return whether a node takes messages on a topic of this name and type as inputs."""
-    return is_recorded_input(topic, kind) or (
-        kind == 'geometry_msgs/msg/PoseStamped' and COLLIDER.search(topic) is not None)
+    about = input_of(topic)
+    if about is None:
+        return last_part(topic) == 'set_state' and kind == 'sensor_msgs/msg/PointCloud2'
+    return type_name(about.kind) == kind

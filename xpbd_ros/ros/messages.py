@@ -6,9 +6,19 @@ while the counts in it stay the same, so it is serialized once, with marker valu
 found in the bytes and overwritten each frame.
 """
 
+from collections.abc import Mapping
 import struct
+from types import MappingProxyType
 
-from geometry_msgs.msg import Point, Quaternion, Transform, Twist, Vector3, Wrench
+from geometry_msgs.msg import (
+    Point,
+    Quaternion,
+    Transform,
+    Twist,
+    Vector3,
+    Wrench,
+    WrenchStamped,
+)
 import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
@@ -17,10 +27,12 @@ from std_msgs.msg import ColorRGBA, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.sim.effect import Cloth
-from xpbd_ros.sim.pins.states import PinStates
+from xpbd_ros.sim.pins.states import PinState, PinStates
 from xpbd_ros.sim.simulation import Frame
 
 COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))
+RAMP = (0.15, 0.3, 0.75), (0.95, 0.95, 0.95), (0.8, 0.1, 0.1)
+"""blue, white, red"""
 MARK = b'\xa5\x5a\xc3\x3c'
 
 
@@ -53,10 +65,12 @@ class Cloud:
     frame_id : TF frame
     names : fields, separated by spaces
     dtype : of all fields
+    kinds : datatypes of fields that are bits in numbers of this dtype, by name
 
     """
 
-    def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32):
+    def __init__(self, cloth: Cloth, frame_id: str, names: str = 'x y z', dtype=np.float32,
+                 kinds: Mapping[str, int] = MappingProxyType({})):
         columns = names.split()
         message = PointCloud2()
         message.header.frame_id = frame_id
@@ -64,7 +78,8 @@ class Cloud:
         message.height, message.width = (1, len(cloth.slots)) if grid is None else grid.shape
         size = np.dtype(dtype).itemsize
         kind = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
-        message.fields = [PointField(name=name, offset=size * k, datatype=kind, count=1)
+        message.fields = [PointField(name=name, offset=size * k,
+                                     datatype=kinds.get(name, kind), count=1)
                           for k, name in enumerate(columns)]
         message.point_step = size * len(columns)
         message.row_step = message.point_step * message.width
@@ -94,29 +109,75 @@ def positions_in(cloud: PointCloud2) -> np.ndarray:
 
 
 class Surface:
-    """The surface of one cloth as a TRIANGLE_LIST marker, for ``~/markers``."""
+    """
+    The surface of one cloth as a TRIANGLE_LIST marker, for ``~/markers``.
 
-    def __init__(self, cloth: Cloth, index: int, frame_id: str):
+    Parameters
+    ----------
+    cloth : whose triangles
+    index : its number among the cloths
+    frame_id : TF frame
+    coloured : True if each particle has a colour
+
+    """
+
+    def __init__(self, cloth: Cloth, index: int, frame_id: str, *, coloured: bool = False):
         triangles = cloth.mesh.triangles + cloth.first
         marker = Marker(ns=cloth.name, id=index, type=Marker.TRIANGLE_LIST, action=Marker.ADD)
         marker.header.frame_id = frame_id
         marker.scale = Vector3(x=1.0, y=1.0, z=1.0)
         r, g, b = COLOURS[index % len(COLOURS)]
         marker.color = ColorRGBA(r=r, g=g, b=b, a=1.0)
-        mark = Point(x=1.25e300, y=-1.25e300, z=1.5e300)
+        mark, hue = Point(x=1.25e300, y=-1.25e300, z=1.5e300), ColorRGBA(r=1.25e30, g=-1.5e30)
         marker.points = [mark] * (3 * len(triangles))
+        marker.colors = [hue] * (3 * len(triangles) * coloured)
         self._corners = triangles.ravel()
         self._buffer = bytearray(serialize_message(MarkerArray(markers=[marker])))
         at = self._buffer.find(struct.pack('<ddd', mark.x, mark.y, mark.z))
         count = 3 * len(self._corners) if at >= 0 else 0
         self._points = np.frombuffer(self._buffer, '<f8', count, max(at, 0)).reshape(-1, 3)
+        at = self._buffer.find(struct.pack('<ff', hue.r, hue.g))
+        count = 4 * len(self._corners) if at >= 0 else 0
+        self._colours = np.frombuffer(self._buffer, '<f4', count, max(at, 0)).reshape(-1, 4)
 
-    def bytes(self, x: np.ndarray, time_ns: int) -> bytes:
-        """Return a serialized MarkerArray; ``x`` [m], shape (particles of the scene, 3)."""
+    def bytes(self, x: np.ndarray, time_ns: int, colours: np.ndarray | None = None) -> bytes:
+        """
+        Return a serialized MarkerArray.
+
+        Parameters
+        ----------
+        x : positions of all particles of the scene [m], shape (particles, 3)
+        time_ns : stamp [ns]
+        colours : r, g, b, a of all particles of the scene if coloured, shape (particles, 4)
+
+        """
         struct.pack_into('<iI', self._buffer, 8, *divmod(time_ns, 10**9))
         if len(self._points):
             self._points[:] = x[self._corners]
+        if colours is not None and len(self._colours):
+            self._colours[:] = colours[self._corners]
         return bytes(self._buffer)
+
+
+def colours(values: np.ndarray, least: float) -> np.ndarray:
+    """
+    Return colours from blue (0) over white to red (the largest value).
+
+    Parameters
+    ----------
+    values : >= 0, shape (n,)
+    least : the largest value is taken to be at least this
+
+    Returns
+    -------
+    r, g, b, a; shape (n, 4)
+
+    """
+    share = values / max(least, float(values.max(initial=0.0)))
+    found = np.ones((len(values), 4), np.float32)
+    for k, stops in enumerate(zip(*RAMP)):
+        found[:, k] = np.interp(share, np.linspace(0.0, 1.0, len(RAMP)), stops)
+    return found
 
 
 def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
@@ -177,6 +238,17 @@ class PinArray:
         struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))
         self._poses[:], self._twists[:], self._wrenches[:] = pins.poses, pins.twists, pins.wrenches
         return bytes(self._buffer)
+
+
+def pin_wrench(pin: PinState | None, frame_id: str, time_ns: int) -> WrenchStamped:
+    """Return the wrench of the cloth on a pin, about its pose; 0 for one that holds nothing."""
+    message = WrenchStamped()
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, time_ns)
+    if pin is not None:
+        message.wrench = Wrench(force=vector(Vector3, pin.force),
+                                torque=vector(Vector3, pin.torque))
+    return message
 
 
 def text(value: str) -> String:

@@ -36,6 +36,14 @@ TABLE = (
         'divide the frame rate; 0: every frame', minimum=0.0, maximum=10000.0, live=True),
     Row('marker_rate', 15.0, 'rate of ~/markers in Hz of wall time, while it has subscribers; 0: '
         'never', minimum=0.0, maximum=1000.0, live=True),
+    Row('marker_color', 'none', "colour of the surfaces in ~/markers: 'strain', 'force' (tension) "
+        "or 'none'", choices=('none', 'strain', 'force')),
+    Row('interactive_markers', False, "handles for the scene's pins in RViz: drag them, or grasp "
+        'and release from their menu'),
+    Row('particle_fields', '', "further fields of ~/particles, separated by spaces: 'velocity "
+        "normal strain pinned id'; '': none"),
+    Row('set_state_radius', 0.05, 'largest distance of a particle from its point of a cloud on '
+        '~/set_state, in m', minimum=1e-6, maximum=1e6, live=True),
     Row('record.path', '', "folder to record to from activation on; '': record only on ~/record, "
         'to a new folder', live=True),
     Row('record.flush_period', 1.0, 'a crash loses at most this much of a log, in s',

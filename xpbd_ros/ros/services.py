@@ -1,4 +1,8 @@
-"""The services of the node: ``~/pause``, ``~/play``, ``~/step``, ``~/reset``, ``~/record``."""
+"""
+The services of every node.
+
+``~/pause``, ``~/play``, ``~/step``, ``~/reset``, ``~/save_state``, ``~/load_state``, ``~/record``.
+"""
 
 from concurrent import futures
 from pathlib import Path
@@ -7,10 +11,40 @@ from std_srvs.srv import SetBool, Trigger
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
-from xpbd_ros.sim.commands import Reset
+from xpbd_ros.sim.commands import LoadState, Reset, SaveState
 
 ANSWER_SECONDS = 10.0
 """longest time that a service waits for the present frame to end [s]"""
+
+
+def answer(node, response, action, message: str):
+    """
+    Fill in the response of a service.
+
+    Parameters
+    ----------
+    node : the ``ClothNode``
+    response : of a Trigger or SetBool
+    action : is called on the stepper's thread, between two frames; an exception is the reason of
+        a failure
+    message : text of the answer, with {} for the action's result
+
+    """
+    stepper = node.stepper
+    if stepper is None:
+        response.success, response.message = False, 'the node is not active'
+        return response
+    future = stepper.ask(action)
+    try:
+        done = future.result(ANSWER_SECONDS)
+        response.success, response.message = True, message.format(done)
+    except futures.TimeoutError:
+        response.success = False
+        response.message = f'not done after {ANSWER_SECONDS:g} s' + (
+            ', and cancelled' if future.cancel() else '; it may still happen')
+    except Exception as error:
+        response.success, response.message = False, str(error)
+    return response
 
 
 class Services:
@@ -30,6 +64,8 @@ class Services:
             node.create_service(Trigger, '~/play', self._play),
             node.create_service(Trigger, '~/step', self._step),
             node.create_service(Trigger, '~/reset', self._reset),
+            node.create_service(Trigger, '~/save_state', self._save_state),
+            node.create_service(Trigger, '~/load_state', self._load_state),
             node.create_service(SetBool, '~/record', self._record),
         ]
 
@@ -39,21 +75,7 @@ class Services:
             self._node.destroy_service(service)
 
     def _answer(self, response, action, message: str):
-        stepper = self._node.stepper
-        if stepper is None:
-            response.success, response.message = False, 'the node is not active'
-            return response
-        future = stepper.ask(action)
-        try:
-            done = future.result(ANSWER_SECONDS)
-            response.success, response.message = True, message.format(done)
-        except futures.TimeoutError:
-            response.success = False
-            response.message = f'not done after {ANSWER_SECONDS:g} s' + (
-                ', and cancelled' if future.cancel() else '; it may still happen')
-        except Exception as error:
-            response.success, response.message = False, str(error)
-        return response
+        return answer(self._node, response, action, message)
 
     def _pause(self, request, response):
         def pause():
@@ -87,6 +109,19 @@ class Services:
             return self._node.simulation.index
         return self._answer(response, reset, 'back at the start, in frame {}')
 
+    def _save_state(self, request, response):
+        def save():
+            self._node.interaction.act(SaveState())
+            return self._node.simulation.index
+        return self._answer(response, save, 'saved the state of frame {}')
+
+    def _load_state(self, request, response):
+        def load():
+            self._node.interaction.act(LoadState())
+            self._node.step()
+            return self._node.simulation.index
+        return self._answer(response, load, 'back at the saved state, in frame {}')
+
     def _record(self, request, response):
         node = self._node
 
@@ -101,6 +136,8 @@ class Services:
                 raise InputError(f'already recording to {node.recorder.folder.absolute()}')
             path = node.value('record.path')
             folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
+            if node.simulation.has_pending:
+                node.step()    # with inputs of the log in front of its first frame
             node.start_recording(folder)
             return folder.absolute()
         return self._answer(response, record, '{}')

@@ -9,11 +9,13 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
 
 from xpbd_ros.ros.inlet import Inlet
 from xpbd_ros.ros.inputs import INPUTS, read_pose
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.commands import MovePin
 
 
 class Topics:
@@ -28,12 +30,14 @@ class Topics:
     take : called for each message, with the full name of its topic, the serialized message, its
         type, and a reader (message) -> commands
     clock : whether the node publishes /clock
+    read_cloud : reader (message, TF frame, cloth) -> commands of ``~/set_state``
 
     """
 
     def __init__(self, node: LifecycleNode, scene: Scene, outputs: Outputs, take: Callable, *,
-                 clock: bool):
+                 clock: bool, read_cloud: Callable):
         self._node, self._scene, self._outputs, self._take = node, scene, outputs, take
+        self._read_cloud = read_cloud
         self._clock = clock
         self._publishers: dict[str, Any] = {}
         self._inlets: list[Inlet] = []
@@ -61,6 +65,13 @@ class Topics:
             for name in self._scene.sections.get('colliders', {}):
                 self._listen(f'collider/{name}/pose', PoseStamped,
                              lambda m, f, name=name: read_pose(m, f, name))
+        cloths = self._outputs.simulation.cloths
+        for cloth in cloths:
+            self._listen(f'cloth/{cloth.name}/set_state' if len(cloths) > 1 else 'set_state',
+                         PointCloud2, lambda m, f, cloth=cloth: self._read_cloud(m, f, cloth))
+        for name in self._scene.sections.get('pins', {}):
+            self._listen(f'pin/{name}/target', PoseStamped,
+                         lambda m, f, name=name: read_pose(m, f, name, MovePin))
 
     def _listen(self, topic: str, kind: type, read: Callable) -> None:
         name = self._node.resolve_topic_name(f'~/{topic}')

@@ -7,6 +7,7 @@ from typing import Any
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
+    Click,
     Command,
     Grasp,
     MoveCollider,
@@ -15,6 +16,7 @@ from xpbd_ros.sim.commands import (
     Pose,
     Release,
     RemoveCollider,
+    SetState,
     SetWind,
     Twist,
     Vector,
@@ -53,7 +55,8 @@ def checked(command: Command) -> Command:
 
 
 def _name(command: Command) -> str:
-    name = getattr(command, 'pin', None) or getattr(command, 'collider', '')
+    name = (getattr(command, 'pin', None) or getattr(command, 'collider', None)
+            or getattr(command, 'cloth', ''))
     if not isinstance(name, str):
         raise InputError(f'{type(command).__name__}: {name!r} is not a name')
     return name
@@ -93,8 +96,21 @@ def _wind(command: SetWind, what: str) -> dict[str, Any]:
     return {'velocity': checked_velocity(command.velocity, f'{what}: velocity')}
 
 
+def _click(command: Click, what: str) -> dict[str, Any]:
+    return {'point': checked_point(command.point, f'{what}: point')}
+
+
+def _set_state(command: SetState, what: str) -> dict[str, Any]:
+    places = numbers(command.positions, len(command.positions) // 3 * 3, what,
+                     'positions: x, y, z of each particle')
+    if not all(-FAR <= c <= FAR for c in places):
+        raise InputError(f'{what}: a position is further than {FAR:g} m away, or not finite')
+    return {'positions': places}
+
+
 CHECKS: dict[type, Callable[[Any, str], dict[str, Any]]] = {
     MovePin: _move, MoveCollider: _move, Grasp: _grasp, PlaceCollider: _place, SetWind: _wind,
+    Click: _click, SetState: _set_state,
     Release: lambda command, what: {}, RemoveCollider: lambda command, what: {}}
 """check of each kind of command: returns its fields as they are to be used"""
 
@@ -134,6 +150,14 @@ def checked_twist(twist: Twist, what: str) -> Twist:
         raise InputError(f'{what}: twist {list(linear)}, {list(angular)} is faster than {FAR:g}')
     return (twist if linear is twist.linear and angular is twist.angular
             else Twist(linear, angular))
+
+
+def checked_point(point: Iterable[float], what: str) -> Vector:
+    """Return a position [m]; raise InputError if it is not finite or beyond ``FAR``."""
+    place: Vector = numbers(point, 3, what, 'coordinates')
+    if not all(-FAR <= c <= FAR for c in place):
+        raise InputError(f'{what} {list(place)} is not finite, or further than {FAR:g} m away')
+    return place
 
 
 def checked_velocity(velocity: Iterable[float], what: str) -> Vector:

@@ -45,6 +45,14 @@ class Grasp:
 
 
 @dataclass(frozen=True)
+class Click:
+    """Pin the particle nearest to a point; release the pin that holds it if there is one."""
+
+    point: Vector
+    """[m]"""
+
+
+@dataclass(frozen=True)
 class Release:
     """Release a pin; its particles regain their inverse mass."""
 
@@ -129,5 +137,29 @@ class Reset:
     """Restore the scene's initial state; simulation time continues to rise."""
 
 
-Command = (Grasp | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider | RemoveCollider
-           | RemoveAllColliders | SetWind | SetKey | Reset)
+@dataclass(frozen=True)
+class SaveState:
+    """Keep the present state in memory, for ``LoadState``."""
+
+
+@dataclass(frozen=True)
+class LoadState:
+    """
+    Restore the state of the last ``SaveState``; simulation time continues to rise.
+
+    Live keys keep their present values.
+    """
+
+
+@dataclass(frozen=True)
+class SetState:
+    """Place the free particles of a cloth, at rest; pinned particles stay at their pins."""
+
+    cloth: str
+    positions: tuple[float, ...]
+    """x, y, z of each particle in natural order [m]"""
+
+
+Command = (Grasp | Click | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider
+           | RemoveCollider | RemoveAllColliders | SetWind | SetKey | Reset | SaveState | LoadState
+           | SetState)

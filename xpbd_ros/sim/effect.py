@@ -191,6 +191,10 @@ class Built:
     def again(self) -> None:
         """Forget a frame that will be done again from its start."""
 
+    def moved(self) -> None:
+        """Forget the positions before: the particles have been placed elsewhere, at rest."""
+        self.again()
+
     def end(self, clock: Clock, state: State) -> None:
         """Look at a frame that is done."""
 

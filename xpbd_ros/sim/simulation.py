@@ -1,8 +1,8 @@
 """A compiled scene: applies commands and computes one frame at a time; no callbacks, no I/O."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 import hashlib
 from types import MappingProxyType
@@ -13,7 +13,7 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.command_check import checked
-from xpbd_ros.sim.commands import Command, Reset, SetKey
+from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
 from xpbd_ros.sim.stepping import step
@@ -93,6 +93,13 @@ class Simulation:
         self.start: Start | None = None
         """start of the last frame, if ``step`` was called with ``keep``"""
         self._retune = retune
+        self._own: dict[type, Callable[[Any], str | None]] = {
+            Reset: self._reset, SetKey: self._set, SaveState: self._keep_state,
+            LoadState: self._load_state, SetState: self._set_state}
+        self._pending: list[Command] = []    # applied since the last frame
+        self._saved: SavedState | None = None
+        self._lag = 0    # frames by which a loaded state is older than the index
+        self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
         self._crew = ThreadPool(solver.threads)
@@ -140,23 +147,9 @@ class Simulation:
         The commands of a tuple are applied together, or none of them if one is refused. With
         ``keep``, ``start`` holds a copy of the state before the frame, to compute it again.
         """
-        clock = Clock(self.index + 1, self.time_ns(self.index), self.time_ns(self.index + 1),
-                      self.frame_dt, self.solver.substeps)
-        applied: list[Command] = []
-        refused: list[tuple[Command, str]] = []
-        for group in commands:
-            group = group if isinstance(group, tuple) else (group,)
-            try:
-                group = tuple(map(checked, group))
-                reason = self._apply(group, clock)
-            except InputError as error:
-                reason = str(error)
-            if reason is None:
-                applied += group
-            else:
-                refused.append((group[0], reason))
-        if commands:
-            clock = replace(clock, substeps=self.solver.substeps)
+        refused = self.apply(commands)
+        applied, self._pending = tuple(self._pending), []
+        clock = self._clock()
         for built in self.effects.values():
             built.begin(clock, self.state)
         if any(built.pinned_changed for built in self.effects.values()):
@@ -171,8 +164,40 @@ class Simulation:
         for built in self.effects.values():
             built.end(clock, self.state)
         self.index += 1
-        return self.frame(tuple(applied), tuple(refused), tuple(
+        return self.frame(applied, tuple(refused), tuple(
             text for built in self.effects.values() for text in built.news()))
+
+    def apply(self, commands: Sequence[Command | tuple[Command, ...]]) -> list[
+            tuple[Command, str]]:
+        """
+        Apply commands, as ``step`` does, without a frame; return those refused, with the reasons.
+
+        The next frame has them in ``applied``, before its own.
+        """
+        refused: list[tuple[Command, str]] = []
+        for group in commands:
+            group = group if isinstance(group, tuple) else (group,)
+            try:
+                group = tuple(map(checked, group))
+                reason = self._apply(group)
+            except InputError as error:
+                reason = str(error)
+            if reason is None:
+                self._pending += group
+            else:
+                refused.append((group[0], reason))
+        return refused
+
+    @property
+    def has_pending(self) -> bool:
+        """True if commands were applied since the last frame."""
+        return bool(self._pending)
+
+    def _clock(self) -> Clock:
+        """Return the next frame as the effects see it: after a load, at the time of the save."""
+        index = self.index - self._lag
+        return Clock(index + 1, self.time_ns(index), self.time_ns(index + 1), self.frame_dt,
+                     self.solver.substeps)
 
     def _advance(self, substeps: int) -> None:
         self._crew.run(self._step, self._tuple, self.state, self._method(), self.frame_dt,
@@ -201,15 +226,13 @@ class Simulation:
         """Return rows x, y, z of all particles in natural order; shape (particles, 3)."""
         return places(array, self.slot)
 
-    def _apply(self, group: tuple[Command, ...], clock: Clock) -> str | None:
+    def _apply(self, group: tuple[Command, ...]) -> str | None:
         """Apply commands together, or return why not."""
         if not group:
             return None
-        if isinstance(group[0], Reset):
-            self._reset()
-            return None
-        if isinstance(group[0], SetKey):
-            return self._set(group[0])
+        if type(group[0]) in self._own:
+            return self._own[type(group[0])](group[0])
+        clock = self._clock()
         owners: dict[int, tuple[Built, list[Command]]] = {}
         for command in group:
             owner = next((built for built in self.effects.values()
@@ -226,14 +249,51 @@ class Simulation:
                 owner.commands[type(command)](command, clock, self.state)
         return None
 
-    def _reset(self) -> None:
+    def _reset(self, command: Reset) -> None:
         self.state.x[:] = self._start
         self.state.x_prev[:] = self._start
         self.state.v[:] = 0.0
         self.state.inv_mass[self.slot] = 1.0 / self.state.mass[self.slot]
         forget(self.state)
         for built in self.effects.values():
-            built.reset(self.state, self.time_ns(self.index))
+            built.reset(self.state, self._clock().begin_ns)
+
+    def _keep_state(self, command: SaveState) -> None:
+        self._saved = None    # a state holds no other
+        self._saved = self.save()
+
+    def _load_state(self, command: LoadState) -> str | None:
+        if not self._saved:
+            return 'no state has been saved'
+        index, saved, pending, keys = self.index, self._saved, self._pending, self._keys
+        self.restore(saved)
+        self._lag += index - self.index
+        self.index, self._saved, self._pending = index, saved, pending
+        changed = {key: value for key, value in keys.items()
+                   if key not in self._keys or self._keys[key] != value}
+        for key, value in changed.items():
+            self._set(SetKey(key, value))
+        if changed:
+            forget(self.state)
+        return None
+
+    def _set_state(self, command: SetState) -> str | None:
+        cloth = next((cloth for cloth in self.cloths if cloth.name == command.cloth), None)
+        if cloth is None:
+            return (f"unknown cloth '{command.cloth}' "
+                    f'(known: {", ".join(cloth.name for cloth in self.cloths)})')
+        if len(command.positions) != 3 * len(cloth.slots):
+            return (f'{len(command.positions) // 3} positions, and {cloth.name} has '
+                    f'{len(cloth.slots)} particles')
+        state, places = self.state, np.reshape(command.positions, (-1, 3))
+        free = state.inv_mass[cloth.slots] > 0.0
+        slots = cloth.slots[free]
+        state.x[:, slots] = state.x_prev[:, slots] = places[free].T
+        state.v[:, slots] = 0.0
+        forget(state, slots)
+        for built in self.effects.values():
+            built.moved()
+        return None
 
     def _set(self, command: SetKey) -> str | None:
         if self._retune is None:
@@ -249,6 +309,8 @@ class Simulation:
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity
         self._collect()
+        self._keys.pop(command.key, None)    # in the order of the last changes
+        self._keys[command.key] = command.value
         return None
 
     def check(self, changes: dict[str, Any]) -> None:
@@ -313,10 +375,28 @@ class Simulation:
 
 
 class SavedState:
-    """A saved state of a simulation; read-only."""
+    """A saved state of a simulation; read-only, and in memory only: pickled, it is empty."""
 
-    def __init__(self, simulation: Simulation):
-        self._simulation = simulation
+    def __init__(self, simulation: Simulation | None):
+        self._found = simulation
+
+    def __bool__(self) -> bool:
+        """Return False if the state is empty."""
+        return self._found is not None
+
+    def __reduce__(self) -> tuple:
+        """Return how to unpickle: as an empty state."""
+        return SavedState, (None,)
+
+    @property
+    def _simulation(self) -> Simulation:
+        if self._found is None:
+            raise InputError('the state is empty: it was in the memory of another process')
+        return self._found
+
+    def __deepcopy__(self, memo: dict) -> 'SavedState':
+        """Return the state itself, which never changes."""
+        return self
 
     @property
     def index(self) -> int:
