@@ -61,6 +61,7 @@ def run(arguments) -> int:
     from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.scene.frames import notes_without_tf
     from xpbd_ros.scene.save import scene_text
 
     check_outputs(arguments)
@@ -80,7 +81,7 @@ def run(arguments) -> int:
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = Recorder(folder, outputs, epoch_ns=time.time_ns(),
                         settings={'program': 'run', 'version': __version__})
-    step_ms, refused, notes, shots = [], 0, [*simulation.notes], None
+    step_ms, refused, notes, shots = [], 0, [*notes_without_tf(scene), *simulation.notes], None
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
