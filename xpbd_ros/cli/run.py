@@ -20,6 +20,7 @@ from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, recording_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.scene.frames import notes_without_tf
 
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
@@ -61,7 +62,6 @@ def run(arguments) -> int:
     from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.ros.signals import collected_signals
     from xpbd_ros.scene.compile import compile_scene
-    from xpbd_ros.scene.frames import notes_without_tf
     from xpbd_ros.scene.save import scene_text
 
     check_outputs(arguments)
