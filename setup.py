@@ -50,8 +50,10 @@ setup(
         'mesh': ['meshio>=5.3'],
         # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
         'view': VIEW,
+        # robots in scenes: URDF files; its forward kinematics where there is no TF
+        'robot': ['yourdfpy>=0.0.56'],
         'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2', 'pytest',
-                 'pytest-xdist', 'rosbags', 'ruff'],
+                 'pytest-xdist', 'rosbags', 'ruff', 'yourdfpy>=0.0.56'],
     },
     entry_points={
         'console_scripts': [

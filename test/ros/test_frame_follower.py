@@ -194,8 +194,8 @@ def test_a_run_without_tf_says_what_stands_still():
     assert notes_without_tf(follow.scene) == [
         'pins: no TF here, so hand (hand) stay where they hold, unless commands of a log move '
         'them',
-        "colliders: no TF here, so ball (tool) stay at their offset, in the scene's axes, unless "
-        'commands of a log move them']
+        'colliders: no TF here, so ball (tool) stay where they start, unless commands of a log '
+        'move them']
     assert follow.simulation.frame().colliders['ball'].pose == Pose((0.0, 0.0, 0.1))
 
 

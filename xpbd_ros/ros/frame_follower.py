@@ -11,9 +11,9 @@ once transforms arrive again, colliders follow, and a pin grasps within its radi
 is known, a collider is removed and a pin holds where it is.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.frames import Follower
@@ -118,8 +118,17 @@ class FrameFollower:
         self._tracks = list(tracks.values())
         self._begun = False
 
-    def commands(self, *, reset: bool = False) -> list[tuple[Command, ...]]:
-        """Return the commands before the next frame; ``reset``: it also resets the scene."""
+    def commands(self, *, reset: bool = False,
+                 without: Collection[str] = ()) -> list[tuple[Command, ...]]:
+        """
+        Return the commands before the next frame.
+
+        Parameters
+        ----------
+        reset : whether the scene is reset before that frame
+        without : pins that are grasped or released before that frame
+
+        """
         if not self._tracks:
             return []
         now_ns = self._now_ns()
@@ -137,7 +146,7 @@ class FrameFollower:
                 if reset:
                     part.absent = part.lost = False
                 command = act(part, track, new or reset, first or reset, reset)
-                if command is not None:
+                if command is not None and part.about.name not in without:
                     found.append((command,))
         self._report(**changes)
         return found
@@ -157,7 +166,8 @@ class FrameFollower:
     def _pin(self, part: Part, track: Track, new: bool, first: bool,
              reset: bool) -> Command | None:
         about = part.about
-        holds = reset or about.name in self._built('pin').held
+        holds = (about.name in self._built('pin').entries if reset
+                 else self.holds(about.name))
         if track.pose is None:
             return None
         if track.silent:
@@ -172,7 +182,18 @@ class FrameFollower:
                 return Grasp(about.name, pose, about.radius)
         return MovePin(about.name, pose, None, track.stamp_ns) if holds else None
 
-    def _built(self, effect: str):
+    def let_go(self, pin: str) -> None:
+        """Do not grasp again when a pin's frame is back: its gripper is open."""
+        for track in self._tracks:
+            for part in track.parts:
+                if part.about.name == pin and part.about.section == 'pins':
+                    part.lost = False
+
+    def holds(self, pin: str) -> bool:
+        """Return whether a pin holds particles."""
+        return pin in self._built('pin').held
+
+    def _built(self, effect: str) -> Any:
         return self._simulation.effects[effect]
 
     def _report(self, silent: list[Track], back: list[Track]) -> None:

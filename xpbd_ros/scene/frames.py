@@ -38,7 +38,7 @@ def followers(scene: Scene) -> list[Follower]:
             if entry.frame is not None:
                 pin = section == 'pins'
                 found.append(Follower(
-                    section, name, entry.frame, entry.offset if pin else entry.pose,
+                    section, name, entry.frame, entry.offset,
                     TIMEOUT if entry.frame_timeout is None else entry.frame_timeout,
                     entry.radius if pin else 0.0))
     return found
@@ -48,7 +48,6 @@ def notes_without_tf(scene: Scene) -> list[str]:
     """Return a note for a run without TF on the parts that would follow it; empty without any."""
     found = {section: [f'{each.name} ({each.frame})' for each in followers(scene)
                        if each.section == section] for section in ('pins', 'colliders')}
-    texts = {'pins': 'stay where they hold', 'colliders': "stay at their offset, in the scene's "
-             'axes'}
+    texts = {'pins': 'stay where they hold', 'colliders': 'stay where they start'}
     return [f'{section}: no TF here, so {", ".join(names)} {texts[section]}, unless commands '
             'of a log move them' for section, names in found.items() if names]
