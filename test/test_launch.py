@@ -28,6 +28,7 @@ ARGUMENTS = {
               'rviz'},
     'replay': {'run', 'rate', 'start_offset', 'clock', 'topics', 'remap', 'loop', 'start_paused',
                'rviz'},
+    'robot': {'scene', 'description', 'record', 'tf', 'rviz'},
 }
 
 

@@ -38,7 +38,7 @@ def package_share(package: str) -> Path:
                          'the path of the file') from None
     try:
         return Path(get_package_share_directory(package))
-    except (PackageNotFoundError, ValueError):
+    except (PackageNotFoundError, ValueError, OSError):    # OSError: nothing is sourced
         raise InputError(f"ROS has no package '{package}': install it, or source its "
                          'workspace') from None
 

@@ -1,25 +1,57 @@
 """The shipped robot over DDS: joint states close its fingers on a cloth, lift it, lay it down."""
 
+from importlib.util import find_spec
 import json
 import subprocess
 import sys
 
+from geometry_msgs.msg import TransformStamped
 import numpy as np
 import pytest
+from sensor_msgs.msg import JointState
 
 from support.logs import recorded_inputs
-from support.node import child_environment, Cloth, points
+from support.node import child_environment, Cloth, points, transform
+from xpbd_ros.scene.urdf import Description
 from xpbd_ros.share import share_folder
 
-pytest.importorskip('yourdfpy', reason="yourdfpy is missing: pip install '.[robot]'")
+pytestmark = pytest.mark.skipif(find_spec('yourdfpy') is None,
+                                reason="yourdfpy is missing: pip install '.[robot]'")
 ROBOTS = share_folder() / 'robots'
 CENTRE = 4, 4
 
 
-def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path):
-    run = tmp_path / 'run'
-    cloth = Cloth(peer, start(scene=ROBOTS / 'robot.yaml', record__path=str(run)))
-    cloth.node.wait_for("robot 'arm': follows joint_states")
+def publish_tf(peer) -> None:
+    """Publish the poses of the links for each joint state, as robot_state_publisher does."""
+    from tf2_msgs.msg import TFMessage
+    description = Description(ROBOTS / 'two_finger.urdf')
+    publisher = peer.node.create_publisher(TFMessage, '/tf', 100)
+
+    def publish(message: JointState) -> None:
+        description.move(dict(zip(message.name, message.position)))
+        transforms = []
+        for link in description.links[1:]:
+            pose = description.pose(link)
+            found = TransformStamped(header=message.header, child_frame_id=link,
+                                     transform=transform(pose.position, pose.orientation))
+            found.header.frame_id = 'world'
+            transforms.append(found)
+        publisher.publish(TFMessage(transforms=transforms))
+    peer.node.create_subscription(JointState, '/joint_states', publish, 100)
+
+
+@pytest.mark.parametrize('follow', ['joint_states', pytest.param('tf', marks=pytest.mark.skipif(
+    find_spec('tf2_ros') is None,
+    reason='tf2_ros is missing: apt install ros-jazzy-tf2-ros-py'))])
+def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path, follow):
+    run, scene = tmp_path / 'run', tmp_path / 'robot.yaml'
+    scene.write_text((ROBOTS / 'robot.yaml').read_text().replace(
+        'follow: joint_states', f'follow: {follow}').replace(
+            'two_finger.urdf', str(ROBOTS / 'two_finger.urdf')))
+    if follow == 'tf':
+        publish_tf(peer)
+    cloth = Cloth(peer, start(scene=scene, record__path=str(run)))
+    cloth.node.wait_for(f"robot 'arm': follows {follow}")
     cloth.node.wait_for('running')
     with subprocess.Popen([sys.executable, str(ROBOTS / 'two_finger_motion.py')],
                           env=child_environment()) as motion:
@@ -48,7 +80,7 @@ def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path):
     assert {topic for _, topic in recorded_inputs(run)} == {
         'pins', 'pin_targets', 'colliders', 'collider_states'}
     done = subprocess.run(
-        [sys.executable, '-m', 'xpbd_ros', 'run', ROBOTS / 'robot.yaml', '--commands', run,
+        [sys.executable, '-m', 'xpbd_ros', 'run', scene, '--commands', run,
          '-o', tmp_path / 'again', '--json', '-'],
         env=child_environment(), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

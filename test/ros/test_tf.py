@@ -1,6 +1,7 @@
 """Pins, colliders and inputs in TF frames that another process broadcasts; needs tf2."""
 
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 import json
 from pathlib import Path
 import subprocess
@@ -17,7 +18,8 @@ from support.node import child_environment, Cloth, pin, pose_stamped, targets, T
 from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.scene.compile import compile_scene
 
-pytest.importorskip('tf2_ros', reason='tf2_ros is missing: apt install ros-jazzy-tf2-ros-py')
+pytestmark = pytest.mark.skipif(find_spec('tf2_ros') is None,
+                                reason='tf2_ros is missing: apt install ros-jazzy-tf2-ros-py')
 SCENE = TOWEL.replace('position: [0.0, 1.0, 0.15]',
                       'frame: tool, position: [0.0, 0.0, 0.1], frame_timeout: 0.5') + """
 pins:

@@ -81,7 +81,6 @@ class Kinematics:
         self._prefix = robot.keys.frame_prefix or ''
         self._description = Description(Path(robot.file))
         self._computed_ns = 0
-        self._poses: dict[str, Pose] = {}    # by link, at that stamp
 
     def latest_ns(self, frame: str, source: str) -> int:
         """Return the stamp of the latest joint positions [ns], once all are known."""
@@ -95,9 +94,9 @@ class Kinematics:
         """Return the latest pose of a link in the scene."""
         stamp_ns, positions = self._states.latest
         if stamp_ns != self._computed_ns:
-            self._poses = self._description.poses(positions, self._description.links)
+            self._description.move(positions)
             self._computed_ns = stamp_ns
-        return compose(self._base, self._poses[source.removeprefix(self._prefix)])
+        return compose(self._base, self._description.pose(source.removeprefix(self._prefix)))
 
 
 class GripperFollower:

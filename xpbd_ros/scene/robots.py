@@ -145,14 +145,16 @@ def _colliders(name: str, keys: RobotKeys, description: Description) -> dict[str
     chosen = description.solid_links if keys.links is None else keys.links
     if not chosen and keys.gripper is None:
         raise InputError(f'{path}.description: {description.file}: no link has collision geometry')
-    stands, found = description.poses({}, chosen), {}
+    description.move({})
+    found = {}
     for link in chosen:
         try:
             shapes = description.collisions(link)
         except InputError as error:
             raise InputError(f'{path}.description: {error}') from None
         for k, (shape, offset) in enumerate(shapes):
-            start = compose(Pose(keys.position, keys.orientation), compose(stands[link], offset))
+            start = compose(Pose(keys.position, keys.orientation),
+                            compose(description.pose(link), offset))
             entry: dict[str, Any] = {
                 **shape, **_plain(offset), 'frame': f'{keys.frame_prefix or ""}{link}',
                 'frame_timeout': keys.frame_timeout, 'start': _plain(start),

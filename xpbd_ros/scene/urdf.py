@@ -82,10 +82,13 @@ class Description:
                 raise InputError(f'{self.file}: {name}: {error}') from None
         return (self.file.parent / name.removeprefix('file://')).absolute()
 
-    def poses(self, positions: Mapping[str, float], links) -> dict[str, Pose]:
-        """Return the poses of links in the root link, at joint positions [m, rad]; others at 0."""
+    def move(self, positions: Mapping[str, float]) -> None:
+        """Set joint positions [m, rad]; the joints not named are at 0."""
         self._urdf.update_cfg({name: positions.get(name, 0.0) for name in self.joints})
-        return {link: from_matrix(self._urdf.get_transform(link)) for link in links}
+
+    def pose(self, link: str) -> Pose:
+        """Return the pose of a link in the root link."""
+        return from_matrix(self._urdf.get_transform(link))
 
 
 def _as_list(scale) -> list:
@@ -109,7 +112,7 @@ def _load(file: Path):
                          "<robot name='…'>")
     if any('xacro' in node.tag for node in root.iter()):
         raise InputError(f'{file}: holds xacro macros; expand it first: xacro {file.name} > '
-                         f'{file.with_suffix("").stem}.urdf')
+                         f'{file.with_suffix("").stem}_expanded.urdf')
     logger = logging.getLogger('yourdfpy')
     logger.setLevel(logging.CRITICAL)
     try:
