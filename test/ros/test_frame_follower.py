@@ -1,9 +1,14 @@
 """Which commands followers of TF frames give, and how those act; the transforms are given."""
 
-from geometry_msgs.msg import Point, PointStamped, PoseStamped, Vector3, Vector3Stamped
+from importlib.util import find_spec
+from pathlib import Path
+import re
+
+from geometry_msgs.msg import Point, PointStamped, PoseStamped, Twist, Vector3, Vector3Stamped
 import numpy as np
 import pytest
 from visualization_msgs.msg import Marker, MarkerArray
+import yaml
 
 from support.node import pin, pose_stamped, targets, TOWEL
 from xpbd_ros.errors import InputError
@@ -98,7 +103,6 @@ def test_a_collider_is_there_once_its_frame_is_known():
 
 
 def test_a_removed_collider_stays_removed():
-    from xpbd_ros.sim.commands import RemoveCollider
     follow = Follow(tool=(10**9, Pose()))
     follow.step()
     follow.step(RemoveCollider('ball'))
@@ -219,6 +223,46 @@ def test_what_a_scene_cannot_say_about_frames(old, new, reason):
     assert reason in str(error.value)
 
 
+def test_the_example_of_the_page_of_scenes():
+    page = (Path(__file__).parents[2] / 'doc' / 'scenes.md').read_text()
+    (block,) = re.findall(r'\n    pins:\n      hand:.*?\n\n', page, re.DOTALL)
+    towel = yaml.safe_load(TOWEL)
+    found = scene_from_text(yaml.safe_dump({**towel, **yaml.safe_load(block)}),
+                            where='scenes.md', name='scenes')
+    assert [(each.name, each.frame, each.timeout) for each in followers(found)] == [
+        ('hand', 'tool0', 0.5), ('tip', 'gripper_left_tip', 1.0)]
+    compile_scene(found)
+
+
+@pytest.mark.skipif(find_spec('tf2_ros') is not None, reason='tf2_ros is installed')
+def test_without_tf2_the_package_to_install_is_named(start, tmp_path):
+    apt = 'needs tf2_ros (sudo apt install ros-jazzy-tf2-ros-py)'
+    inputs = FrameInputs(None, 'world', lambda *_: None, lambda *_: None)
+    with pytest.raises(InputError) as error:
+        inputs._lookup('map', 0, 'header', final=False)
+    assert f"header: TF frame 'map' is not the scene's 'world'; transforming it {apt}" in str(
+        error.value)
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    node = start(scene=tmp_path / 'scene.yaml')
+    said = node.wait_for(apt)
+    assert f'{tmp_path / "scene.yaml"}: pins.hand.frame: {apt}' in said
+    assert node.process.wait(60) == 2
+
+
+def test_a_clock_that_goes_back_causes_no_silence():
+    follow = Follow(tool=(10**9, Pose((0.0, 1.0, 0.5))), hand=(10**9, Pose(CORNER)))
+    follow.now_ns = 10**12
+    follow.step()
+    follow.now_ns = 0
+    follow.step()
+    follow.now_ns = 4 * 10**8
+    follow.step()
+    assert follow.said == []
+    follow.now_ns = 6 * 10**8
+    follow.step()
+    assert follow.said == ['TF: hand silent for more than 0.5 s: pin hand released']
+
+
 TURNED = Pose((1.0, 2.0, 3.0), (0.0, 0.0, HALF, HALF))
 """x becomes y"""
 
@@ -236,7 +280,6 @@ def test_messages_in_another_frame_are_transformed():
         asked.append((frame, stamp_ns, what))
         return TURNED
     message = targets(frame_id='tool', stamp=7, a=(1.0, 0.0, 0.0))
-    from geometry_msgs.msg import Twist
     message.twist = [Twist(linear=Vector3(x=2.0))]
     to_scene_frame(message, 'world', lookup)
     t = message.transforms[0].translation

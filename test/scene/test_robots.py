@@ -4,11 +4,13 @@ from importlib.util import find_spec
 from math import pi
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+import yaml
 
 from support.meshes import obj_text
 from xpbd_ros.errors import InputError
@@ -22,6 +24,7 @@ from xpbd_ros.sim.geometry.pose import compose, from_matrix
 
 pytestmark = pytest.mark.skipif(find_spec('yourdfpy') is None,
                                 reason="yourdfpy is missing: pip install '.[robot]'")
+PAGE = Path(__file__).parents[2] / 'doc' / 'robots.md'
 ROBOTS = share_folder() / 'robots'
 URDF = """<robot name="r">
   <link name="base"/>
@@ -213,6 +216,14 @@ def test_the_shipped_robot_stands_over_the_cloth():
                                                   'arm_right_finger'}
     frame = compile_scene(found).frame()
     assert frame.colliders['arm_palm'].pose.position == pytest.approx((0.0, 0.0, 0.13))
+
+
+def test_the_example_of_the_page_of_robots():
+    (block,) = re.findall(r'```yaml\n(.*?)```', PAGE.read_text(), re.DOTALL)
+    found = scene_from_text(f'cloths: {yaml.safe_load(TOWEL)["cloths"]}\n{block}',
+                            where='robots.md', name='robots', folder=ROBOTS)
+    compile_scene(found)
+    assert found.robots['arm'].keys.gripper.opens == pytest.approx(0.0072)
 
 
 def test_a_scene_without_robots_does_not_import_the_library():

@@ -72,7 +72,7 @@ class Track:
 
     def look(self, frame_id: str, now_ns: int) -> bool:
         """Look the frame up; return whether there is a new pose."""
-        if self.seen_ns is None:
+        if self.seen_ns is None or self.seen_ns > now_ns:    # or the clock went back
             self.seen_ns = now_ns
         try:
             stamp_ns = self.source.latest_ns(frame_id, self.frame)

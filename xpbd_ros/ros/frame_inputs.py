@@ -132,7 +132,7 @@ class FrameInputs:
         try:
             transforms = self.transforms()
         except InputError as error:
-            raise InputError(f'{told}; to transform it {error}') from None
+            raise InputError(f'{told}; transforming it {error}') from None
         try:
             return transforms.pose(self._frame_id, frame, stamp_ns)
         except InputError as error:
