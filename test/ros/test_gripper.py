@@ -87,8 +87,16 @@ def test_links_have_a_pose_once_all_joints_are_known(stand, states, robot):
         (0.1, -0.03, 0.3))
 
 
-def test_it_grasps_below_releases_above_and_does_nothing_between(stand, states, robot):
-    gripper = GripperFollower(robot, states, Kinematics(robot, states), 'world')
+@pytest.fixture
+def gripper(states, robot):
+    """Return the follower of its gripper, which has nothing to report."""
+    said = []
+    yield GripperFollower(robot, states, Kinematics(robot, states), 'world', now_ns=lambda: 0,
+                          warn=said.append)
+    assert said == []
+
+
+def test_it_grasps_below_releases_above_and_does_nothing_between(gripper, stand):
     given = []
     for finger in (0.02, 0.0061, 0.0059, 0.004, 0.0065, 0.0071, 0.008, 0.0065, 0.004):
         stand.take(state(3, reach=0.0, lift=0.0, finger=finger))
@@ -100,8 +108,19 @@ def test_it_grasps_below_releases_above_and_does_nothing_between(stand, states, 
     assert given[2].pose.position == pytest.approx((0.0, 0.0, 0.075)), 'at the tip'
 
 
-def test_a_reset_closes_it_again(stand, states, robot):
-    gripper = GripperFollower(robot, states, Kinematics(robot, states), 'world')
+def test_a_joint_that_nothing_publishes_is_reported_once(stand, states, robot):
+    said, now_ns = [], [7]
+    gripper = GripperFollower(robot, states, Kinematics(robot, states), 'world',
+                              now_ns=lambda: now_ns[0], warn=said.append)
+    stand.take(state(3, reach=0.0, lift=0.0))
+    for now_ns[0] in (7, 10**9, 2 * 10**9, 3 * 10**9):
+        assert gripper.command(holds=False, reset=False) is None
+        assert bool(said) == (now_ns[0] > 10**9)
+    assert said == ["robot 'arm': no position of finger on /joint_states, so its gripper does "
+                    'nothing']
+
+
+def test_a_reset_closes_it_again(gripper, stand):
     stand.take(state(3, reach=0.0, lift=0.0, finger=0.004))
     assert isinstance(gripper.command(holds=False, reset=False), Grasp)
     assert gripper.command(holds=False, reset=False) is None, 'it tries once'

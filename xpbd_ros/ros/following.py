@@ -40,8 +40,12 @@ class Following:
             self.close()
             raise InputError(f'{scene.where}: {error}') from None
         self._follower = FrameFollower(
-            simulation, self._frame_id, sources, now_ns=lambda: node.pace()[0](),
+            simulation, self._frame_id, sources, now_ns=self._now_ns,
             warn=node.get_logger().warning)
+
+    def _now_ns(self) -> int:
+        """Return the time of the clock that the node steps on [ns]."""
+        return self._node.pace()[0]()
 
     def _sources(self, scene: Scene) -> list[tuple]:
         """Return each follower with the source of its poses."""
@@ -54,7 +58,8 @@ class Following:
                 from xpbd_ros.ros.robots import GripperFollower
                 grasps.append((robot.grasp, source))
                 self._grippers.append((robot.pin, GripperFollower(
-                    robot, self._states(robot), source, self._frame_id)))
+                    robot, self._states(robot), source, self._frame_id, now_ns=self._now_ns,
+                    warn=self._node.get_logger().warning)))
         found: list[tuple] = []
         for each in followers(scene):
             source = of_collider.get(each.name) if each.section == 'colliders' else None

@@ -5,7 +5,7 @@ A gripper grasps when its joint goes below ``closed_below`` and releases when it
 ``open_above``; in between, nothing changes. It tries once for each closing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 
@@ -109,14 +109,20 @@ class GripperFollower:
     states : its joints
     source : poses of its frame
     frame_id : TF frame of the scene
+    now_ns : clock that silence is measured with [ns]
+    warn : is given a warning if the position of the joint does not arrive
 
     """
 
-    def __init__(self, robot: Robot, states: JointStates, source: PoseSource, frame_id: str):
+    def __init__(self, robot: Robot, states: JointStates, source: PoseSource, frame_id: str, *,
+                 now_ns: Callable[[], int], warn: Callable[[str], None]):
         assert robot.keys.gripper is not None and robot.grasp is not None
         self._robot, self._gripper, self._about = robot, robot.keys.gripper, robot.grasp
         self._states, self._source, self._frame_id = states, source, frame_id
         self._closed = False
+        self._now_ns, self._warn = now_ns, warn
+        self._begun_ns: int | None = None
+        self._told = False
 
     def command(self, *, holds: bool, reset: bool) -> Command | None:
         """
@@ -132,6 +138,7 @@ class GripperFollower:
         if reset:
             self._closed = False
         if position is None:
+            self._tell_missing()
             return None
         if self._closed and position > self._gripper.opens:
             self._closed = False
@@ -145,6 +152,16 @@ class GripperFollower:
             self._closed = True
             return Grasp(self._robot.pin, pose, self._gripper.radius)
         return None
+
+    def _tell_missing(self) -> None:
+        """Warn once, after the robot's ``frame_timeout``, that the joint is not known."""
+        now_ns = self._now_ns()
+        if self._begun_ns is None or self._begun_ns > now_ns:
+            self._begun_ns = now_ns
+        if not self._told and 1e-9 * (now_ns - self._begun_ns) > self._about.timeout:
+            self._told = True
+            self._warn(f"robot '{self._robot.name}': no position of {self._gripper.joint} on "
+                       f'{self._states.topic}, so its gripper does nothing')
 
     @property
     def open(self) -> bool:
