@@ -25,6 +25,8 @@ SCENE = TOWEL.replace('position: [0.0, 1.0, 0.15]',
 pins:
   hand: {cloth: towel, at: corner_00, frame: hand, frame_timeout: 0.5}
 """
+SILENT = 20
+"""frames of rest that are the silence; a busy machine may cause shorter ones"""
 
 
 @pytest.fixture
@@ -68,9 +70,11 @@ def test_parts_follow_tf_and_repeat_from_the_log(start, peer, broadcast, tmp_pat
     places = repeated_places(run)
     speeds = 60.0 * np.linalg.norm(np.diff(places, axis=0), axis=1)
     begin = np.flatnonzero(speeds)[0]
-    places = places[begin:begin + np.flatnonzero(speeds[begin:] == 0.0)[0]]    # to the silence
-    assert len(places) > 100
-    assert np.median(speeds[begin:begin + len(places)]) == pytest.approx(0.5, rel=0.02)
+    rests = np.convolve(speeds == 0.0, np.ones(SILENT), 'valid') == SILENT
+    end = begin + np.flatnonzero(rests[begin:])[0]
+    assert end - begin > 100
+    assert np.median(speeds[begin:end]) == pytest.approx(0.5, rel=0.02)
+    places = places[begin:end]
     radius = np.linalg.norm((places - tf_broadcaster.CENTRE)[:, :2], axis=1)
     off = np.hypot(radius - tf_broadcaster.RADIUS, places[:, 2] - tf_broadcaster.CENTRE[2] - 0.1)
     assert off.max() < 1e-3, 'm off the path'

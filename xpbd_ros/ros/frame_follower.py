@@ -1,14 +1,14 @@
 """
 Move the pins and colliders that follow TF frames, by ordinary commands at frame boundaries.
 
-Before each frame, each new transform of a followed frame becomes a ``MovePin`` or ``MoveCollider``
+Before each frame, each new transform of a followed TF frame becomes a ``MovePin`` or ``MoveCollider``
 with the transform's stamp. So the motion is interpolated to frame times like any stream of
 targets (``sim.target_stream``), and a log repeats it without TF.
 
-A frame is silent while its latest transform stays the same; static ones never are. After
-``frame_timeout`` of silence it is reported, colliders stay at their last pose, and pins release;
-once transforms arrive again, colliders follow, and a pin grasps within its radius. Until its frame
-is known, a collider is removed and a pin holds where it is.
+A TF frame is silent while its latest transform stays the same; static ones never are. Silence
+for longer than ``frame_timeout`` is reported, colliders stay at their last pose, and pins release;
+once transforms arrive again, colliders follow, and a pin grasps within its radius. Until its TF
+frame is known, a collider is removed and a pin holds where it is.
 """
 
 from collections.abc import Callable, Collection, Iterable
