@@ -1,9 +1,9 @@
 """
 Move the pins and colliders that follow TF frames, by ordinary commands at frame boundaries.
 
-Before each frame, each new transform of a followed TF frame becomes a ``MovePin`` or ``MoveCollider``
-with the transform's stamp. So the motion is interpolated to frame times like any stream of
-targets (``sim.target_stream``), and a log repeats it without TF.
+Before each frame, each new transform of a followed TF frame becomes a ``MovePin`` or a
+``MoveCollider`` with the transform's stamp. So the motion is interpolated to frame times like any
+stream of targets (``sim.target_stream``), and a log repeats it without TF.
 
 A TF frame is silent while its latest transform stays the same; static ones never are. Silence
 for longer than ``frame_timeout`` is reported, colliders stay at their last pose, and pins release;
