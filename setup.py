@@ -53,9 +53,11 @@ setup(
         # the page of view; pictures of runs: run --picture, and the demo's. VTK has rendered by
         # EGL since 9.4
         'view': VIEW,
+        # robots in scenes: URDF files; its forward kinematics where there is no TF
+        'robot': ['yourdfpy>=0.0.56'],
         'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2',
                  'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',
-                 'usd-core>=24.5; python_version < "3.14"'],
+                 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
     },
     entry_points={
         'console_scripts': [

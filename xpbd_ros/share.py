@@ -29,6 +29,20 @@ def share_folder() -> Path:
                      f'install the package with pip or colcon')
 
 
+def package_share(package: str) -> Path:
+    """Return the share folder of a ROS package; raise InputError unless it is installed."""
+    try:
+        from ament_index_python.packages import get_package_share_directory, PackageNotFoundError
+    except ImportError:
+        raise InputError('package:// paths need ROS: source /opt/ros/jazzy/setup.bash, or write '
+                         'the path of the file') from None
+    try:
+        return Path(get_package_share_directory(package))
+    except (PackageNotFoundError, ValueError, OSError):    # OSError: nothing is sourced
+        raise InputError(f"ROS has no package '{package}': install it, or source its "
+                         'workspace') from None
+
+
 def candidates(package: Path) -> list[Path]:
     """Return the folders to try for a package at this path, in order of preference."""
     sourced = [path for path in os.environ.get('AMENT_PREFIX_PATH', '').split(os.pathsep) if path]

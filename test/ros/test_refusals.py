@@ -71,7 +71,7 @@ BAD = {
     ],
     'pins': [
         (markers(pin('a', CORNER, frame_id='map')),
-         "marker a/0: TF frame 'map' is not the scene's 'world'; transform it first"),
+         "marker a/0: TF frame 'map' is not the scene's 'world'; "),
         (markers(pin('a', (5.0, 0.0, 0.0))), "pin 'a': no free particle within 0.01 m of "
                                              '[5.0, 0.0, 0.0]; the nearest is 4.8'),
         (markers(pin('good', CORNER), pin('bad', (nan, 0.0, 0.0))), 'marker bad/0: position or'),

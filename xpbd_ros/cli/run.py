@@ -19,6 +19,7 @@ from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.scene.frames import notes_without_tf
 
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
@@ -74,7 +75,7 @@ def run(arguments) -> int:
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = new_log(folder, scene, simulation, program='run')
-    step_ms, refused, notes, shots = [], 0, [*simulation.notes], None
+    step_ms, refused, notes, shots = [], 0, [*notes_without_tf(scene), *simulation.notes], None
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)

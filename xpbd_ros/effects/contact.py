@@ -54,14 +54,7 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
-from xpbd_ros.sim.contact.collider_entries import (
-    Body,
-    Entry,
-    shape_of,
-    shape_size,
-    SHAPES,
-    table,
-)
+from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     new_colliders,
@@ -84,6 +77,7 @@ from xpbd_ros.sim.contact.restitution import (
     calm_pads,
     rebound,
 )
+from xpbd_ros.sim.contact.shape_data import shape_data
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
@@ -201,8 +195,8 @@ class BuiltContact(Built):
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
         self.thickness = parameters.thickness
-        self.shapes = (self._shapes(world) if 'contact' not in world.before
-                       else world.before['contact'].shapes)
+        self.shapes = (shape_data(self.entries, parameters.thickness, world)
+                       if 'contact' not in world.before else world.before['contact'].shapes)
         """distance fields and heights of the scene's entries, by name"""
         nodes = parameters.mesh_nodes + sum(
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
@@ -228,26 +222,6 @@ class BuiltContact(Built):
         self.changes = 0
         """number of changes of the set of colliders"""
 
-    def _shapes(self, world) -> dict[str, Field | np.ndarray]:
-        """Return the distance fields and heights of the scene's entries, by name."""
-        found: dict[str, Field | np.ndarray] = {}
-        for name, entry in self.entries.items():
-            keys = entry.mesh or entry.heights
-            if keys is None:
-                continue
-            try:
-                if isinstance(keys, Body):
-                    vertices, triangles = world.read_mesh(keys.file)
-                    found[name] = distance_field(vertices * keys.scale, triangles,
-                                                 gap=self.thickness, spacing=keys.spacing)
-                else:
-                    rows = keys.values if keys.file is None else world.read_table(keys.file)
-                    found[name] = keys.scale * table(rows)
-            except InputError as error:
-                file = f'{keys.file}: ' if keys.file and keys.file not in str(error) else ''
-                raise InputError(f'colliders.{name}.{entry.shape}: {file}{error}') from None
-        return found
-
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
@@ -255,13 +229,22 @@ class BuiltContact(Built):
     def reset(self, state, now_ns):
         self.again()
         self.placed = {}
-        for name, entry in self.entries.items():
-            shape = self.shapes.get(name)
-            self.placed[name] = placed = Placed(entry, motion_of(entry, now_ns * 1e-9))
-            placed.field = shape if isinstance(shape, Field) else None
-            placed.heights = shape if isinstance(shape, np.ndarray) else None
-            placed.motion.lever = max(placed.reach, 0.0) or 1.0
+        for name in self.entries:
+            self._put(name, now_ns)
         self._changed()
+
+    def _put(self, name: str, now_ns: int) -> None:
+        """Place a collider of the scene at its initial pose."""
+        entry, shape = self.entries[name], self.shapes.get(name)
+        self.placed[name] = placed = Placed(entry, motion_of(entry, now_ns * 1e-9))
+        placed.field = shape if isinstance(shape, Field) else None
+        placed.heights = shape if isinstance(shape, np.ndarray) else None
+        placed.motion.lever = max(placed.reach, 0.0) or 1.0
+
+    def _returns(self, command) -> bool:
+        """Tell whether a command is about a removed collider of the scene that follows TF."""
+        entry = self.entries.get(command.collider)
+        return isinstance(command, MoveCollider) and entry is not None and bool(entry.frame)
 
     def adopt(self, old):
         for name, placed in old.placed.items():
@@ -313,10 +296,12 @@ class BuiltContact(Built):
                 nodes = {}
                 continue
             name = command.collider
+            new = name not in nodes and (isinstance(command, PlaceCollider)
+                                         or self._returns(command))
+            if new and len(nodes) == len(self.colliders.shape):
+                return (f"collider '{name}': all {len(nodes)} colliders are in use "
+                        '(effects.contact.max_colliders)')
             if isinstance(command, PlaceCollider):
-                if name not in nodes and len(nodes) == len(self.colliders.shape):
-                    return (f"collider '{name}': all {len(nodes)} colliders are in use "
-                            '(effects.contact.max_colliders)')
                 nodes[name] = nodes.get(name, 0) if self._has_shape(command) else 0
                 if command.shape == 'mesh' and not nodes[name]:
                     try:
@@ -325,11 +310,21 @@ class BuiltContact(Built):
                         return f"collider '{name}': {error}"
                     self._fields[name, command.size] = field
                     nodes[name] = field.values.size
+            elif new:
+                shape = self.shapes.get(name)
+                nodes[name] = shape.values.size if isinstance(shape, Field) else 0
+                if sum(nodes.values()) > self._nodes:
+                    return f"collider '{name}': other meshes have taken its room"
             elif name not in nodes:
                 return f"unknown collider '{name}' (known: {', '.join(nodes) or 'none'})"
             elif isinstance(command, RemoveCollider):
                 del nodes[name]
         return None
+
+    @property
+    def _nodes(self) -> int:
+        """Room for the grids of meshes."""
+        return 0 if self.colliders.grids is None else self.colliders.grids.values.size
 
     def _has_shape(self, command) -> bool:
         """Tell whether the collider of a command exists with the same shape."""
@@ -339,6 +334,9 @@ class BuiltContact(Built):
 
     def move(self, command, clock, state) -> None:
         """Set a collider's target, and the velocity of its surface if given."""
+        if command.collider not in self.placed:
+            self._put(command.collider, clock.begin_ns)
+            self._changed()
         placed, twist = self.placed[command.collider], command.twist
         placed.renew(clock.begin_ns)
         placed.motion.aim(command.pose, None, command.stamp_ns, clock.begin_ns)
@@ -367,8 +365,7 @@ class BuiltContact(Built):
 
     def _field(self, corners: tuple[float, ...], taken: int) -> Field:
         """Return the distance field of a new mesh; raise InputError without room for it."""
-        grids = self.colliders.grids
-        room = 0 if grids is None else grids.values.size - taken
+        room = self._nodes - taken
         vertices = np.array(corners).reshape(-1, 3)
         try:
             return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),

@@ -188,9 +188,8 @@ class BuiltPin(Built):
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         count = len(world.state.mass)
-        slots = parameters.max_pins
         self.entries: dict[str, Entry] = world.sections.get('pins', {})
-        if len(self.entries) > slots:
+        if len(self.entries) > (slots := parameters.max_pins):
             raise InputError(f'pins: {len(self.entries)} pins, but effects.pin.max_pins is '
                              f'{slots}; raise it')
         self.cloths = {cloth.name: cloth for cloth in world.cloths}
@@ -220,8 +219,7 @@ class BuiltPin(Built):
                          MovePin: self.move, Click: self.click}
 
     def reset(self, state, now_ns):
-        for name in list(self.held):
-            self._let_go(name, state)
+        self.release_all(None, None, state)
         self.open.clear()
         self.slipped = 0
         self.free_slots.sort()
@@ -236,6 +234,7 @@ class BuiltPin(Built):
                 keyframes = MonotoneCubic(entry.motion, now_ns * 1e-9)
                 point = keyframes(now_ns * 1e-9)
             held = self._hold(name, particles, Pose(point), state, keyframes)
+            held.axes_open = entry.frame is not None
             if entry.target is not None:
                 held.motion.target = Pose(entry.target)
         self._wrench[:] = 0.0
@@ -355,9 +354,12 @@ class BuiltPin(Built):
         """Set the target of a pin."""
         held = self.held.get(command.pin)
         motion = self.open[command.pin] if held is None else held.motion
-        motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
         if held is not None:
             held.renew(clock.begin_ns)
+            if held.axes_open:
+                held.take_axes(command.pose.orientation)
+                self._changed()
+        motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
 
     def begin(self, clock, state):
         for name in [n for n, held in self.held.items()

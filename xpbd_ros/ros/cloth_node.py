@@ -23,6 +23,7 @@ from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
+from xpbd_ros.ros.following import Following
 from xpbd_ros.ros.inputs import topic_of
 from xpbd_ros.ros.interaction import Interaction
 from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
@@ -62,6 +63,7 @@ class ClothNode(LifecycleNode):
         self.failed = False
         """True if the stepper's thread ended on an error"""
         self.stamps = Stamps()
+        self.following: Following | None = None
         self.topics: Topics | None = None
         self.node_services: Services | None = None
         self.interaction: Interaction | None = None
@@ -135,7 +137,8 @@ class ClothNode(LifecycleNode):
         self.error_monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                                           most=scene.top.solver.max_substeps)
         self.interaction = Interaction(self)
-        self.topics = Topics(self, scene, self.outputs, self._take,
+        self.following = Following(self, scene, simulation, self._take)
+        self.topics = Topics(self, scene, self.outputs, self.following.inputs.take,
                              clock=self.value('publish_clock'),
                              read_cloud=self.interaction.clouds.read)
         self.topics.open()
@@ -230,10 +233,12 @@ class ClothNode(LifecycleNode):
 
     def _release(self) -> None:
         """Release all that ``_configure`` created, also where it failed halfway."""
-        for part in (self.topics, self.node_services, self.interaction, self.error_monitor):
+        for part in (self.topics, self.node_services, self.interaction, self.error_monitor,
+                     self.following):
             if part is not None:
                 part.close()
-        self.topics = self.node_services = self.interaction = self.error_monitor = None
+        self.topics = self.node_services = self.interaction = None
+        self.error_monitor = self.following = None
         if self.simulation is not None:
             self.command_queue.close()
         self.simulation = None
@@ -270,6 +275,8 @@ class ClothNode(LifecycleNode):
 
     def _jumped(self, by_ns: int) -> None:
         self.status.jumped(by_ns)
+        if by_ns < 0 and self.following is not None:
+            self.following.clear()
         self.get_logger().warning(f'the clock jumped by {by_ns * 1e-9:+.3f} s; stamps follow it')
 
     def step(self, late_ns=None) -> None:
@@ -277,9 +284,11 @@ class ClothNode(LifecycleNode):
         if not self.begun:
             self._publish_initial_state()
         assert self.simulation is not None and self.topics is not None
-        assert self.error_monitor is not None
+        assert self.error_monitor is not None and self.following is not None
         begin = time.perf_counter()
-        frame = self.simulation.step([*self.command_queue.drain(), *self.error_monitor.commands()],
+        groups = self.command_queue.drain()
+        frame = self.simulation.step([*groups, *self.following.commands(groups),
+                                      *self.error_monitor.commands()],
                                      keep=self.error_monitor.due())
         now = time.perf_counter()
         self.error_monitor.look(now - begin)

@@ -89,6 +89,7 @@ class Status:
             'rejected_inputs': sum(refused.values()),
             **{f'rejected {topic}': count for topic, count in sorted(refused.items())},
             **{f'age_s {topic}': now - then for topic, then in sorted(accepted.items())},
+            **node.following.diagnostics(),
             **simulation.stats(),
             **node.interaction.clouds.values,
             'bytes_recorded': node.recorder.log.bytes_written if node.recorder else 0,
@@ -113,6 +114,8 @@ class Status:
             warnings.append(f'{dropped - self._dropped_before} frames dropped in the last second: '
                             'too slow for real time')
             log.warning(warnings[-1])
+        if node.following.finding:
+            warnings.append(node.following.finding)
         if node.error_monitor.warning:
             warnings.append(node.error_monitor.warning)
             if node.error_monitor.warning != self._warned:

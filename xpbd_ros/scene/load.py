@@ -1,5 +1,6 @@
 """Find, read and check scene files: YAML to ``Scene``."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +112,11 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
         for key, value in (overrides or {}).items():
             _check_member(raw, key)
             raw = with_key(raw, key, value)
-        return _scene(_resolved(raw, folder or Path()), where, name)
+        robots: dict = {}
+        if raw.get('robots') is not None:
+            from xpbd_ros.scene.robots import with_robots
+            raw, robots = with_robots(raw, folder or Path())
+        return replace(_scene(_resolved(raw, folder or Path()), where, name), robots=robots)
     except InputError as error:
         raise InputError(f'{where}: {brief(str(error))}') from None
 
@@ -184,7 +189,7 @@ def _found(entry: Any, key: str, folder: Path) -> Any:
 
 def _scene(raw: dict, where: str, name: str) -> Scene:
     """Check a scene's mapping."""
-    top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', *SECTIONS))
+    top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', 'robots', *SECTIONS))
     cloths, cloth_effects = {}, {}
     for cloth, value in names(raw.get('cloths'), 'cloths').items():
         path = f'cloths.{cloth}'

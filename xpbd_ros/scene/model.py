@@ -1,5 +1,6 @@
 """A scene file as frozen dataclasses."""
 
+import dataclasses
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
@@ -112,6 +113,8 @@ class Scene:
     """mapping of the YAML file, overrides included"""
     where: str
     """path of the file as the user gave it, for error messages"""
+    robots: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """robots by name (``scene.robots.Robot``), whose colliders are in ``sections``"""
 
     @property
     def effect_names(self) -> tuple[str, ...]:

@@ -47,6 +47,18 @@ def check_place(at: str | tuple[int, ...] | None) -> None:
                          'particle indices)')
 
 
+def check_frame(entry) -> None:
+    """Raise InputError unless an entry's TF frame, if it names one, goes with its other keys."""
+    if entry.frame is None:
+        if entry.frame_timeout is not None:
+            raise InputError("frame_timeout: needs 'frame', the TF frame to follow")
+        return
+    if entry.frame.startswith('/'):
+        raise InputError(f"frame: TF frames have no leading '/'; take '{entry.frame.lstrip('/')}'")
+    if entry.motion is not None:
+        raise InputError("needs either 'motion' or 'frame', not both")
+
+
 def check_static(static: float | None, friction: float) -> None:
     """Raise InputError if static friction is below sliding friction; None means equal."""
     if static is not None and static < friction:

@@ -28,10 +28,12 @@ class Motion:
     max_speed : bound of the speed [m/s]
     keyframes : function from time [s] to a position [m], followed until the first target; or None
     lever : distance from the pose at which rotation too must keep to max_speed [m]
+    begins_at_target : True if the first target is taken at once, at any distance
 
     """
 
-    def __init__(self, pose: Pose, max_speed: float, *, keyframes=None, lever: float = 0.1):
+    def __init__(self, pose: Pose, max_speed: float, *, keyframes=None, lever: float = 0.1,
+                 begins_at_target: bool = False):
         self.pose = self.start = pose
         self.target = pose
         self.max_speed = max_speed
@@ -44,9 +46,14 @@ class Motion:
         self.stream: Stream | None = None
         """targets with stamps; None without"""
         self._left = 0.0
+        self._begins_at_target = begins_at_target
         self._arrived_ns: int | None = None
         self._stamp_ns: int | None = None
         self._latest: Pose | None = None
+
+    def begin(self, pose: Pose) -> None:
+        """Take a pose at once and rest there."""
+        self.pose = self.start = self.target = pose
 
     def aim(self, pose: Pose, twist: Twist | None, stamp_ns: int, now_ns: int) -> None:
         """
@@ -56,6 +63,9 @@ class Motion:
         stamp and pose) leaves a stream unchanged.
         """
         self.keyframes = None
+        if self._begins_at_target:
+            self.begin(pose)
+            self._begins_at_target = False
         since = stamp_ns - self._stamp_ns if stamp_ns and self._stamp_ns else 0
         if -GAP_NS <= since < 0:
             return

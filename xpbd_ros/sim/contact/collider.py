@@ -78,4 +78,4 @@ def motion_of(entry: Entry, now: float) -> Motion:
     if entry.motion is not None:
         keyframes = MonotoneCubic(entry.motion, now)
         pose = Pose(keyframes(now), pose.orientation)
-    return Motion(pose, entry.max_speed, keyframes=keyframes)
+    return Motion(pose, entry.max_speed, keyframes=keyframes, begins_at_target=bool(entry.frame))

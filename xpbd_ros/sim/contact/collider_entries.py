@@ -9,7 +9,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.contact.colliders import BOX, CAPSULE, CYLINDER, HEIGHTS, MESH, PLANE, SPHERE
 from xpbd_ros.sim.geometry.quaternion import from_z_axis, multiply
-from xpbd_ros.sim.parameters import check_static, quantity
+from xpbd_ros.sim.parameters import check_frame, check_static, quantity
 from xpbd_ros.sim.target_motion import check_motion
 
 
@@ -106,6 +106,15 @@ class Pad:
 
 
 @dataclass(frozen=True)
+class Start:
+    """Initial pose of a collider that follows a TF frame."""
+
+    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
+    orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
+                                                              doc='quaternion x y z w')
+
+
+@dataclass(frozen=True)
 class Entry:
     """One entry of the scene's ``colliders``: exactly one shape, its pose and surface."""
 
@@ -127,6 +136,11 @@ class Entry:
     pad: Pad | None = quantity(None, doc='a soft surface; rigid unless given')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    frame: str | None = quantity(None, doc=(
+        'TF frame that it follows, with position and orientation in that frame'))
+    start: Start | None = quantity(None, doc='its pose where there is no TF')
+    frame_timeout: float | None = quantity(None, unit='s', above=0.0, doc=(
+        'silence of the frame after which it is reported; 1 s unless given'))
     max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='it follows no faster')
 
     def __post_init__(self):
@@ -137,6 +151,9 @@ class Entry:
                              f'(got {", ".join(given) or "none"})')
         check_static(self.static_friction, self.friction)
         check_motion(self.motion)
+        check_frame(self)
+        if self.start is not None and self.frame is None:
+            raise InputError("start: needs 'frame', the TF frame to follow")
         if self.pad is not None and self.restitution > 0.0:
             raise InputError(f'restitution: must be 0 beside a pad (got {self.restitution:g}); '
                              'leave out one of the two')
@@ -149,12 +166,20 @@ class Entry:
     @property
     def pose(self) -> Pose:
         """Initial pose; the z axis of a plane's pose is its normal."""
-        n = sqrt(sum(c * c for c in self.orientation))
-        x, y, z, w = (c / n for c in self.orientation)
+        return self._pose(self.start or self)
+
+    @property
+    def offset(self) -> Pose:
+        """Its pose in the TF frame that it follows."""
+        return self._pose(self)
+
+    def _pose(self, keys) -> Pose:
+        n = sqrt(sum(c * c for c in keys.orientation))
+        x, y, z, w = (c / n for c in keys.orientation)
         orientation = x, y, z, w
         if self.plane is not None:
             orientation = multiply(orientation, from_z_axis(self.plane.normal))
-        return Pose(self.position, orientation)
+        return Pose(keys.position, orientation)
 
 
 SHAPES = {'plane': PLANE, 'sphere': SPHERE, 'capsule': CAPSULE, 'cylinder': CYLINDER, 'box': BOX,

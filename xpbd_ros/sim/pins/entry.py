@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.parameters import check_frame, check_place, quantity
 from xpbd_ros.sim.target_motion import check_motion
 
 
@@ -18,6 +19,13 @@ class Entry:
     target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
         None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+    frame: str | None = quantity(None, doc='TF frame that it follows')
+    position: tuple[float, float, float] | None = quantity(None, unit='m',
+                                                           doc='offset in that frame')
+    orientation: tuple[float, float, float, float] | None = quantity(
+        None, doc='offset in that frame, a quaternion x y z w')
+    frame_timeout: float | None = quantity(None, unit='s', above=0.0, doc=(
+        'silence of the frame after which it releases; 1 s unless given'))
     max_speed: float = quantity(5.0, unit='m/s', above=0.0, doc='largest speed of the pin')
     compliance: float | None = quantity(None, unit='m/N', minimum=0.0,
                                         doc='compliance of the whole pin; 0 is rigid')
@@ -31,3 +39,13 @@ class Entry:
         if self.target is not None and self.motion is not None:
             raise InputError("needs either 'target' or 'motion', not both")
         check_motion(self.motion)
+        check_frame(self)
+        if self.frame is not None and self.target is not None:
+            raise InputError("needs either 'target' or 'frame', not both")
+        if self.frame is None and (self.position or self.orientation):
+            raise InputError("position and orientation: need 'frame', the TF frame to follow")
+
+    @property
+    def offset(self) -> Pose:
+        """Its pose in the TF frame that it follows."""
+        return Pose(self.position or (0.0, 0.0, 0.0), self.orientation or (0.0, 0.0, 0.0, 1.0))

@@ -9,7 +9,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.effect import Cloth
 from xpbd_ros.sim.geometry.mesh import length
-from xpbd_ros.sim.geometry.quaternion import turns
+from xpbd_ros.sim.geometry.quaternion import conjugate, rotate, turns
 from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.target_motion import Motion
 
@@ -33,10 +33,20 @@ class Held:
     """the pin is released after this time without a command [ns]; 0: never"""
     expires_ns: int | None = None
     """simulation time at which the pin is released [ns]; None: never"""
+    axes_open: bool = False
+    """True if the first target is to define the pin's axes, without turning the particles"""
 
     def renew(self, now_ns: int) -> None:
         """Restart the lifetime at the simulation time ``now_ns`` [ns]."""
         self.expires_ns = now_ns + self.lifetime_ns if self.lifetime_ns else None
+
+    def take_axes(self, orientation: tuple[float, float, float, float]) -> None:
+        """Turn the pin's axes to an orientation; its particles stay in place."""
+        x, y, z, w = conjugate(orientation)
+        old, self.axes_open = self.motion.pose.orientation, False
+        self.offsets = np.array([rotate.py_func(x, y, z, w, *rotate.py_func(*old, *q))
+                                 for q in self.offsets.tolist()])
+        self.motion.begin(Pose(self.motion.pose.position, orientation))
 
 
 @dataclass(frozen=True)

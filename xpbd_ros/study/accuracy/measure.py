@@ -10,6 +10,7 @@ import pickle
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
@@ -148,7 +149,8 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
                          'take earlier --times, or --by shape')
     mark_front(rows, by)
     return Study(scene, frames, simulation.frame_dt, truth, rows, refused, by, here,
-                 len(simulation.slot), remarks(scene, truth, frames, simulation.frame_dt))
+                 len(simulation.slot), [*notes_without_tf(scene),
+                                        *remarks(scene, truth, frames, simulation.frame_dt)])
 
 
 def find_truth(job: Job, times: Sequence[int], processes: int, progress) -> Truth:

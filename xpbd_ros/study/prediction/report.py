@@ -8,6 +8,7 @@ import numpy as np
 
 from xpbd_ros.scene.auto import cost, INTEGRATOR
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.contact.collider_entries import Entry
@@ -61,7 +62,8 @@ def check(scene: Scene) -> Report:
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
-                  (*simulation.notes, *_unpredicted(simulation), *_pads(scene, simulation)))
+                  (*notes_without_tf(scene), *simulation.notes, *_unpredicted(simulation),
+                   *_pads(scene, simulation)))
 
 
 def _unpredicted(simulation: Simulation) -> tuple[str, ...]:

@@ -1,0 +1,237 @@
+"""
+Move the pins and colliders that follow TF frames, by ordinary commands at frame boundaries.
+
+Before each frame, each new transform of a followed TF frame becomes a ``MovePin`` or a
+``MoveCollider`` with the transform's stamp. So the motion is interpolated to frame times like any
+stream of targets (``sim.target_stream``), and a log repeats it without TF.
+
+A TF frame is silent while its latest transform stays the same; static ones never are. Silence
+for longer than ``frame_timeout`` is reported, colliders stay at their last pose, and pins release;
+once transforms arrive again, colliders follow, and a pin grasps within its radius. Until its TF
+frame is known, a collider is removed and a pin holds where it is.
+"""
+
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.scene.frames import Follower
+from xpbd_ros.sim.commands import (
+    Command,
+    Grasp,
+    MoveCollider,
+    MovePin,
+    Pose,
+    Release,
+    RemoveCollider,
+)
+from xpbd_ros.sim.geometry.pose import compose
+from xpbd_ros.sim.simulation import Simulation
+
+
+class PoseSource(Protocol):
+    """Poses of TF frames: ``ros.tf.Transforms``, or the kinematics of a robot."""
+
+    def latest_ns(self, frame: str, source: str) -> int:
+        """Return the time of the latest pose [ns]; 0 for a static one."""
+
+    def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
+        """Return the pose of ``source`` in ``frame`` at a time [ns]."""
+
+
+@dataclass
+class Part:
+    """One pin or collider, and its state here."""
+
+    about: Follower
+    absent: bool = False
+    """True of a collider that was removed until its frame is known"""
+    lost: bool = False
+    """True of a pin that was released because its frame was silent"""
+
+
+@dataclass
+class Track:
+    """One followed frame, with the parts that have the same source and timeout."""
+
+    source: PoseSource
+    frame: str
+    timeout: float
+    """[s]"""
+    parts: list[Part] = field(default_factory=list)
+    pose: Pose | None = None
+    """latest pose in the scene's frame; None until the frame is known"""
+    stamp_ns: int = 0
+    seen_ns: int | None = None
+    """time of the latest change, on the follower's clock [ns]"""
+    silent: bool = False
+    """True if the silence is longer than the timeout, and was reported"""
+    reason: str = ''
+    """why there is no transform"""
+
+    def look(self, frame_id: str, now_ns: int) -> bool:
+        """Look the frame up; return whether there is a new pose."""
+        if self.seen_ns is None or self.seen_ns > now_ns:    # or the clock went back
+            self.seen_ns = now_ns
+        try:
+            stamp_ns = self.source.latest_ns(frame_id, self.frame)
+            if stamp_ns and stamp_ns == self.stamp_ns:
+                return False
+            pose = self.source.pose(frame_id, self.frame, stamp_ns)
+        except InputError as error:
+            self.reason = str(error)
+            return False
+        new = stamp_ns != self.stamp_ns or pose != self.pose
+        self.pose, self.stamp_ns, self.seen_ns = pose, stamp_ns, now_ns
+        return new
+
+    def silence(self, now_ns: int) -> float:
+        """Return the time since the latest change [s]."""
+        return 0.0 if self.seen_ns is None else max(0.0, 1e-9 * (now_ns - self.seen_ns))
+
+
+class FrameFollower:
+    """
+    The followers of one node.
+
+    Parameters
+    ----------
+    simulation : has the pins and colliders
+    frame_id : TF frame of the scene
+    sources : each follower with the source of its poses
+    now_ns : clock that silence is measured with [ns]
+    warn : is given each warning
+
+    """
+
+    def __init__(self, simulation: Simulation, frame_id: str,
+                 sources: Iterable[tuple[Follower, PoseSource]], *, now_ns: Callable[[], int],
+                 warn: Callable[[str], None]):
+        self._simulation, self._frame_id = simulation, frame_id
+        self._now_ns, self._warn = now_ns, warn
+        tracks: dict[tuple, Track] = {}
+        for about, source in sources:
+            key = id(source), about.frame, about.timeout
+            track = tracks.setdefault(key, Track(source, about.frame, about.timeout))
+            track.parts.append(Part(about))
+        self._tracks = list(tracks.values())
+        self._begun = False
+
+    def commands(self, *, reset: bool = False,
+                 without: Collection[str] = ()) -> list[tuple[Command, ...]]:
+        """
+        Return the commands before the next frame.
+
+        Parameters
+        ----------
+        reset : whether the scene is reset before that frame
+        without : pins that are grasped or released before that frame
+
+        """
+        if not self._tracks:
+            return []
+        now_ns = self._now_ns()
+        found: list[tuple[Command, ...]] = []
+        first, self._begun = not self._begun, True
+        changes: dict[str, list[Track]] = {'silent': [], 'back': []}
+        for track in self._tracks:
+            new = track.look(self._frame_id, now_ns)
+            silent = track.silence(now_ns) > track.timeout
+            if silent != track.silent:
+                track.silent = silent
+                changes['silent' if silent else 'back'].append(track)
+            for part in track.parts:
+                act = self._pin if part.about.section == 'pins' else self._collider
+                if reset:
+                    part.absent = part.lost = False
+                command = act(part, track, new or reset, first or reset, reset)
+                if command is not None and part.about.name not in without:
+                    found.append((command,))
+        self._report(**changes)
+        return found
+
+    def _collider(self, part: Part, track: Track, new: bool, first: bool,
+                  reset: bool) -> Command | None:
+        name = part.about.name
+        placed = reset or name in self._built('contact').placed
+        if track.pose is None:
+            part.absent = part.absent or first and placed
+            return RemoveCollider(name) if first and placed else None
+        if not new or not (placed or part.absent):
+            return None
+        part.absent = False
+        return MoveCollider(name, compose(track.pose, part.about.offset), None, track.stamp_ns)
+
+    def _pin(self, part: Part, track: Track, new: bool, first: bool,
+             reset: bool) -> Command | None:
+        about = part.about
+        holds = (about.name in self._built('pin').entries if reset
+                 else self.holds(about.name))
+        if track.pose is None:
+            return None
+        if track.silent:
+            release, part.lost = holds and not part.lost, part.lost or holds
+            return Release(about.name) if release else None
+        if not new:
+            return None
+        pose = compose(track.pose, about.offset)
+        if part.lost:
+            part.lost = False
+            if not holds:
+                return Grasp(about.name, pose, about.radius)
+        return MovePin(about.name, pose, None, track.stamp_ns) if holds else None
+
+    def let_go(self, pin: str) -> None:
+        """Do not grasp again when a pin's frame is back: its gripper is open."""
+        for track in self._tracks:
+            for part in track.parts:
+                if part.about.name == pin and part.about.section == 'pins':
+                    part.lost = False
+
+    def holds(self, pin: str) -> bool:
+        """Return whether a pin holds particles."""
+        return pin in self._built('pin').held
+
+    def _built(self, effect: str) -> Any:
+        return self._simulation.effects[effect]
+
+    def _report(self, silent: list[Track], back: list[Track]) -> None:
+        """Warn about frames that fell silent or returned, in one line each."""
+        unknown = [track for track in silent if track.pose is None]
+        if unknown:
+            self._warn(f'TF: no transform of {_frames(unknown)} in {unknown[0].timeout:g} s: '
+                       f'{_parts(unknown)}; {unknown[0].reason}')
+        stale = [track for track in silent if track.pose is not None]
+        if stale:
+            self._warn(f'TF: {_frames(stale)} silent for more than {stale[0].timeout:g} s: '
+                       f'{_parts(stale)}')
+        if back:
+            self._warn(f'TF: {_frames(back)} back')
+
+    @property
+    def finding(self) -> str:
+        """Present warning for ``/diagnostics``; empty if no frame is silent."""
+        silent = [track for track in self._tracks if track.silent]
+        return f'TF: {_frames(silent)} silent: {_parts(silent)}' if silent else ''
+
+    def diagnostics(self) -> dict[str, float]:
+        """Return the age of each followed frame's latest transform [s]."""
+        now_ns = self._now_ns()
+        return {f'frame_age_s {track.frame}': track.silence(now_ns) for track in self._tracks}
+
+
+def _frames(tracks: list[Track]) -> str:
+    return ', '.join(track.frame for track in tracks)
+
+
+def _parts(tracks: list[Track]) -> str:
+    """Return the state of the parts of silent frames, such as 'collider a held'."""
+    return ', '.join(
+        f'{part.about.section.removesuffix("s")} {part.about.name} '
+        + ('absent' if part.absent else 'released' if _releases(track, part) else 'held')
+        for track in tracks for part in track.parts)
+
+
+def _releases(track: Track, part: Part) -> bool:
+    return part.lost or track.pose is not None and part.about.section == 'pins'

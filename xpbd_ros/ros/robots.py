@@ -1,0 +1,169 @@
+"""
+Robots in the node: joint states, link poses by forward kinematics, and grippers.
+
+A gripper grasps when its joint goes below ``closed_below`` and releases when it goes above
+``open_above``; in between, nothing changes. It tries once for each closing.
+"""
+
+from collections.abc import Callable, Mapping
+from math import isfinite
+from pathlib import Path
+
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros.frame_follower import PoseSource
+from xpbd_ros.ros.inputs import SECOND
+from xpbd_ros.scene.robots import Robot
+from xpbd_ros.scene.urdf import Description
+from xpbd_ros.sim.commands import Command, Grasp, Pose, Release
+from xpbd_ros.sim.geometry.pose import compose
+
+DEPTH = 50
+"""depth of the subscription [messages]"""
+
+
+class JointStates:
+    """
+    The latest positions of a robot's joints.
+
+    Parameters
+    ----------
+    node : creates the subscription
+    topic : of type sensor_msgs/JointState; several publishers may share it
+
+    """
+
+    def __init__(self, node, topic: str):
+        self._node = node
+        self.topic = node.resolve_topic_name(topic)
+        self.latest: tuple[int, Mapping[str, float]] = 0, {}
+        """stamp [ns], and positions [m, rad] by joint; replaced as a whole"""
+        self._subscription = node.create_subscription(
+            JointState, topic, self._take,
+            QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
+
+    def _take(self, message: JointState) -> None:
+        stamp_ns, known = self.latest
+        if not message.position:
+            return    # velocities or efforts alone
+        if len(message.position) != len(message.name) or not all(map(isfinite, message.position)):
+            self._node.command_queue.refuse(
+                self.topic, f'{len(message.name)} names and {len(message.position)} positions, '
+                'or some are not finite')
+            return
+        sent_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        self.latest = (max(stamp_ns, sent_ns or self._node.now_ns()),
+                       {**known, **dict(zip(message.name, message.position))})
+
+    def clear(self) -> None:
+        """Forget all positions, after the clock went back."""
+        self.latest = 0, {}
+
+    def close(self) -> None:
+        """Destroy the subscription."""
+        self._node.destroy_subscription(self._subscription)
+
+
+class Kinematics:
+    """
+    A ``PoseSource`` of a robot's links: joint states and forward kinematics.
+
+    Parameters
+    ----------
+    robot, states : the robot and its joints
+
+    """
+
+    def __init__(self, robot: Robot, states: JointStates):
+        self._states, self._base = states, robot.pose
+        self._prefix = robot.keys.frame_prefix or ''
+        self._description = Description(Path(robot.file))
+        self._computed_ns = 0
+
+    def latest_ns(self, frame: str, source: str) -> int:
+        """Return the stamp of the latest joint positions [ns], once all are known."""
+        stamp_ns, positions = self._states.latest
+        missing = [name for name in self._description.joints if name not in positions]
+        if missing:
+            raise InputError(f'no position of {", ".join(missing)} on {self._states.topic}')
+        return stamp_ns
+
+    def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
+        """Return the latest pose of a link in the scene."""
+        stamp_ns, positions = self._states.latest
+        if stamp_ns != self._computed_ns:
+            self._description.move(positions)
+            self._computed_ns = stamp_ns
+        return compose(self._base, self._description.pose(source.removeprefix(self._prefix)))
+
+
+class GripperFollower:
+    """
+    Grasp and release as a robot's gripper closes and opens.
+
+    Parameters
+    ----------
+    robot : has a gripper
+    states : its joints
+    source : poses of its frame
+    frame_id : TF frame of the scene
+    now_ns : clock that silence is measured with [ns]
+    warn : is given a warning if the position of the joint does not arrive
+
+    """
+
+    def __init__(self, robot: Robot, states: JointStates, source: PoseSource, frame_id: str, *,
+                 now_ns: Callable[[], int], warn: Callable[[str], None]):
+        assert robot.keys.gripper is not None and robot.grasp is not None
+        self._robot, self._gripper, self._about = robot, robot.keys.gripper, robot.grasp
+        self._states, self._source, self._frame_id = states, source, frame_id
+        self._closed = False
+        self._now_ns, self._warn = now_ns, warn
+        self._begun_ns: int | None = None
+        self._told = False
+
+    def command(self, *, holds: bool, reset: bool) -> Command | None:
+        """
+        Return the command before the next frame, if any.
+
+        Parameters
+        ----------
+        holds : whether the gripper's pin holds particles
+        reset : whether the scene is reset before that frame
+
+        """
+        position = self._states.latest[1].get(self._gripper.joint)
+        if reset:
+            self._closed = False
+        if position is None:
+            self._tell_missing()
+            return None
+        if self._closed and position > self._gripper.opens:
+            self._closed = False
+            return Release(self._robot.pin) if holds and not reset else None
+        if not self._closed and position < self._gripper.closed_below:
+            try:
+                stamp_ns = self._source.latest_ns(self._frame_id, self._about.frame)
+                pose = self._source.pose(self._frame_id, self._about.frame, stamp_ns)
+            except InputError:
+                return None    # the frame is not known yet
+            self._closed = True
+            return Grasp(self._robot.pin, pose, self._gripper.radius)
+        return None
+
+    def _tell_missing(self) -> None:
+        """Warn once, after the robot's ``frame_timeout``, that the joint is not known."""
+        now_ns = self._now_ns()
+        if self._begun_ns is None or self._begun_ns > now_ns:
+            self._begun_ns = now_ns
+        if not self._told and 1e-9 * (now_ns - self._begun_ns) > self._about.timeout:
+            self._told = True
+            self._warn(f"robot '{self._robot.name}': no position of {self._gripper.joint} on "
+                       f'{self._states.topic}, so its gripper does nothing')
+
+    @property
+    def open(self) -> bool:
+        """True unless it is closed."""
+        return not self._closed

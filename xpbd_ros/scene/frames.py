@@ -1,0 +1,53 @@
+"""The pins and colliders of a scene that follow TF frames."""
+
+from dataclasses import dataclass
+
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.commands import Pose
+
+TIMEOUT = 1.0
+"""``frame_timeout`` unless given [s]"""
+
+
+@dataclass(frozen=True)
+class Follower:
+    """A pin or collider that follows a TF frame."""
+
+    section: str
+    """'pins' or 'colliders'"""
+    name: str
+    frame: str
+    offset: Pose
+    """pose in that frame"""
+    timeout: float
+    """``frame_timeout`` [s]"""
+    radius: float = 0.0
+    """of the grasp after a silence; of a pin only [m]"""
+
+    @property
+    def path(self) -> str:
+        """Key of its frame, in the scene file."""
+        return f'{self.section}.{self.name}.frame'
+
+
+def followers(scene: Scene) -> list[Follower]:
+    """Return the pins and colliders of a scene that follow TF frames."""
+    found = []
+    for section in ('pins', 'colliders'):
+        for name, entry in scene.sections.get(section, {}).items():
+            if entry.frame is not None:
+                pin = section == 'pins'
+                found.append(Follower(
+                    section, name, entry.frame, entry.offset,
+                    TIMEOUT if entry.frame_timeout is None else entry.frame_timeout,
+                    entry.radius if pin else 0.0))
+    return found
+
+
+def notes_without_tf(scene: Scene) -> list[str]:
+    """Return a note for a run without TF on the parts that would follow it; empty without any."""
+    found = {section: [f'{each.name} ({each.frame})' for each in followers(scene)
+                       if each.section == section] for section in ('pins', 'colliders')}
+    texts = {'pins': 'stay where they hold', 'colliders': 'stay where they start'}
+    return [f'{section}: no TF here, so {", ".join(names)} {texts[section]}, unless commands '
+            'of a log move them' for section, names in found.items() if names]
