@@ -39,7 +39,6 @@ height field is that to the tangent plane right below.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +52,7 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
 )
 from xpbd_ros.sim.contact.broad_phase import find_candidates
-from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
+from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed
 from xpbd_ros.sim.contact.collider_entries import (
     Body,
     Entry,
@@ -77,6 +76,7 @@ from xpbd_ros.sim.contact.contacts import (
     push_all,
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
+from xpbd_ros.sim.contact.impulses import add_impulses
 from xpbd_ros.sim.contact.pads import areas, new_pads
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
@@ -84,10 +84,12 @@ from xpbd_ros.sim.contact.restitution import (
     calm_pads,
     rebound,
 )
+from xpbd_ros.sim.contact.wrenches import begin_wrenches
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.stepping.stages import (
+    accumulate_impulses,
     add_explicit_forces,
     finish,
     prepare,
@@ -133,6 +135,7 @@ def forget_contacts(contact, state, substep):
     if substep.begin == 0.0:
         contact.contacts.count[1] = contact.contacts.count[4] = 0
     contact.contacts.count[0] = NOT_SOUGHT
+    begin_wrenches(contact.contacts.wrenches, substep)
     move_colliders(contact.contacts, substep)
 
 
@@ -162,6 +165,13 @@ def push_out(contact, state, substep):
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
     push_all(contact.contacts, state, False)
+
+
+@stage(accumulate_impulses, Contact)
+@jit
+def react(contact, state, substep):
+    """Add the impulses of all contacts of this substep to the colliders' wrenches."""
+    add_impulses(contact.contacts, state, substep)
 
 
 @stage(finish, Contact)
@@ -251,6 +261,7 @@ class BuiltContact(Built):
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
+        self.contacts.wrenches.impulse[:] = 0.0
 
     def reset(self, state, now_ns):
         self.again()
@@ -407,10 +418,10 @@ class BuiltContact(Built):
             self.colliders.moving[c] = start != pose
 
     def reported(self, frame_dt):
-        return {'colliders': MappingProxyType({name: ColliderState(
-            placed.entry, placed.motion.pose,
-            np.subtract(placed.motion.pose.position, placed.motion.start.position) / frame_dt)
-            for name, placed in self.placed.items()})}
+        colliders, count = self.colliders, len(self.placed)
+        return {'colliders': ColliderStates(
+            self.placed, colliders.start[:count], colliders.goal[:count].copy(),
+            self.contacts.wrenches.impulse[:count], frame_dt)}
 
     def pad_forces(self) -> dict[str, float]:
         """Return the normal force of each pad in the last substep [N]."""
