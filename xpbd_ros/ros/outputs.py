@@ -3,7 +3,8 @@ The topics that a scene publishes, and the serialized messages of its frames.
 
 A message is serialized once; the node publishes it and the log keeps the same bytes. A scene of
 one cloth has the topics ``particles`` and ``mesh``; with several cloths they are
-``cloth/<name>/particles`` and so on. ``pin_states`` exists only with the effect ``pin``.
+``cloth/<name>/particles`` and so on. ``pin_states`` exists only with the effect ``pin``,
+``collider_wrenches`` only with ``contact``.
 """
 
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages
+from xpbd_ros.sim.contact.collider import ColliderStates
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.pins.states import PinStates
 from xpbd_ros.sim.simulation import Frame, Simulation
@@ -49,7 +51,8 @@ class Outputs:
         self.scene_text = scene_text
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
-        self._pins = messages.PinArray(frame_id)
+        self._pins = messages.BodyArray(frame_id)
+        self._colliders = messages.BodyArray(frame_id)
         several = len(simulation.cloths) > 1
         fields, history = STATE_FIELDS, simulation.state.history
         if history is not None:
@@ -65,6 +68,8 @@ class Outputs:
         self._add(Output('markers', MarkerArray, STREAM, view_only=True))
         if 'pin' in simulation.effects:
             self._add(Output('pin_states', MultiDOFJointState, STREAM))
+        if 'contact' in simulation.effects:
+            self._add(Output('collider_wrenches', MultiDOFJointState, STREAM))
         self._add(Output('scene', String, LATCHED))
         self._add(Output('state_hash', UInt64, STREAM, log_only=True))
 
@@ -102,13 +107,19 @@ class Outputs:
         if 'pin_states' in self.topics:
             assert isinstance(frame.pins, PinStates)
             found['pin_states'] = self._pins.bytes(frame.pins, time_ns)
+        if 'collider_wrenches' in self.topics:
+            assert isinstance(frame.colliders, ColliderStates)
+            found['collider_wrenches'] = self._colliders.bytes(frame.colliders, time_ns)
         return found
 
     def markers(self, frame: Frame, time_ns: int) -> list[bytes]:
-        """Return the marker messages of one frame: the surfaces, then the pins."""
+        """Return the marker messages of one frame: the surfaces, then pins, then colliders."""
         found = [surface.bytes(frame.x, time_ns) for surface in self._surfaces]
         if 'pin_states' in self.topics:
             found.append(serialize_message(messages.pin_markers(frame, self.frame_id, time_ns)))
+        if 'collider_wrenches' in self.topics:
+            found.append(serialize_message(
+                messages.collider_markers(frame, self.frame_id, time_ns)))
         return found
 
     def hash(self) -> bytes:
