@@ -50,6 +50,8 @@ setup(
         'mesh': ['meshio>=5.3'],
         # pictures of runs: run --picture, and the demo's. VTK has rendered by EGL since 9.4
         'view': VIEW,
+        # a rigid body and a cloth that move one another: doc/coupling.md
+        'mujoco': ['mujoco>=3'],
         'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2', 'pytest',
                  'pytest-xdist', 'rosbags', 'ruff'],
     },

@@ -32,6 +32,9 @@ in a substep is followed along its way (``contact.continuous_detection``): from 
 within r on, it stays in front of the surface's tangent plane there. So it ends on the side that it
 came from, at any speed and for any thickness (doc/numerics.md 7.4 and 7.5).
 
+The wrench of the cloth on each collider is the sum of the reactions to all displacements by
+contact and friction, and to the changes of velocities at the end (``contact.impulses``).
+
 Limits: particles are tested, not triangles, so colliders thinner than the particle spacing can
 slip between them. A mesh is as sharp as its grid (``contact.distance_field``). The distance to a
 height field is that to the tangent plane right below.
