@@ -80,7 +80,7 @@ from xpbd_ros.sim.contact.contacts import (
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
-from xpbd_ros.sim.contact.pads import areas, new_pads
+from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
     calm_overlaps,
@@ -426,23 +426,11 @@ class BuiltContact(Built):
             self.placed, colliders.start[:count], colliders.goal[:count].copy(),
             self.contacts.wrenches.impulse[:count], frame_dt)}
 
-    def pad_forces(self) -> dict[str, float]:
-        """Return the normal force of each pad in the last substep [N]."""
-        pads = self.contacts.pads
-        if pads is None:
-            return {}
-        found = max(0, self.contacts.count[0])
-        forces = np.bincount(self.contacts.collider[:found], pads.force[:found],
-                             len(self.colliders.shape))
-        return {f'pad_force_{name}_n': float(force)
-                for (name, placed), force in zip(self.placed.items(), forces)
-                if placed.entry.pad is not None}
-
     def stats(self):
         found = max(0, self.contacts.count[0])
         grids = self.colliders.grids
         return {**({} if grids is None else {'collider_grid_bytes': grids.values.nbytes}),
-                **self.pad_forces(),
+                **pad_forces(self.contacts, self.placed),
                 'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
                 'contacts_squeezed': int(self.contacts.count[4]),

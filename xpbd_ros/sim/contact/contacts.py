@@ -9,11 +9,9 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     all_lanes,
     any_lane,
-    bits,
     both,
     either,
     larger,
-    lowest_bit,
     select,
     smaller,
 )
@@ -43,15 +41,13 @@ from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave
 from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
 from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
-from xpbd_ros.sim.contact.wrenches import add_reaction, new_wrenches, Wrenches
+from xpbd_ros.sim.contact.wrenches import new_wrenches, react_to_turn, react_to_turns, Wrenches
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
-from xpbd_ros.sim.particles.history import invalidate_history, TOUCHED
+from xpbd_ros.sim.particles.history import invalidate_history, touched
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 DEPENETRATION = 1.0
 """largest speed of depenetration, for particles that begin a substep too deep [m/s]"""
-TURNED = 1e-4
-"""change of a contact's normal in a substep up to which its push is one displacement"""
 CORNER = 8
 """most passes over the candidates, so that a particle stopped by one collider does not end behind
 another"""
@@ -308,42 +304,6 @@ def push_pack(contacts, c, k, state, back, eased):
     return True
 
 
-@jit
-def react_to_turns(contacts, k, state, again, nx, ny, nz):
-    """Call ``react_to_turn`` for the lanes of the mask."""
-    mx, my, mz = load_columns(contacts.normal, k)
-    if any_lane(both(again, is_turned(mx - nx, my - ny, mz - nz))):
-        scratch, chosen = contacts.scratch, bits(again)
-        store_wide(scratch, 0, nx)
-        store_wide(scratch, WIDTH, ny)
-        store_wide(scratch, 2 * WIDTH, nz)
-        while chosen != 0:
-            l = lowest_bit(chosen)
-            chosen &= chosen - 1
-            react_to_turn(contacts, k + l, state, contacts.push[k + l], scratch[0, l],
-                          scratch[1, l], scratch[2, l])
-
-
-@jit
-def react_to_turn(contacts, k, state, before, nx, ny, nz):
-    """
-    React to d (n - n'), where a candidate with a push d so far gets a new normal n'.
-
-    The displacement d n then counts as d n' (``contact.impulses``).
-    """
-    i, n = contacts.particle[k], contacts.normal[k]
-    x, y, z = n[0] - nx, n[1] - ny, n[2] - nz
-    if is_turned(x, y, z):
-        share = contacts.wrenches.h[0] / state.mobility[i] * before
-        add_reaction(contacts, contacts.collider[k], state, i, share * x, share * y, share * z)
-
-
-@jit(inline=True)
-def is_turned(x, y, z):
-    """Return True if the difference (x, y, z) of two normals matters; also for vectors."""
-    return x * x + y * y + z * z > TURNED**2
-
-
 @jit(inline=True)
 def stays_within(contacts, c, k, state, x, y, z):
     """Return True if no candidate k, k + 1, … crosses collider c, or moves far enough to do so."""
@@ -366,12 +326,6 @@ def invalidate_histories(history, index, k, moved):
         else:
             scatter(history.fresh, 0, index, k,
                     touched(gather(history.fresh, 0, index, k), moved))
-
-
-@jit(inline=True)
-def touched(fresh, moved):
-    """Return a vector of ``History.fresh``, marked as TOUCHED where the mask is true."""
-    return select(both(moved, fresh < TOUCHED), fresh + TOUCHED, fresh)
 
 
 @jit

@@ -5,7 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
+from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
 
+TURNED = 1e-4
+"""change of a contact's normal in a substep up to which its push is one displacement"""
 LANES = 8
 """partial sums of each component, whatever the width of a vector, so that the bits are the same"""
 
@@ -46,3 +50,39 @@ def add_reaction(contacts, c, state, i, x, y, z):
     total[3] -= ry * z - rz * y
     total[4] -= rz * x - rx * z
     total[5] -= rx * y - ry * x
+
+
+@jit
+def react_to_turns(contacts, k, state, again, nx, ny, nz):
+    """Call ``react_to_turn`` for the lanes of the mask."""
+    mx, my, mz = load_columns(contacts.normal, k)
+    if any_lane(both(again, is_turned(mx - nx, my - ny, mz - nz))):
+        scratch, chosen = contacts.scratch, bits(again)
+        store_wide(scratch, 0, nx)
+        store_wide(scratch, WIDTH, ny)
+        store_wide(scratch, 2 * WIDTH, nz)
+        while chosen != 0:
+            l = lowest_bit(chosen)
+            chosen &= chosen - 1
+            react_to_turn(contacts, k + l, state, contacts.push[k + l], scratch[0, l],
+                          scratch[1, l], scratch[2, l])
+
+
+@jit
+def react_to_turn(contacts, k, state, before, nx, ny, nz):
+    """
+    React to d (n - n'), where a candidate with a push d so far gets a new normal n'.
+
+    The displacement d n then counts as d n' (``contact.impulses``).
+    """
+    i, n = contacts.particle[k], contacts.normal[k]
+    x, y, z = n[0] - nx, n[1] - ny, n[2] - nz
+    if is_turned(x, y, z):
+        share = contacts.wrenches.h[0] / state.mobility[i] * before
+        add_reaction(contacts, contacts.collider[k], state, i, share * x, share * y, share * z)
+
+
+@jit(inline=True)
+def is_turned(x, y, z):
+    """Return True if the difference (x, y, z) of two normals matters; also for vectors."""
+    return x * x + y * y + z * z > TURNED**2

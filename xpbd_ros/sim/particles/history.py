@@ -76,6 +76,12 @@ def invalidate_history(history, i):
         history.fresh[i] += TOUCHED
 
 
+@jit(inline=True)
+def touched(fresh, moved):
+    """Return a vector of ``History.fresh``, marked as TOUCHED where the mask is true."""
+    return select(both(moved, fresh < TOUCHED), fresh + TOUCHED, fresh)
+
+
 @jit
 def discard_history(history, i):
     """Let particle i predict its positions again, without its history, in this substep too."""
