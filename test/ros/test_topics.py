@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import PointCloud2, PointField
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
 from shape_msgs.msg import Mesh
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker, MarkerArray
@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from support.meshes import disc, obj_text
 from support.node import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
 from support.scenes import simulate
-from xpbd_ros.ros.messages import pin_markers
+from xpbd_ros.ros.messages import collider_markers, pin_markers
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
 
@@ -87,8 +87,9 @@ OF_COLLIDERS = {'/cloth/colliders', '/cloth/collider_states', '/cloth/collider/b
     (SHEET, ONE, set()),
     (SHEET + PINS, ONE | {'/cloth/pin_states'}, OF_PINS),
     (SHEET + CORNER, ONE | OF_A, OF_PINS | {'/cloth/pin/a/target'}),
-    (SHEET + CONTACT, ONE, {'/cloth/colliders', '/cloth/collider_states'}),
-    (SHEET + BALL + CONTACT, ONE, OF_COLLIDERS),
+    (SHEET + CONTACT, ONE | {'/cloth/collider_wrenches'},
+     {'/cloth/colliders', '/cloth/collider_states'}),
+    (SHEET + BALL + CONTACT, ONE | {'/cloth/collider_wrenches'}, OF_COLLIDERS),
     (SHEET + 'effects: {wind: {velocity: [1, 0, 0]}}\n', ONE, {'/cloth/wind'}),
 ], ids=['nothing', 'effects.pin', 'pins', 'effects.contact', 'colliders', 'effects.wind'])
 def test_topics_follow_the_scene(use, text, publishes, listens):
@@ -198,7 +199,7 @@ def test_stamps_rise_whatever_happens(use):
 def test_everything_is_reliable_and_what_stays_is_latched(use):
     cloth = use(TOWEL)
     latched = {'mesh', 'scene'}
-    for topic in ('particles', 'pin_states', 'markers', 'mesh', 'scene'):
+    for topic in ('particles', 'pin_states', 'collider_wrenches', 'markers', 'mesh', 'scene'):
         def offered(topic=topic):
             return cloth.peer.node.get_publishers_info_by_topic(f'/cloth/{topic}')
         cloth.peer.until(lambda offered=offered: len(offered()) == 1, topic)
@@ -233,6 +234,23 @@ def test_markers_come_while_someone_listens(use):
     cloth.peer.spin(0.2)
     assert len(heard) == count
     assert cloth.set(marker_rate=15.0) == (True, '')
+
+
+def test_the_wrench_of_the_cloth_on_each_collider(use):
+    """A towel at rest on a table weighs m g, in every frame; its pose and twist are told too."""
+    cloth = use(TOWEL)
+    heard = cloth.peer.hear(MultiDOFJointState, '/cloth/collider_wrenches')
+    cloth.meet()
+    frame = cloth.step(20)
+    cloth.peer.until(lambda: heard and stamp_ns(heard[-1]) == cloth.epoch_ns + time_ns(frame),
+                     'a state of the colliders')
+    state = heard[-1]
+    assert state.header.frame_id == 'world'
+    table = state.joint_names.index('table')
+    assert len(state.wrench) == len(state.twist) == len(state.transforms) == len(state.joint_names)
+    assert state.wrench[table].force.z == pytest.approx(-0.25 * 0.16 * 9.80665, rel=1e-3)
+    assert state.twist[table].linear.z == 0.0
+    assert state.transforms[table].rotation.w == 1.0
 
 
 def test_publish_rate_is_a_divisor_of_the_frame_rate(use):
@@ -306,3 +324,15 @@ def test_markers_of_pins_wipe_what_was_there_and_name_each_once():
     assert wiped == drawn == {'pins', 'forces'}
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
     assert {m.ns for m in pin_markers(simulate((3, 3)).step(), 'world', 0).markers} == wiped
+
+
+def test_an_arrow_shows_where_and_how_the_cloth_pushes_each_collider():
+    """It begins on the line of the force, here above the middle of the plane's load."""
+    simulation = simulate((1, 1), pose={'position': [0.3, 0.2, 0.01]}, substeps=2, colliders={
+        'floor': {'plane': {}}, 'far': {'sphere': {'radius': 0.1}, 'position': [5.0, 0.0, 0.0]}},
+        scene_effects={'contact': {'thickness': 0.01}, 'friction': {}})
+    wiped, arrow = collider_markers(simulation.step(), 'world', 0).markers
+    assert (wiped.action, wiped.ns, arrow.ns) == (Marker.DELETEALL, *['collider_forces'] * 2)
+    start, tip = ([p.x, p.y, p.z] for p in arrow.points)
+    assert start == pytest.approx([0.3, 0.2, 0.0], abs=1e-9)
+    assert tip == pytest.approx([0.3, 0.2, -0.980665], abs=1e-9)

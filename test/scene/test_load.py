@@ -17,7 +17,7 @@ cloths:
     effects:
       stretch: {warp: 800.0, weft: 800.0}
 """
-TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, pins, '
+TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, robots, pins, '
        'colliders, seams)')
 
 

@@ -32,6 +32,9 @@ in a substep is followed along its way (``contact.continuous_detection``): from 
 within r on, it stays in front of the surface's tangent plane there. So it ends on the side that it
 came from, at any speed and for any thickness (doc/numerics.md 7.4 and 7.5).
 
+The wrench of the cloth on each collider is the sum of the reactions to all displacements by
+contact and friction, and to the changes of velocities at the end (``contact.impulses``).
+
 Limits: particles are tested, not triangles, so colliders thinner than the particle spacing can
 slip between them. A mesh is as sharp as its grid (``contact.distance_field``). The distance to a
 height field is that to the tangent plane right below.
@@ -39,7 +42,6 @@ height field is that to the tangent plane right below.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +55,7 @@ from xpbd_ros.sim.commands import (
     RemoveCollider,
 )
 from xpbd_ros.sim.contact.broad_phase import find_candidates
-from xpbd_ros.sim.contact.collider import ColliderState, motion_of, Placed
+from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
@@ -70,7 +72,8 @@ from xpbd_ros.sim.contact.contacts import (
     push_all,
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
-from xpbd_ros.sim.contact.pads import areas, new_pads
+from xpbd_ros.sim.contact.impulses import add_impulses
+from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
     calm_overlaps,
@@ -78,10 +81,12 @@ from xpbd_ros.sim.contact.restitution import (
     rebound,
 )
 from xpbd_ros.sim.contact.shape_data import shape_data
+from xpbd_ros.sim.contact.wrenches import begin_wrenches
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.stepping.stages import (
+    accumulate_impulses,
     add_explicit_forces,
     finish,
     prepare,
@@ -127,6 +132,7 @@ def forget_contacts(contact, state, substep):
     if substep.begin == 0.0:
         contact.contacts.count[1] = contact.contacts.count[4] = 0
     contact.contacts.count[0] = NOT_SOUGHT
+    begin_wrenches(contact.contacts.wrenches, substep)
     move_colliders(contact.contacts, substep)
 
 
@@ -156,6 +162,13 @@ def push_out(contact, state, substep):
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
     push_all(contact.contacts, state, False)
+
+
+@stage(accumulate_impulses, Contact)
+@jit
+def react(contact, state, substep):
+    """Add the impulses of all contacts of this substep to the colliders' wrenches."""
+    add_impulses(contact.contacts, state, substep)
 
 
 @stage(finish, Contact)
@@ -225,6 +238,7 @@ class BuiltContact(Built):
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
+        self.contacts.wrenches.impulse[:] = 0.0
 
     def reset(self, state, now_ns):
         self.again()
@@ -404,28 +418,16 @@ class BuiltContact(Built):
             self.colliders.moving[c] = start != pose
 
     def reported(self, frame_dt):
-        return {'colliders': MappingProxyType({name: ColliderState(
-            placed.entry, placed.motion.pose,
-            np.subtract(placed.motion.pose.position, placed.motion.start.position) / frame_dt)
-            for name, placed in self.placed.items()})}
-
-    def pad_forces(self) -> dict[str, float]:
-        """Return the normal force of each pad in the last substep [N]."""
-        pads = self.contacts.pads
-        if pads is None:
-            return {}
-        found = max(0, self.contacts.count[0])
-        forces = np.bincount(self.contacts.collider[:found], pads.force[:found],
-                             len(self.colliders.shape))
-        return {f'pad_force_{name}_n': float(force)
-                for (name, placed), force in zip(self.placed.items(), forces)
-                if placed.entry.pad is not None}
+        colliders, count = self.colliders, len(self.placed)
+        return {'colliders': ColliderStates(
+            self.placed, colliders.start[:count], colliders.goal[:count].copy(),
+            self.contacts.wrenches.impulse[:count], frame_dt)}
 
     def stats(self):
         found = max(0, self.contacts.count[0])
         grids = self.colliders.grids
         return {**({} if grids is None else {'collider_grid_bytes': grids.values.nbytes}),
-                **self.pad_forces(),
+                **pad_forces(self.contacts, self.placed),
                 'contacts': int((self.contacts.push[:found] > 0.0).sum()),
                 'contacts_without_room': int(self.contacts.count[1]),
                 'contacts_squeezed': int(self.contacts.count[4]),

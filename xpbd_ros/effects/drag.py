@@ -37,7 +37,7 @@ from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import triangle_areas
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.particles.history import invalidate_history, step_at
+from xpbd_ros.sim.particles.history import discard_history, step_at
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import new_records
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, force, stage
@@ -106,7 +106,7 @@ def drag_triangles(drag, state, substep):
     for i in range(first, last):
         step = step_at(state.history, i, substep.h)
         if _carry(drag, state, i, step) > RESOLVED:
-            invalidate_history(state.history, i)
+            discard_history(state.history, i)
 
 
 @jit

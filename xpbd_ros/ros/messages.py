@@ -26,6 +26,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import ColorRGBA, String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
+from xpbd_ros.sim.contact.collider import ColliderStates
 from xpbd_ros.sim.effect import Cloth
 from xpbd_ros.sim.pins.states import PinState, PinStates
 from xpbd_ros.sim.simulation import Frame
@@ -189,12 +190,33 @@ def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
         ball.pose.position = vector(Point, pin.pose.position)
         ball.scale = Vector3(x=0.025, y=0.025, z=0.025)
         ball.color = ColorRGBA(r=0.95, g=0.75, b=0.1, a=1.0)
-        arrow = Marker(ns='forces', id=number, type=Marker.ARROW, action=Marker.ADD)
-        tip = np.add(pin.pose.position, 0.1 * pin.force)
-        arrow.points = [vector(Point, pin.pose.position), vector(Point, tip)]
-        arrow.scale = Vector3(x=0.006, y=0.015, z=0.02)
-        arrow.color = ColorRGBA(r=0.1, g=0.1, b=0.1, a=0.9)
-        markers += [ball, arrow]
+        markers += [ball, force_arrow('forces', number, pin.pose.position, pin.force)]
+    return stamped(markers, frame_id, time_ns)
+
+
+def collider_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
+    """Return an arrow for the cloth's force on each collider that it touches (10 cm per 1 N)."""
+    markers = [Marker(ns='collider_forces', id=-1, action=Marker.DELETEALL)]
+    for number, collider in enumerate(frame.colliders.values()):
+        square = collider.force @ collider.force
+        if square > 0.0:
+            arm = np.cross(collider.force, collider.torque) / square    # to the force's line
+            markers.append(force_arrow('collider_forces', number,
+                                       arm + collider.pose.position, collider.force))
+    return stamped(markers, frame_id, time_ns)
+
+
+def force_arrow(namespace: str, number: int, place, force: np.ndarray) -> Marker:
+    """Return an arrow from a place [m] on, 10 cm long per 1 N of a force [N]."""
+    arrow = Marker(ns=namespace, id=number, type=Marker.ARROW, action=Marker.ADD)
+    arrow.points = [vector(Point, place), vector(Point, np.add(place, 0.1 * force))]
+    arrow.scale = Vector3(x=0.006, y=0.015, z=0.02)
+    arrow.color = ColorRGBA(r=0.1, g=0.1, b=0.1, a=0.9)
+    return arrow
+
+
+def stamped(markers: list[Marker], frame_id: str, time_ns: int) -> MarkerArray:
+    """Return markers with a TF frame and a stamp."""
     for marker in markers:
         marker.header.frame_id = frame_id
         set_stamp(marker.header.stamp, time_ns)
@@ -209,8 +231,8 @@ def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
                    for row in cloth.mesh.triangles])
 
 
-class PinArray:
-    """``~/pin_states``: pose, twist and wrench (of the cloth on the pin) of each pin."""
+class BodyArray:
+    """``~/pin_states``, ``~/collider_wrenches``: pose, twist and wrench of the cloth of each."""
 
     MARKS = 1.25e300, -1.25e300, 1.5e300    # first numbers of poses, twists and wrenches
 
@@ -231,12 +253,13 @@ class PinArray:
                           max(0, self._buffer.find(struct.pack('<d', mark)))).reshape(count, width)
             for mark, width in zip(self.MARKS, (7, 6, 6)))
 
-    def bytes(self, pins: PinStates, time_ns: int) -> bytes:
+    def bytes(self, bodies: PinStates | ColliderStates, time_ns: int) -> bytes:
         """Return the serialized message."""
-        if pins.names != self._names:
-            self._lay_out(pins.names)
+        if bodies.names != self._names:
+            self._lay_out(bodies.names)
         struct.pack_into('<iI', self._buffer, 4, *divmod(time_ns, 10**9))
-        self._poses[:], self._twists[:], self._wrenches[:] = pins.poses, pins.twists, pins.wrenches
+        self._poses[:], self._twists[:] = bodies.poses, bodies.twists
+        self._wrenches[:] = bodies.wrenches
         return bytes(self._buffer)
 
 

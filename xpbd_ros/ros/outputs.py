@@ -4,7 +4,7 @@ The topics that a scene publishes, and the serialized messages of its frames.
 A message is serialized once; the node publishes it and the log keeps the same bytes. A scene of
 one cloth has the topics ``particles`` and ``mesh``; with several cloths they are
 ``cloth/<name>/particles`` and so on. ``pin_states`` exists only with the effect ``pin``, and each
-pin of the scene has a ``pin/<name>/wrench``.
+pin of the scene has a ``pin/<name>/wrench``; ``collider_wrenches`` exists only with ``contact``.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,6 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages, particle_fields
+from xpbd_ros.sim.contact.collider import ColliderStates
 from xpbd_ros.sim.measure import has_tensions, strains, tensions
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.pins.states import PinStates
@@ -69,7 +70,8 @@ class Outputs:
         self.scene_text = scene_text
         self.topics: dict[str, Output] = {}
         self._clouds, self._states, self._surfaces = {}, {}, []
-        self._pins = messages.PinArray(frame_id)
+        self._pins = messages.BodyArray(frame_id)
+        self._colliders = messages.BodyArray(frame_id)
         self.notes: list[str] = []
         """notes on the parameters for the user"""
         if marker_color == 'force' and not has_tensions(simulation):
@@ -99,6 +101,8 @@ class Outputs:
                           for name in getattr(simulation.effects.get('pin'), 'entries', ())}
         for topic in self._wrenches:
             self._add(Output(topic, WrenchStamped, STREAM, view_only=True))
+        if 'contact' in simulation.effects:
+            self._add(Output('collider_wrenches', MultiDOFJointState, STREAM))
         self._add(Output('scene', String, LATCHED))
         self._add(Output('recording', String, LATCHED, view_only=True))
         self._add(Output('state_hash', UInt64, STREAM, log_only=True))
@@ -139,14 +143,20 @@ class Outputs:
         if 'pin_states' in self.topics:
             assert isinstance(frame.pins, PinStates)
             found['pin_states'] = self._pins.bytes(frame.pins, time_ns)
+        if 'collider_wrenches' in self.topics:
+            assert isinstance(frame.colliders, ColliderStates)
+            found['collider_wrenches'] = self._colliders.bytes(frame.colliders, time_ns)
         return found
 
     def markers(self, frame: Frame, time_ns: int) -> list[bytes]:
-        """Return the marker messages of one frame: the surfaces, then the pins."""
+        """Return the marker messages of one frame: the surfaces, then pins, then colliders."""
         colours = self._colours(frame)
         found = [surface.bytes(frame.x, time_ns, colours) for surface in self._surfaces]
         if 'pin_states' in self.topics:
             found.append(serialize_message(messages.pin_markers(frame, self.frame_id, time_ns)))
+        if 'collider_wrenches' in self.topics:
+            found.append(serialize_message(
+                messages.collider_markers(frame, self.frame_id, time_ns)))
         return found
 
     def _colours(self, frame: Frame) -> np.ndarray | None:

@@ -32,8 +32,9 @@ TABLE = (
         'transitions'),
     Row('mode', 'realtime', "'realtime': step by the node's clock; 'lockstep': only on ~/step; "
         "'fast': as fast as possible", choices=('realtime', 'lockstep', 'fast'), live=True),
-    Row('publish_rate', 0.0, 'rate of ~/particles and ~/pin_states in Hz of simulation time; must '
-        'divide the frame rate; 0: every frame', minimum=0.0, maximum=10000.0, live=True),
+    Row('publish_rate', 0.0, 'rate of ~/particles, ~/pin_states and ~/collider_wrenches in Hz of '
+        'simulation time; must divide the frame rate; 0: every frame', minimum=0.0,
+        maximum=10000.0, live=True),
     Row('marker_rate', 15.0, 'rate of ~/markers in Hz of wall time, while it has subscribers; 0: '
         'never', minimum=0.0, maximum=1000.0, live=True),
     Row('marker_color', 'none', "colour of the surfaces in ~/markers: 'strain', 'force' (tension) "

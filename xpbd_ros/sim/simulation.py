@@ -55,7 +55,7 @@ class Frame:
     """[1/kg], shape (particles,); 0 while pinned"""
     pins: Mapping[str, Any]
     """name: PinState"""
-    colliders: MappingProxyType
+    colliders: Mapping[str, Any]
     """name: ColliderState"""
     applied: tuple[Command, ...] = ()
     """commands applied before this frame"""

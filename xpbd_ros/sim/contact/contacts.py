@@ -9,6 +9,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     all_lanes,
     any_lane,
+    both,
     either,
     larger,
     select,
@@ -40,8 +41,9 @@ from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave
 from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
 from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
+from xpbd_ros.sim.contact.wrenches import new_wrenches, react_to_turn, react_to_turns, Wrenches
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
-from xpbd_ros.sim.particles.history import invalidate_history, TOUCHED
+from xpbd_ros.sim.particles.history import invalidate_history, touched
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 DEPENETRATION = 1.0
@@ -110,6 +112,8 @@ class Contacts(NamedTuple):
     """particles that may come close, by collider"""
     scratch: np.ndarray
     """working memory, shape (4, WIDTH)"""
+    wrenches: Wrenches
+    """impulses that the colliders got from the cloth"""
     pads: Pads | None
     """None in a scene without pads"""
 
@@ -133,7 +137,8 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                     zeros((slots,), np.int64), integers(), integers(), integers(),
                     numbers(), numbers(), numbers(), numbers(3), numbers(3),
                     zeros((room + WIDTH,), np.bool_), numbers(4), np.zeros(capacity + 1, np.int64),
-                    new_near_blocks(colliders, slots), zeros((4, WIDTH), np.float64), pads)
+                    new_near_blocks(colliders, slots), zeros((4, WIDTH), np.float64),
+                    new_wrenches(capacity), pads)
 
 
 @jit(inline=True)
@@ -285,6 +290,9 @@ def push_pack(contacts, c, k, state, back, eased):
     if not any_lane(moved):
         return True
     nx, ny, nz = normals_to_world(contacts.after, c, nx, ny, nz)
+    again = both(moved, before > 0.0)
+    if any_lane(again):
+        react_to_turns(contacts, k, state, again, nx, ny, nz)
     store_wide(contacts.push, k, select(moved, before + push, before))
     place(state.x, index, k, select(moved, x + nx * push, x), select(moved, y + ny * push, y),
           select(moved, z + nz * push, z))
@@ -313,11 +321,11 @@ def invalidate_histories(history, index, k, moved):
     """Mark the particles index[k], … as TOUCHED where the mask is true."""
     if history is not None:
         if is_run(index, k):
-            store_wide(history.fresh, index[k],
-                       select(moved, TOUCHED, load_wide(history.fresh, index[k])))
+            fresh = load_wide(history.fresh, index[k])
+            store_wide(history.fresh, index[k], touched(fresh, moved))
         else:
             scatter(history.fresh, 0, index, k,
-                    select(moved, TOUCHED, gather(history.fresh, 0, index, k)))
+                    touched(gather(history.fresh, 0, index, k), moved))
 
 
 @jit
@@ -343,6 +351,8 @@ def push_candidate(contacts, k, state, back, eased):
         push = 0.5 * max(push, 0.0)
     if push == 0.0:
         return False
+    if before > 0.0:
+        react_to_turn(contacts, k, state, before, nx, ny, nz)
     contacts.push[k] = before + push
     state.x[0, i] += nx * push
     state.x[1, i] += ny * push

@@ -19,6 +19,7 @@ from math import sqrt
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.colliders import is_soft, to_local
 from xpbd_ros.sim.contact.signed_distance import signed_distance
+from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.geometry.quaternion import rotate
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -71,10 +72,13 @@ def leave_corners(contacts, state):
             if (contacts.latest[i] == k and contacts.earlier[k] >= 0
                     and penetrates_any(contacts, k, state)):
                 x = state.x[0, i], state.x[1, i], state.x[2, i]
-                project_jointly(contacts, k, i, state)
-                if penetrates_any(contacts, k, state):
+                project_jointly(contacts, k, i, state, False)
+                helps = not penetrates_any(contacts, k, state)
+                state.x[0, i], state.x[1, i], state.x[2, i] = x
+                if helps:
+                    project_jointly(contacts, k, i, state, True)
+                else:
                     count += 1
-                    state.x[0, i], state.x[1, i], state.x[2, i] = x
                 invalidate_history(state.history, i)
     return count
 
@@ -90,12 +94,16 @@ def penetrates_any(contacts, k, state):
 
 
 @jit
-def project_jointly(contacts, last, i, state):
-    """Project particle i, whose last candidate is ``last``, on up to three colliders jointly."""
+def project_jointly(contacts, last, i, state, reacts):
+    """
+    Project particle i, whose last candidate is ``last``, on up to three colliders jointly.
+
+    If ``reacts``, each of them gets the reaction to what it adds to the displacement.
+    """
     for _ in range(ROUNDS):
         a, b = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for turn in range(3):
-            short, n = deepest(contacts, last, state.x[0, i], state.x[1, i], state.x[2, i])
+            c, short, n = deepest(contacts, last, state.x[0, i], state.x[1, i], state.x[2, i])
             if short <= 0.0:
                 if turn == 0:
                     return
@@ -108,20 +116,23 @@ def project_jointly(contacts, last, i, state):
                 break
             for d in range(3):
                 state.x[d, i] += t[d] * short / square
+            if reacts:
+                f = contacts.wrenches.h[0] / state.mobility[i] * (short / square)
+                add_reaction(contacts, c, state, i, f * t[0], f * t[1], f * t[2])
             size = sqrt(square)
             a, b = (t[0] / size, t[1] / size, t[2] / size), a
 
 
 @jit
 def deepest(contacts, k, x, y, z):
-    """Return the largest deficit of the relaxed gap at a point [m], and the normal there."""
-    most, normal, enough = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0]
+    """Return the collider with the largest deficit of the relaxed gap, that [m], its normal."""
+    most, normal, enough, c = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0], -1
     while k >= 0:
         phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
         if is_soft(contacts.pads, k):
             short = 0.0
         if short > max(most, 0.1 * enough):
-            most, normal = short, n
+            most, normal, c = short, n, contacts.collider[k]
         k = contacts.earlier[k]
-    return most, normal
+    return c, most, normal

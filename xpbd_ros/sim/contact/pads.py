@@ -109,6 +109,17 @@ def areas(world) -> np.ndarray:
     return found
 
 
+def pad_forces(contacts, placed) -> dict[str, float]:
+    """Return the normal force of each pad in the last substep [N]; ``placed``: all colliders."""
+    if contacts.pads is None:
+        return {}
+    found = max(0, contacts.count[0])
+    forces = np.bincount(contacts.collider[:found], contacts.pads.force[:found],
+                         len(contacts.colliders.shape))
+    return {f'pad_force_{name}_n': float(force)
+            for (name, each), force in zip(placed.items(), forces) if each.entry.pad is not None}
+
+
 @jit
 def begin_pad(pads, contacts, k, start, limit):
     """Prepare a candidate: a pad keeps the whole thickness, and all of its push is a load."""

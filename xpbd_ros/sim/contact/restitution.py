@@ -14,6 +14,7 @@ from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import surface_motion
+from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
 
 
@@ -38,8 +39,12 @@ def speed_away(contacts, k, state, substep):
 @jit(inline=True)
 def drive_away(contacts, k, state, speed):
     """Add ``speed`` along the normal to the velocity of the particle of contact k [m/s]."""
+    i, n = contacts.particle[k], contacts.normal
     for a in range(3):
-        state.v[a, contacts.particle[k]] += speed * contacts.normal[k, a]
+        state.v[a, i] += speed * n[k, a]
+    gained = state.mass[i] * speed
+    add_reaction(contacts, contacts.collider[k], state, i, gained * n[k, 0], gained * n[k, 1],
+                 gained * n[k, 2])
 
 
 @jit(inline=True)
@@ -117,3 +122,6 @@ def calm_particle(pads, contacts, last, state, substep):
         if off > 0.0:
             for a in range(3):
                 v[a, i] -= off * pads.lost[strongest] * u[a] / size
+            lost = state.mass[i] * off * pads.lost[strongest] / size
+            add_reaction(contacts, contacts.collider[strongest], state, i, -lost * u[0],
+                         -lost * u[1], -lost * u[2])

@@ -51,8 +51,8 @@ class History(NamedTuple):
     """v_{n-1} [m/s], shape (3, slots); None with BDF2"""
     fresh: np.ndarray
     """FULL: complete; HALF: one earlier substep, or order reduction (BDF2); NONE: no history
-    (backward Euler); TOUCHED: invalidated in this substep (backward Euler, then NONE); shape
-    (slots,)"""
+    (backward Euler); TOUCHED more than these: invalidated in this substep (backward Euler, then
+    NONE); shape (slots,)"""
 
 
 STEPS = {'backward_euler': 0, 'leapfrog': 0, 'bdf2': 1, 'ndf2': 2}
@@ -72,8 +72,21 @@ def new_history(integrator: str, slots: int, dtype) -> History | None:
 @jit
 def invalidate_history(history, i):
     """Mark particle i as TOUCHED: end this substep with backward Euler, begin the next as NONE."""
+    if history is not None and history.fresh[i] < TOUCHED:
+        history.fresh[i] += TOUCHED
+
+
+@jit(inline=True)
+def touched(fresh, moved):
+    """Return a vector of ``History.fresh``, marked as TOUCHED where the mask is true."""
+    return select(both(moved, fresh < TOUCHED), fresh + TOUCHED, fresh)
+
+
+@jit
+def discard_history(history, i):
+    """Let particle i predict its positions again, without its history, in this substep too."""
     if history is not None:
-        history.fresh[i] = TOUCHED
+        history.fresh[i] = TOUCHED + NONE
 
 
 def earlier_positions(history):
@@ -284,6 +297,15 @@ def weights_at(history, i):
     if history is None:
         return 1.0, 0.0, 0.0
     return _weights_at(history.older_x, history.fresh[i])
+
+
+@jit
+def weights_before(history, i):
+    """Return H / h, a, b with which the positions of one particle were predicted."""
+    if history is None:
+        return 1.0, 0.0, 0.0
+    fresh = history.fresh[i]
+    return _weights_at(history.older_x, fresh if fresh < TOUCHED else fresh - TOUCHED)
 
 
 @jit

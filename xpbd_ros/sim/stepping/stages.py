@@ -83,6 +83,14 @@ def accumulate_reactions(effects, state, substep):
     """
 
 
+def accumulate_impulses(effects, state, substep):
+    """
+    Add up the impulses on outside bodies, once the positions of a substep are final.
+
+    Velocities are still those predicted, and ``History.fresh`` is that of the substep.
+    """
+
+
 def lap(clock, row):
     """Add the time since the last call to a row, by a kernel for the type of ``state.clock``."""
 
@@ -199,7 +207,7 @@ _tells_of(force, has_force)
 _tells_of(are_inequalities_unmet, may_repeat_inequalities)
 _tells_of(finish, has_finish)
 for _stub in (force, prepare, project, project_inequalities, limit_motion, finish,
-              add_explicit_forces):
+              add_explicit_forces, accumulate_impulses):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 walk(accumulate_reactions, lambda effect, state: None if _is_none(state, 'reaction') else

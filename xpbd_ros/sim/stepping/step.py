@@ -21,6 +21,7 @@ from xpbd_ros.sim.particles.integration import (
 from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping.methods import enter, leave, sweep
 from xpbd_ros.sim.stepping.stages import (
+    accumulate_impulses,
     accumulate_reactions,
     are_inequalities_unmet,
     finish,
@@ -71,6 +72,7 @@ def advance(effects, state, method, frame_dt, substeps):
                 wait(now.team)
             limit_motion(effects, now, substep)
         accumulate_reactions(effects, now, substep)
+        accumulate_impulses(effects, now, substep)
         begun = k + 1 < substeps and not has_finish(effects)
         if begun:
             update_velocity_and_begin(now, substep)

@@ -91,7 +91,7 @@ GUARDS = (
     Guard('H28', 'line bdf2 1x1 held', 'drag never accelerates cloth beyond the air speed',
           'effects/drag.py', '    s /= max(1.0, trace)\n', ''),
     Guard('H29', 'line bdf2 8x1 restitution 0', 'contact invalidates the multistep history',
-          'sim/particles/history.py', 'history.fresh[i] = TOUCHED', 'pass'),
+          'sim/particles/history.py', 'history.fresh[i] += TOUCHED', 'pass'),
     Guard('H32', 'line ndf2 2x1 particles anywhere', 'line ends with a pass over its edges',
           'sim/stepping/methods.py', 'Line: (forth, back, close)', 'Line: (forth, back)'),
     Guard('H32', 'line bdf2 4x1 stiff in bending', 'line also sweeps backward',

@@ -1,0 +1,204 @@
+"""
+Impulses of the contacts of a substep, from the displacements that they caused.
+
+A displacement D of a particle with the mobility m is the work of a force D / m, so its impulse is
+
+    J = (H² / h) D / m,   D = d n + s
+
+with d the push along the normal n and s the displacement by friction. H is h but for a particle
+that comes into contact: its positions were predicted with a history, and its velocity becomes that
+of backward Euler (``particles.history``). So without contact it would have had another velocity,
+and the collider gives
+
+    J = m (v - v_free),   v = (x - x_n) / h,   v_free = (x - D - x̄) / H
+
+which is the J above plus mass ((x - D - x_n) / h - v_free). The cloth's momentum is then the sum
+of all impulses on it (doc/numerics.md 7.8). Pads whose friction was solved with their pushes have
+a displacement u that differs from Σ d n across the clamp; both colliders bear half of that.
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, both, either
+from xpbd_ros.sim.backend.simd_wide import gather, load_columns, load_wide, store_wide, WIDTH
+from xpbd_ros.sim.contact.contacts import is_run, positions
+from xpbd_ros.sim.contact.wrenches import add_reaction, LANES
+from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
+
+
+@jit
+def add_impulses(contacts, state, substep):
+    """Add the reactions to the impulses of all contacts of this substep to the wrenches."""
+    if contacts.count[0] > 0:
+        for c in range(contacts.colliders.count[0]):
+            if contacts.first[c] < contacts.first[c + 1]:
+                add_collider(contacts, c, state, substep)
+        add_rest_of_pads(contacts.pads, contacts, state, substep)
+
+
+@jit(inline=True)
+def add_collider(contacts, c, state, substep):
+    """Add up the forces of the cloth on collider c."""
+    partial, p = contacts.wrenches.partial, contacts.after[c]
+    begin, end = contacts.first[c], contacts.first[c + 1]
+    partial[:] = 0.0
+    k = begin
+    while k < end:
+        if k + WIDTH <= end and add_pack(contacts, c, k, (k - begin) % LANES, state, p):
+            k += WIDTH
+        else:
+            for _ in range(min(WIDTH, end - k)):
+                add_candidate(contacts, c, k, (k - begin) % LANES, state, p, substep)
+                k += 1
+    total = contacts.wrenches.impulse[c]
+    for a in range(6):
+        q = partial[a]
+        total[a] -= substep.h * (((q[0] + q[4]) + (q[2] + q[6]))
+                                 + ((q[1] + q[5]) + (q[3] + q[7])))
+
+
+@jit(inline=True)
+def add_pack(contacts, c, k, lane, state, p):
+    """
+    Add the forces of the candidates k, k + 1, … by lanes to the sums from ``lane`` on.
+
+    Return False if one of them has just come into contact; ``p`` is the collider's position.
+    """
+    index, partial = contacts.particle, contacts.wrenches.partial
+    push, (sx, sy, sz) = load_wide(contacts.push, k), load_columns(contacts.slip, k)
+    active = either(push > 0.0, sx * sx + sy * sy + sz * sz > 0.0)
+    if not any_lane(active):
+        return True
+    if begins(state.history, index, k, active):
+        return False
+    nx, ny, nz = load_columns(contacts.normal, k)
+    per = 1.0 / numbers(state.mobility, index, k)
+    fx, fy, fz = per * (push * nx + sx), per * (push * ny + sy), per * (push * nz + sz)
+    x, y, z = positions(state.x, index, k)
+    rx, ry, rz = x - p[0], y - p[1], z - p[2]
+    add_lanes(partial, 0, lane, fx)
+    add_lanes(partial, 1, lane, fy)
+    add_lanes(partial, 2, lane, fz)
+    add_lanes(partial, 3, lane, ry * fz - rz * fy)
+    add_lanes(partial, 4, lane, rz * fx - rx * fz)
+    add_lanes(partial, 5, lane, rx * fy - ry * fx)
+    return True
+
+
+@jit(inline=True)
+def add_lanes(partial, row, lane, f):
+    """Add a vector to the sums of a row from ``lane`` on."""
+    i = row * LANES + lane
+    store_wide(partial, i, load_wide(partial, i) + f)
+
+
+@jit(inline=True)
+def numbers(values, index, k):
+    """Return the vector of the values, shape (slots,), of the particles index[k], …"""
+    if is_run(index, k):
+        return load_wide(values, index[k])
+    return gather(values, 0, index, k)
+
+
+@jit(inline=True)
+def begins(history, index, k, active):
+    """Return True if a particle index[k], … in the lanes of the mask had a history."""
+    if history is None:
+        return False
+    else:    # Numba prunes the branch that is not taken
+        return any_lane(both(active, numbers(history.fresh, index, k) < TOUCHED + NONE))
+
+
+@jit(inline=True)
+def displacement(contacts, k):
+    """Return D of candidate k, and whether it is a contact."""
+    d, n, s = contacts.push[k], contacts.normal, contacts.slip
+    x, y, z = s[k, 0], s[k, 1], s[k, 2]
+    touches = d > 0.0 or x * x + y * y + z * z > 0.0
+    return (d * n[k, 0] + x, d * n[k, 1] + y, d * n[k, 2] + z), touches
+
+
+@jit
+def add_candidate(contacts, c, k, lane, state, p, substep):
+    """Add the force of candidate k to the sums in ``lane``."""
+    i, partial = contacts.particle[k], contacts.wrenches.partial
+    (x, y, z), touches = displacement(contacts, k)
+    if not touches:
+        return
+    ratio = weights_before(state.history, i)[0]
+    per = ratio * ratio / state.mobility[i]
+    gx, gy, gz = change_of_integrator(state.history, contacts, k, state, substep.h)
+    fx, fy, fz = per * x + gx, per * y + gy, per * z + gz
+    rx, ry, rz = state.x[0, i] - p[0], state.x[1, i] - p[1], state.x[2, i] - p[2]
+    partial[0, lane] += fx
+    partial[1, lane] += fy
+    partial[2, lane] += fz
+    partial[3, lane] += ry * fz - rz * fy
+    partial[4, lane] += rz * fx - rx * fz
+    partial[5, lane] += rx * fy - ry * fx
+
+
+@jit
+def change_of_integrator(history, contacts, k, state, h):
+    """
+    Return mass ((x - D - x_n) / h - v_free) / h of a particle that comes into contact [N].
+
+    It goes to the first collider that the particle touches; others get 0.
+    """
+    if history is None:
+        return 0.0, 0.0, 0.0
+    else:    # Numba prunes the branch that is not taken
+        return _change_of_integrator(history, contacts, k, state, h)
+
+
+@jit
+def _change_of_integrator(history, contacts, k, state, h):
+    i = contacts.particle[k]
+    ratio, a, b = weights_before(history, i)
+    dx, dy, dz, first, j = 0.0, 0.0, 0.0, k, contacts.latest[i]
+    while j >= 0:
+        (x, y, z), touches = displacement(contacts, j)
+        dx, dy, dz = dx + x, dy + y, dz + z
+        if touches:
+            first = j
+        j = contacts.earlier[j]
+    if ratio == 1.0 or first != k:
+        return 0.0, 0.0, 0.0
+    m = state.mass[i] / (h * h)
+    return (m * difference(state, history.older_x, i, 0, dx, ratio, a, b),
+            m * difference(state, history.older_x, i, 1, dy, ratio, a, b),
+            m * difference(state, history.older_x, i, 2, dz, ratio, a, b))
+
+
+@jit(inline=True)
+def difference(state, older, i, axis, d, ratio, a, b):
+    """Return (x - D - x_n) - h v_free along one axis [m]."""
+    start, before = state.x_prev[axis, i], state.history.x[axis, i]
+    moved, gone = state.x[axis, i] - d - start, a * (start - before)
+    return moved - (moved - gone + older_part(older, axis, i, before, b)) / ratio
+
+
+@jit(inline=True)
+def older_part(older, axis, i, before, b):
+    """Return b (x_{n-1} - x_{n-2}); ``older`` is None with BDF2."""
+    if older is None:
+        return 0.0
+    else:    # Numba prunes the branch that is not taken
+        return b * (before - older[axis, i])
+
+
+@jit
+def add_rest_of_pads(pads, contacts, state, substep):
+    """Add the impulses of u - Σ d n of clamped particles, half to each of both colliders."""
+    if pads is not None:
+        n, d = contacts.normal, pads.given
+        for k in range(contacts.count[0]):
+            i, j = contacts.particle[k], contacts.earlier[k]
+            if pads.clamped[k] and contacts.latest[i] == k and j >= 0:
+                ratio = weights_before(state.history, i)[0]
+                share = 0.5 * substep.h * ratio * ratio / state.mobility[i]
+                u = pads.shift[k]
+                x = share * (u[0] - d[j] * n[j, 0] - d[k] * n[k, 0])
+                y = share * (u[1] - d[j] * n[j, 1] - d[k] * n[k, 1])
+                z = share * (u[2] - d[j] * n[j, 2] - d[k] * n[k, 2])
+                add_reaction(contacts, contacts.collider[j], state, i, x, y, z)
+                add_reaction(contacts, contacts.collider[k], state, i, x, y, z)

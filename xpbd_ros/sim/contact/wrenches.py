@@ -1,0 +1,88 @@
+"""Wrenches of the cloth on colliders: sums of impulses over a frame."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
+from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
+
+TURNED = 1e-4
+"""change of a contact's normal in a substep up to which its push is one displacement"""
+LANES = 8
+"""partial sums of each component, whatever the width of a vector, so that the bits are the same"""
+
+
+class Wrenches(NamedTuple):
+    """Impulses that colliders got from the cloth."""
+
+    impulse: np.ndarray
+    """linear [N s] and angular about the collider's position, world axes [N m s]; sum over the
+    frame; shape (capacity, 6)"""
+    partial: np.ndarray
+    """partial sums of the collider at hand, shape (6, LANES)"""
+    h: np.ndarray
+    """length of the substep [s], shape (1,)"""
+
+
+def new_wrenches(capacity: int) -> Wrenches:
+    """Return zero wrenches of ``capacity`` colliders."""
+    return Wrenches(np.zeros((capacity, 6)), np.zeros((6, LANES)), np.zeros(1))
+
+
+@jit
+def begin_wrenches(wrenches, substep):
+    """Reset the sums in a frame's first substep."""
+    if substep.begin == 0.0:
+        wrenches.impulse[:] = 0.0
+    wrenches.h[0] = substep.h
+
+
+@jit
+def add_reaction(contacts, c, state, i, x, y, z):
+    """Subtract the impulse (x, y, z) on particle i [N s] from collider c's sum."""
+    total, p = contacts.wrenches.impulse[c], contacts.after[c]
+    rx, ry, rz = state.x[0, i] - p[0], state.x[1, i] - p[1], state.x[2, i] - p[2]
+    total[0] -= x
+    total[1] -= y
+    total[2] -= z
+    total[3] -= ry * z - rz * y
+    total[4] -= rz * x - rx * z
+    total[5] -= rx * y - ry * x
+
+
+@jit
+def react_to_turns(contacts, k, state, again, nx, ny, nz):
+    """Call ``react_to_turn`` for the lanes of the mask."""
+    mx, my, mz = load_columns(contacts.normal, k)
+    if any_lane(both(again, is_turned(mx - nx, my - ny, mz - nz))):
+        scratch, chosen = contacts.scratch, bits(again)
+        store_wide(scratch, 0, nx)
+        store_wide(scratch, WIDTH, ny)
+        store_wide(scratch, 2 * WIDTH, nz)
+        while chosen != 0:
+            l = lowest_bit(chosen)
+            chosen &= chosen - 1
+            react_to_turn(contacts, k + l, state, contacts.push[k + l], scratch[0, l],
+                          scratch[1, l], scratch[2, l])
+
+
+@jit
+def react_to_turn(contacts, k, state, before, nx, ny, nz):
+    """
+    React to d (n - n'), where a candidate with a push d so far gets a new normal n'.
+
+    The displacement d n then counts as d n' (``contact.impulses``).
+    """
+    i, n = contacts.particle[k], contacts.normal[k]
+    x, y, z = n[0] - nx, n[1] - ny, n[2] - nz
+    if is_turned(x, y, z):
+        share = contacts.wrenches.h[0] / state.mobility[i] * before
+        add_reaction(contacts, contacts.collider[k], state, i, share * x, share * y, share * z)
+
+
+@jit(inline=True)
+def is_turned(x, y, z):
+    """Return True if the difference (x, y, z) of two normals matters; also for vectors."""
+    return x * x + y * y + z * z > TURNED**2
