@@ -12,8 +12,18 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import bits, both, lanes, load, lowest_bit
-from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.simd import (
+    bits,
+    both,
+    lanes,
+    larger,
+    load,
+    lowest_bit,
+    smaller,
+    splat,
+    store,
+)
+from xpbd_ros.sim.backend.simd_records import load_records, PACK
 
 MORTON_BITS = 20
 """bits of each coordinate in a Morton code"""
@@ -75,7 +85,20 @@ def morton_codes(points: np.ndarray) -> np.ndarray:
 def update_boxes(tree, spheres):
     """Compute all boxes so that they bound the particles' spheres: records x, y, z, radius [m]."""
     corners, low, high = tree.corners, tree.low, tree.high
-    for c in range(corners.shape[1]):
+    vectors = corners.shape[1] // lanes(spheres) * lanes(spheres)
+    for c in range(0, vectors, lanes(spheres)):
+        above, below = splat(spheres, np.inf), splat(spheres, -np.inf)
+        least, most = (above, above, above), (below, below, below)
+        for k in range(len(corners)):
+            x, y, z, radius = load_records(spheres, corners[k], c)
+            least = (smaller(x - radius, least[0]), smaller(y - radius, least[1]),
+                     smaller(z - radius, least[2]))
+            most = (larger(x + radius, most[0]), larger(y + radius, most[1]),
+                    larger(z + radius, most[2]))
+        for a in range(3):
+            store(low[a], c, least[a])
+            store(high[a], c, most[a])
+    for c in range(vectors, corners.shape[1]):
         for a in range(3):
             least, most = np.inf, -np.inf
             for k in range(len(corners)):

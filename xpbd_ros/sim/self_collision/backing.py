@@ -50,6 +50,8 @@ class Backing(NamedTuple):
     """
     held: np.ndarray
     """Σ w b √s n·v over impulses v: displacement that colliders prevented, shape (particles,)"""
+    behind: np.ndarray
+    """True for particles with colliders behind them, shape (particles + 1,)"""
     turn: np.ndarray
     """number of the present turn; 0: the first, of all pairs; shape (1,)"""
 
@@ -59,7 +61,7 @@ def new_backing(contacts: Contacts, particles: int) -> Backing | None:
     if contacts.pads is None:
         return None
     return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros(particles),
-                   np.zeros(1, np.int64))
+                   np.zeros(particles + 1, np.bool_), np.zeros(1, np.int64))
 
 
 @jit(inline=True)
@@ -110,8 +112,11 @@ def load_backing(backing, slot):
     if backing is not None:
         axis, contacts = backing.axis, backing.contacts
         for i in range(len(slot)):
-            best, ratio = stiffest(contacts, last_candidate(contacts, slot[i]))
+            best, ratio, last = -1, 0.0, last_candidate(contacts, slot[i])
+            if last >= 0:
+                best, ratio = stiffest(contacts, last)
             backing.held[i] = 0.0
+            backing.behind[i] = ratio > 0.0
             axis[i, ROOT] = root = sqrt(ratio / (1.0 + ratio))
             for a in range(3):
                 axis[i, a] = root * contacts.normal[best, a] if best >= 0 else 0.0
@@ -188,6 +193,19 @@ def take_part(backing, axes, b, movable):
         if is_further_turn(backing):
             return both(movable, is_clamped(axes, b))
         return movable
+
+
+@jit(inline=True)
+def may_take_part(backing, particles, q, count):
+    """Return False if none of ``count`` pairs from q on has colliders that this turn needs."""
+    if backing is None:
+        return True
+    else:    # Numba prunes the branch that is not taken
+        found = not is_further_turn(backing)
+        for p in range(4):
+            for k in range(q, q + count):
+                found |= backing.behind[particles[p, k]]
+        return found
 
 
 @jit(inline=True)

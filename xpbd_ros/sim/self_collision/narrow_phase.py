@@ -29,9 +29,8 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     length,
     POINTS,
-    UNKNOWN,
 )
-from xpbd_ros.sim.self_collision.packing import closest, set_keep, travel_of
+from xpbd_ros.sim.self_collision.packing import closest, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.pair_contacts import (
     load_axes,
     load_corners,
@@ -70,7 +69,7 @@ def find_contacts(near, planes, pairs, x, apart):
         begin = pairs.end[kind]
 
 
-@jit
+@jit(inline=True)
 def find_some(near, planes, pairs, x, kind, q, apart):
     """Do so for a vector of pairs."""
     starts = load_corners(near.start, pairs.particles, q)
@@ -227,11 +226,12 @@ def list_planes(near, planes, thickness):
                 if any_lane(close):
                     a, b, c, d = load_corners(near.move, near.corners, q)
                     found = bits(both(close, mobility_of(weight, a, b, c, d) > 0.0))
-                    list_planes_at(near, planes, kind, q, found, v, thickness)
+                    kept_distance(near, kind, q, thickness)
+                    list_planes_at(near, planes, kind, q, found, v)
 
 
 @jit(inline=True)
-def list_planes_at(near, planes, kind, q, found, v, thickness):
+def list_planes_at(near, planes, kind, q, found, v):
     """List the pairs q + k of all bits k in the neighbour list."""
     scratch = planes.vectors
     store_vector(scratch, 0, v)
@@ -240,8 +240,6 @@ def list_planes_at(near, planes, kind, q, found, v, thickness):
         found &= found - 1
         k, n = q + lane, (scratch[0, lane], scratch[1, lane], scratch[2, lane])
         i, j, l, m = near.corners[0, k], near.corners[1, k], near.corners[2, k], near.corners[3, k]
-        if near.keep[k] == UNKNOWN:
-            set_keep(near, kind, k, thickness)
         distance = length(n)
         add_plane(planes, 2 if kind == EDGES else 1, i, j, l, m, (
             n[0] / distance, n[1] / distance, n[2] / distance), distance, near.keep[k])

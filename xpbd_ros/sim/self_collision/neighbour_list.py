@@ -17,13 +17,11 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
-from xpbd_ros.sim.geometry.closest_points import dot, minus, on_edges, on_triangle
+from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.particles.history import invalidate_history
 
 POINTS, TRIANGLES, EDGES = range(3)
 """kinds of pairs: two particles, particle and triangle, two edges"""
-REST_SHARE = 0.5
-"""largest distance to be kept, relative to a pair's distance at rest"""
 TRAVEL = INV_MASS = 3
 """last column of the records of particles"""
 BEYOND = 0.25
@@ -32,6 +30,8 @@ UP = 1.0 + 1e-6
 """for bounds that are rounded to float32"""
 UNKNOWN = -1.0
 """distance to be kept that is not computed yet"""
+CANDIDATES = 1024
+"""pairs whose distance the search computes at once, a multiple of PACK"""
 
 
 class Surface(NamedTuple):
@@ -49,7 +49,10 @@ class NeighbourList(NamedTuple):
     cloth: np.ndarray
     """index of each particle's cloth, shape (particles,)"""
     rest: np.ndarray
-    """rest positions [m], shape (particles, 3)"""
+    """
+    records in float32, shape (particles + 1, 4): rest positions relative to the first one [m],
+    index of the cloth
+    """
     reach: float
     """largest margin of a particle, unless two substeps' motion needs more [m]"""
     x: np.ndarray
@@ -90,11 +93,11 @@ class NeighbourList(NamedTuple):
     """end of the pairs of each kind, shape (3,)"""
     corners: np.ndarray
     """
-    particles of each pair, one side first, unused ones the dummy, shape (4, capacity + PACK):
-    candidates of the search are behind the end
+    particles of each pair, one side first, unused ones the dummy, shape (4, capacity
+    + CANDIDATES): candidates of the search are behind the end
     """
     keep: np.ndarray
-    """distance to be kept [m], or UNKNOWN; shape (capacity + PACK,)"""
+    """distance to be kept [m], or UNKNOWN; shape (capacity + CANDIDATES,)"""
     points: BoxTree
     """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
@@ -132,20 +135,22 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
     room = (room + 3 * PACK - 1) // PACK * PACK
+    records = np.zeros((count + 1, 4), np.float32)
+    records[:-1, :3], records[:-1, 3] = rest - rest[0], cloth_of
     return NeighbourList(
-        np.concatenate([cloth.slots for cloth in cloths]), cloth_of, rest,
+        np.concatenate([cloth.slots for cloth in cloths]), cloth_of, records,
         float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64),
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + PACK), np.int32),
-        np.zeros(room + PACK, np.float32), tree(points[:, None]), trees, kin)
+        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + CANDIDATES), np.int32),
+        np.zeros(room + CANDIDATES, np.float32), tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
 def room_of(near):
     """Return the capacity of the list in pairs."""
-    return len(near.keep) - PACK
+    return len(near.keep) - CANDIDATES
 
 
 @jit(inline=True)
@@ -163,45 +168,10 @@ def are_welded(kin, a, b):
         return kin[a] == kin[b]
 
 
-@jit
-def weights(kind, p, q, r, s):
-    """Return weights b of a pair's particles: Σ b x is the vector between the closest points."""
-    if kind == POINTS:
-        return 1.0, -1.0, 0.0, 0.0
-    if kind == TRIANGLES:
-        u, v, w = on_triangle(p, q, r, s)
-        return 1.0, -u, -v, -w
-    u, v = on_edges(p, q, r, s)
-    return 1.0 - u, u, v - 1.0, -v
-
-
-@jit(inline=True)
-def closest_vector(kind, x, i, j, k, l):
-    """Return the vector between a pair's closest points [m]; x: (particles, 3)."""
-    p, q, r, s = at(x, i), at(x, j), at(x, k), at(x, l)
-    b = weights(kind, p, q, r, s)
-    # differences first: no loss of digits far from the origin
-    q, r, s = minus(q, p), minus(r, p), minus(s, p)
-    return (b[1] * q[0] + b[2] * r[0] + b[3] * s[0], b[1] * q[1] + b[2] * r[1] + b[3] * s[1],
-            b[1] * q[2] + b[2] * r[2] + b[3] * s[2])
-
-
 @jit(inline=True)
 def length(v):
     """Return |v|."""
     return sqrt(dot(v, v))
-
-
-@jit
-def required_distance(cloth, rest, kind, thickness, i, j, k, l):
-    """
-    Return the distance that a pair has to keep [m].
-
-    It is the thickness, and within a cloth at most REST_SHARE of the pair's distance at rest.
-    """
-    if cloth[i] != cloth[l]:
-        return thickness
-    return min(thickness, REST_SHARE * length(closest_vector(kind, rest, i, j, k, l)))
 
 
 @jit

@@ -11,19 +11,33 @@ than it is allowed to.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import bits, lanes, larger, load, lowest_bit, select
+from xpbd_ros.sim.backend.simd import (
+    any_lane,
+    bits,
+    either,
+    lanes,
+    larger,
+    load,
+    lowest_bit,
+    root,
+    select,
+    smaller,
+    store,
+)
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     gone_since,
     POINTS,
-    required_distance,
     TRAVEL,
-    UNKNOWN,
 )
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, OPEN
 
+CLOTH = 3
+"""last column of the records at rest"""
+REST_SHARE = 0.5
+"""largest distance to be kept, relative to a pair's distance at rest"""
 STREAMS = 8
 """places of the neighbour list that are read in turn"""
 AHEAD = 4.0
@@ -95,11 +109,6 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
         while close:
             k = begin + lowest_bit(close)
             close &= close - 1
-            if near.keep[k] == UNKNOWN:
-                set_keep(near, kind, k, thickness)
-                again = close_pairs(near, kind, begin, thickness, ahead, spare)
-                if again & (1 << (k - begin)) == 0:
-                    continue
             o = open_pack(near, pairs, k)
             if o < 0:
                 o = turn
@@ -119,7 +128,7 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
     return end, lost
 
 
-@jit
+@jit(inline=True)
 def close_pairs(near, kind, begin, thickness, ahead, spare):
     """
     Return bits of the PACK pairs from ``begin`` on closer than they have to keep + their motion.
@@ -127,14 +136,35 @@ def close_pairs(near, kind, begin, thickness, ahead, spare):
     The motion is ``ahead`` travel + spare on each side.
     """
     found = 0
-    for q in range(0, PACK, lanes(near.start)):
-        a, b, c, d = load_corners(near.start, near.corners, begin + q)
+    for q in range(begin, begin + PACK, lanes(near.start)):
+        a, b, c, d = load_corners(near.start, near.corners, q)
         v = closest(kind, a, b, c, d)[0]
-        keep = load(near.keep, begin + q)
-        reach = select(keep < 0.0, thickness, keep) + 2.0 * spare + ahead * travel_of(
-            kind, a, b, c, d)
-        found |= bits(dot(v, v) < reach * reach) << q
+        motion = 2.0 * spare + ahead * travel_of(kind, a, b, c, d)
+        reach = thickness + motion
+        close = bits(dot(v, v) < reach * reach)
+        if close:
+            reach = kept_distance(near, kind, q, thickness) + motion
+            found |= bits(dot(v, v) < reach * reach) << (q - begin)
     return found
+
+
+@jit(inline=True)
+def kept_distance(near, kind, q, thickness):
+    """
+    Return the distances that a vector of listed pairs have to keep [m], computed once.
+
+    That is the thickness, and within a cloth at most REST_SHARE of the pair's distance at rest.
+    """
+    keep = load(near.keep, q)
+    if any_lane(keep < 0.0):
+        a, b, c, d = load_corners(near.rest, near.corners, q)
+        v, one, other = closest(kind, a, b, c, d)[0], a[CLOTH], d[CLOTH]
+        if kind == POINTS:
+            other = b[CLOTH]
+        keep = select(either(one < other, one > other), thickness,
+                      smaller(REST_SHARE * root(dot(v, v)), thickness))
+        store(near.keep, q, keep)
+    return keep
 
 
 @jit(inline=True)
@@ -182,15 +212,6 @@ def append(near, pairs, kind, k, o):
         pairs.particles[p, place] = i
         if i != dummy:
             pairs.busy[i] |= 1 << o
-
-
-@jit
-def set_keep(near, kind, k, thickness):
-    """Compute the distance that pair k of the neighbour list has to keep."""
-    i, j, l, m = near.corners[0, k], near.corners[1, k], near.corners[2, k], near.corners[3, k]
-    if kind == POINTS:
-        l = m = j
-    near.keep[k] = required_distance(near.cloth, near.rest, kind, thickness, i, j, l, m)
 
 
 @jit(inline=True)

@@ -22,6 +22,7 @@ from xpbd_ros.sim.backend.simd import (
     absolute,
     any_lane,
     bits,
+    both,
     either,
     fma,
     lanes,
@@ -38,6 +39,7 @@ from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.backing import (
     Backing,
     by_backing,
+    may_take_part,
     prevented,
     take_part,
 )
@@ -181,7 +183,7 @@ def mobility_of(b, p, q, r, s):
                                                             s[3] * (b[3] * b[3]))))
 
 
-@jit
+@jit(inline=True)
 def displace(near, pairs, q, active):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
     move, v, backing = near.precise_move, pairs.impulse, pairs.backing
@@ -213,7 +215,8 @@ def store_weights(pairs, q, b):
 def project_pairs(near, pairs):
     """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
     for q in range(0, pairs.end[2], lanes(near.move)):
-        if any_lane(load(pairs.gap, q) > NEVER):
+        if any_lane(load(pairs.gap, q) > NEVER) and may_take_part(
+                pairs.backing, pairs.particles, q, lanes(near.move)):
             axes, weight = load_axes(pairs.backing, pairs.particles, q), load_weights(pairs, q)
             project_some(near, pairs, q, load_corners(near.start, pairs.particles, q),
                          load_corners(near.move, pairs.particles, q), axes,
@@ -303,33 +306,40 @@ def mobility_of_pair(pairs, k, near, state):
 @jit
 def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
+    for q in range(0, pairs.end[2], lanes(pairs.push)):
+        found = bits(both(load(pairs.overlap, q) > 0.0, load(pairs.push, q) > 0.0))
+        while found:
+            calm_pair(pairs, q + lowest_bit(found), near, state, substep)
+            found &= found - 1
+
+
+@jit(inline=True)
+def calm_pair(pairs, k, near, state, substep):
+    """Remove the normal velocity from depenetration of pair k."""
     v, n = state.v, pairs.normal
-    for k in range(pairs.end[2]):
-        still = min(pairs.overlap[k], pairs.push[k]) / substep.h
-        if still <= 0.0:
-            continue
-        speed, rest = 0.0, 0.0
-        for p in range(3, -1, -1):
-            b = float(pairs.weight[p, k]) if p > 0 else -rest
-            rest += b
-            i = pairs.particles[p, k]
-            if i < len(near.slot):
-                j = near.slot[i]
-                speed += b * (n[0, k] * v[0, j] + n[1, k] * v[1, j] + n[2, k] * v[2, j])
-        excess = min(speed, still)
-        if excess <= 0.0:
-            continue
-        excess /= mobility_of_pair(pairs, k, near, state)
-        rest = 0.0
-        for p in range(3, -1, -1):
-            b = float(pairs.weight[p, k]) if p > 0 else -rest
-            rest += b
-            i = pairs.particles[p, k]
-            if i < len(near.slot):
-                j = near.slot[i]
-                share = state.inv_mass[j] * b * excess
-                for a in range(3):
-                    v[a, j] -= share * n[a, k]
+    still = min(pairs.overlap[k], pairs.push[k]) / substep.h
+    speed, rest = 0.0, 0.0
+    for p in range(3, -1, -1):
+        b = float(pairs.weight[p, k]) if p > 0 else -rest
+        rest += b
+        i = pairs.particles[p, k]
+        if i < len(near.slot):
+            j = near.slot[i]
+            speed += b * (n[0, k] * v[0, j] + n[1, k] * v[1, j] + n[2, k] * v[2, j])
+    excess = min(speed, still)
+    if excess <= 0.0:
+        return
+    excess /= mobility_of_pair(pairs, k, near, state)
+    rest = 0.0
+    for p in range(3, -1, -1):
+        b = float(pairs.weight[p, k]) if p > 0 else -rest
+        rest += b
+        i = pairs.particles[p, k]
+        if i < len(near.slot):
+            j = near.slot[i]
+            share = state.inv_mass[j] * b * excess
+            for a in range(3):
+                v[a, j] -= share * n[a, k]
 
 
 @jit

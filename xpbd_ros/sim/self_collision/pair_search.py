@@ -2,15 +2,17 @@
 Search for the pairs of the neighbour list, over trees of bounding boxes (``geometry.box_tree``).
 
 It happens when a particle's motion since the last search exceeds its margin. Boxes are compared by
-lanes, and so are the closest points of the candidates, PACK at a time.
+lanes, and so are the closest points of the candidates.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import lowest_bit
+from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps, update_boxes
+from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.neighbour_list import (
     are_welded,
+    CANDIDATES,
     EDGES,
     load_starts,
     POINTS,
@@ -20,7 +22,8 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     UNKNOWN,
     UP,
 )
-from xpbd_ros.sim.self_collision.packing import close_pairs, set_keep
+from xpbd_ros.sim.self_collision.packing import closest, kept_distance, travel_of
+from xpbd_ros.sim.self_collision.pair_contacts import load_corners
 
 HALVINGS = 8
 """most halvings of margins that yield more pairs than the capacity"""
@@ -108,21 +111,23 @@ def list_kind(near, kind, tree, others, size, end, to_the_end):
         if end > room_of(near) and not to_the_end:
             break
         packs, reached = find_packs(others, bounds_of(tree, pack, size))
-        for c in range(pack, min(pack + PACK, places)):
-            box = box_of(tree, c, size)
-            for n in range(reached):
-                other = packs[n]
-                hit = overlaps(others, other, box)
-                if kind != TRIANGLES and other <= pack:    # only pairs with a later item
-                    hit = hit & -(2 << (c - pack)) if other == pack else 0
+        for n in range(reached):
+            other = packs[n]
+            if kind != TRIANGLES and other < pack:    # only pairs with a later item
+                continue
+            mine = overlaps(tree, pack, bounds_of(others, other, size))
+            while mine:
+                c = pack + lowest_bit(mine)
+                mine &= mine - 1
+                hit = overlaps(others, other, box_of(tree, c, size))
+                if kind != TRIANGLES and other == pack:
+                    hit &= -(2 << (c - pack))
+                if count + PACK > CANDIDATES:
+                    end, count = keep_close(near, kind, size, end, count), 0
                 while hit:
                     d = other + lowest_bit(hit)
                     hit &= hit - 1
-                    if not add_candidate(near, kind, tree, others, c, d, end, count):
-                        continue
-                    count += 1
-                    if count == PACK:
-                        end, count = keep_close(near, kind, size, end, count), 0
+                    count += add_candidate(near, kind, tree, others, c, d, end, count)
     return keep_close(near, kind, size, end, count)
 
 
@@ -169,15 +174,18 @@ def keep_close(near, kind, size, end, count):
     """Append those of the candidates behind the list that are closer than ``size`` + margins."""
     room, corners = room_of(near), near.corners
     first = min(end, room)
-    near.keep[first:first + PACK] = UNKNOWN
-    found = close_pairs(near, kind, first, size, 1.0, 0.0) & ((1 << count) - 1)
-    while found:
-        k = first + lowest_bit(found)
-        found &= found - 1
-        if end < room:
-            for p in range(4):
-                corners[p, end] = corners[p, k]
-        end += 1
+    for q in range(first, first + count, lanes(near.start)):
+        a, b, c, d = load_corners(near.start, corners, q)
+        v, reach = closest(kind, a, b, c, d)[0], size + travel_of(kind, a, b, c, d)
+        found = bits(dot(v, v) < reach * reach) & ((1 << min(PACK, first + count - q)) - 1)
+        while found:
+            k = q + lowest_bit(found)
+            found &= found - 1
+            if end < room:
+                for p in range(4):
+                    corners[p, end] = corners[p, k]
+                near.keep[end] = UNKNOWN
+            end += 1
     return end
 
 
@@ -185,8 +193,9 @@ def keep_close(near, kind, size, end, count):
 def drop_far(near, end, thickness, rounding):
     """Drop pairs of particles further apart than they have to keep + margins; return the end."""
     corners, x, left = near.corners, near.start, 0
+    for q in range(0, min(end, room_of(near)), lanes(x)):
+        kept_distance(near, POINTS, q, thickness)
     for k in range(min(end, room_of(near))):
-        set_keep(near, POINTS, k, thickness)
         i, j, square = corners[0, k], corners[1, k], 0.0
         for a in range(3):
             square += (x[i, a] - x[j, a])**2
