@@ -33,7 +33,7 @@ BELOW = {
     'export': {'ros', 'log', 'scene', 'effects', 'sim'},
     'demo': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
     'node_stress': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
-    'view': {'scene', 'effects', 'sim'},
+    'view': {'export', 'ros', 'log', 'scene', 'effects', 'sim'},
     'cli': {'view', 'export', 'node_stress', 'demo', 'ros', 'study', 'log', 'scene', 'effects',
             'sim'},
 }

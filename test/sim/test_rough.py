@@ -22,7 +22,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim import measure
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.commands import Release
+from xpbd_ros.sim.commands import Release, Reset
 from xpbd_ros.sim.constraints.line_solver import solve_warp, solve_weft
 from xpbd_ros.sim.particles.integration import begin, restore_buffers, turned, update_velocity
 from xpbd_ros.sim.particles.state import forget, Substep
@@ -120,7 +120,7 @@ def worst(method: str, integrator: str | None, substeps: int, n: int, stiffness:
     sheet = swing(method, integrator, substeps, n, stiffness)
     found = {}
     for kind, seed in product(kinds, seeds):
-        sheet._reset()
+        sheet.apply([Reset()])
         found[kind, seed] = growth(sheet, kind, seed, **options)
     return found
 
@@ -192,7 +192,7 @@ def test_one_plain_sweep_of_lines_with_bdf2_is_wilder(kinds, substeps):
                 sheet._apply((command,), None)
             advance_one_sweep(sheet._tuple, sheet.state, sheet.frame_dt, substeps)
         for key, most in plain.items():
-            sheet._reset()
+            sheet.apply([Reset()])
             sheet._hold()
             wild += growth(sheet, *key, step=bare) > HERE * most
     assert wild >= 2

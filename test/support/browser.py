@@ -4,9 +4,11 @@ import base64
 from io import BytesIO
 from itertools import count
 import json
+import os
 from pathlib import Path
 import shutil
 import subprocess
+import sys
 import tempfile
 import time
 from urllib.request import urlopen
@@ -19,6 +21,23 @@ MISSING = 'Chromium is not installed (Debian, Ubuntu: apt install chromium)'
 PATIENCE = 60.0
 """[s]; only a failure takes that long"""
 WIDTH, HEIGHT = 1200, 800
+
+
+def start_view(*words) -> subprocess.Popen:
+    """Start ``xpbd_ros view`` in a process of its own."""
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    return subprocess.Popen(
+        [sys.executable, '-m', 'xpbd_ros', 'view', *map(str, words), '--port', '0',
+         '--no-browser'], env=environment, text=True, stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE)
+
+
+def address(view: subprocess.Popen) -> str:
+    """Return the address that ``view`` prints."""
+    for line in view.stdout:
+        if line.startswith('http'):
+            return line.split()[0]
+    raise AssertionError(view.stderr.read())
 
 
 class Browser:
@@ -76,8 +95,10 @@ class Browser:
             self.errors.append(about['entry']['text'])
 
     def open(self, url: str) -> None:
-        """Open a page."""
+        """Open a page, and wait until it is loaded."""
         self.call('Page.navigate', url=url)
+        self.until(lambda: self.value('document.readyState') == 'complete', url)
+        time.sleep(0.5)    # a page of another origin runs in another process, which takes over
 
     def value(self, expression: str):
         """Return the value of a JavaScript expression."""

@@ -2,19 +2,16 @@
 
 import importlib.util
 import json
-import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 
 import numpy as np
 import pytest
 
-from support.browser import Browser, CHROMIUM, MISSING
+from support.browser import address, Browser, CHROMIUM, MISSING, start_view
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import new_log
 from xpbd_ros.log.reader import LogReader
@@ -45,15 +42,6 @@ solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
 """
 
 
-def program(*words) -> subprocess.Popen:
-    """Start ``view`` in a process of its own."""
-    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
-    return subprocess.Popen(
-        [sys.executable, '-m', 'xpbd_ros', 'view', *map(str, words), '--port', '0',
-         '--no-browser'], env=environment, text=True, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE)
-
-
 @pytest.fixture(scope='module')
 def scene(tmp_path_factory):
     """Return the file of a sheet that hangs from its upper corners."""
@@ -76,8 +64,8 @@ def page(browser):
 @pytest.fixture(scope='module')
 def browser(scene):
     """Return a browser with the page of the running scene."""
-    process = program(scene)
-    url = next(line.split()[0] for line in process.stdout if line.startswith('http'))
+    process = start_view(scene)
+    url = address(process)
     browser = Browser()
     browser.open(url)
     browser.until(lambda: 'real time' in browser.text(), 'the figures')
@@ -184,7 +172,7 @@ def pixel(page, point) -> tuple[float, float]:
 
 
 def test_a_viewed_run_has_the_bits_of_any_other(scene):
-    process = program(scene, '--duration', '3', '--json', '-')
+    process = start_view(scene, '--duration', '3', '--json', '-')
     out, err = process.communicate()
     assert process.returncode == 0, err
     found = json.loads(out)

@@ -1,8 +1,9 @@
 """
-Tables for pandas, Polars or DuckDB: ``particles.parquet``, and ``pins.parquet`` if pins held.
+Tables for pandas, Polars or DuckDB: ``particles.parquet``, and ``pins.parquet`` if pins held, and
+``colliders.parquet`` if there were colliders.
 
-Columns are frame, time_s, then cloth, particle, x, y, z [m]; or pin, its pose, and the force [N]
-and torque [N m] of the cloth on the gripper. A row group holds about ROWS rows.
+Columns are frame, time_s, then cloth, particle, x, y, z [m]; or pin or collider, its pose, and the
+force [N] and torque [N m] of the cloth on it. A row group holds about ROWS rows.
 """
 
 from collections.abc import Callable, Iterable
@@ -16,7 +17,7 @@ from xpbd_ros.export.states import State, States
 
 ROWS = 2**18
 """rows in memory at a time"""
-PIN_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'force_x', 'force_y', 'force_z', 'torque_x',
+BODY_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'force_x', 'force_y', 'force_z', 'torque_x',
                'torque_y', 'torque_z')
 
 
@@ -32,8 +33,9 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -
     particles = _Table(folder / 'particles.parquet', pyarrow.schema([
         *stamp, ('cloth', names), ('particle', pyarrow.int32()),
         *((axis, pyarrow.float32()) for axis in 'xyz')]))
-    pins = _Table(folder / 'pins.parquet', pyarrow.schema([
-        *stamp, ('pin', names), *((name, pyarrow.float64()) for name in PIN_COLUMNS)]))
+    bodies = {what: _Table(folder / f'{what}s.parquet', pyarrow.schema([
+        *stamp, (what, names), *((name, pyarrow.float64()) for name in BODY_COLUMNS)]))
+        for what in ('pin', 'collider')}
     try:
         for state in frames():
             for cloth, positions in state.positions.items():
@@ -41,16 +43,18 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -
                 particles.add(count, [np.full(count, state.frame), np.full(count, state.time_s),
                                       [cloth] * count, np.arange(count, dtype=np.int32),
                                       *positions.T])
-            if state.pins:
-                count = len(state.pins)
-                rows = np.array([(*pin.position, *pin.orientation, *pin.force, *pin.torque)
-                                 for pin in state.pins])
-                pins.add(count, [np.full(count, state.frame), np.full(count, state.time_s),
-                                 [pin.name for pin in state.pins], *rows.T])
+            for what, found in (('pin', state.pins), ('collider', state.colliders)):
+                if found:
+                    count = len(found)
+                    rows = np.array([(*each.position, *each.orientation, *each.force,
+                                      *each.torque) for each in found])
+                    bodies[what].add(count, [
+                        np.full(count, state.frame), np.full(count, state.time_s),
+                        [each.name for each in found], *rows.T])
     finally:
-        particles.close()
-        pins.close()
-    return [table.path for table in (particles, pins) if table.path.exists()]
+        for table in (particles, *bodies.values()):
+            table.close()
+    return [table.path for table in (particles, *bodies.values()) if table.path.exists()]
 
 
 class _Table:

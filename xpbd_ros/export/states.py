@@ -17,8 +17,8 @@ from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.model import TopKeys
 
 
-class Pin(NamedTuple):
-    """A pin that holds, in one frame."""
+class Body(NamedTuple):
+    """A pin that holds, or a collider, in one frame."""
 
     name: str
     position: tuple[float, float, float]
@@ -26,9 +26,9 @@ class Pin(NamedTuple):
     orientation: tuple[float, float, float, float]
     """x, y, z, w"""
     force: tuple[float, float, float]
-    """of the cloth on the gripper [N]"""
+    """of the cloth on it [N]"""
     torque: tuple[float, float, float]
-    """about the pin's position [N m]"""
+    """about its position [N m]"""
 
 
 class State(NamedTuple):
@@ -39,7 +39,8 @@ class State(NamedTuple):
     """simulation time since the start of the log [s]"""
     positions: dict[str, np.ndarray]
     """by cloth [m], float32, shape (particles, 3)"""
-    pins: list[Pin]
+    pins: list[Body]
+    colliders: list[Body]
 
 
 class States:
@@ -77,9 +78,9 @@ class States:
         self._clouds = {topic: _cloth_of(topic) for topic, about in reader.topics.items()
                         if last_part(topic) == 'particles'
                         and about.type == type_name(PointCloud2)}
-        self._pins = [topic for topic, about in reader.topics.items()
-                      if last_part(topic) == 'pin_states'
-                      and about.type == type_name(MultiDOFJointState)]
+        self._bodies = [topic for topic, about in reader.topics.items()
+                        if last_part(topic) in ('pin_states', 'collider_wrenches')
+                        and about.type == type_name(MultiDOFJointState)]
         if not self._clouds:
             raise InputError(f'{self.path}: holds no ~/particles, so it is no log of xpbd_ros')
         scene = yaml.safe_load(reader.scene or '')
@@ -127,18 +128,20 @@ class States:
     def __iter__(self) -> Iterator[State]:
         """Yield the states of ``frames``."""
         wanted, start_ns = set(self.frames), self._reader.start_ns or 0
-        for frame, messages in self._by_frame([*self._clouds, *self._pins]):
+        for frame, messages in self._by_frame([*self._clouds, *self._bodies]):
             if frame not in wanted:
                 continue
             positions: dict[str, np.ndarray] = {}
-            pins: list[Pin] = []
+            bodies: dict[str, list[Body]] = {}
             for message in messages:
                 if message.topic in self._clouds:
                     positions[self._clouds[message.topic]] = positions_in(
                         unpacked(message.data, PointCloud2))
                 else:
-                    pins = _pins(unpacked(message.data, MultiDOFJointState))
-            yield State(frame, 1e-9 * (messages[0].time_ns - start_ns), positions, pins)
+                    bodies[last_part(message.topic)] = _bodies(
+                        unpacked(message.data, MultiDOFJointState))
+            yield State(frame, 1e-9 * (messages[0].time_ns - start_ns), positions,
+                        bodies.get('pin_states', []), bodies.get('collider_wrenches', []))
 
 
 def _cloth_of(topic: str) -> str:
@@ -147,11 +150,11 @@ def _cloth_of(topic: str) -> str:
     return parts[-2] if len(parts) > 3 and parts[-3] == 'cloth' else 'cloth'
 
 
-def _pins(message: MultiDOFJointState) -> list[Pin]:
+def _bodies(message: MultiDOFJointState) -> list[Body]:
     found = []
     for name, pose, wrench in zip(message.joint_names, message.transforms, message.wrench):
         at, turn = pose.translation, pose.rotation
         force, torque = wrench.force, wrench.torque
-        found.append(Pin(name, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
-                         (force.x, force.y, force.z), (torque.x, torque.y, torque.z)))
+        found.append(Body(name, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w),
+                          (force.x, force.y, force.z), (torque.x, torque.y, torque.z)))
     return found

@@ -59,7 +59,8 @@ class Stage:
             for k, (sheet, x) in enumerate(zip(sheets, positions))]
         self._edges = [server.scene.add_line_segments(
             f'/strain/{sheet.name}', x[sheet.edges].astype(np.float32),
-            np.zeros((len(sheet.edges), 2, 3), np.uint8), line_width=2.0, visible=False)
+            np.zeros((len(sheet.edges), 2, 3), np.uint8), thickness=2.0,
+            thickness_units='screen', visible=False)
             for sheet, x in zip(sheets, positions)]
         self._arrows: dict = {}
         self.bodies: dict = {}

@@ -1,0 +1,106 @@
+"""``view`` of a log: its frames, a second log beside it, a page that plays without a server."""
+
+import importlib.util
+import json
+import signal
+
+import numpy as np
+import pytest
+
+from support.browser import address, Browser, CHROMIUM, MISSING, start_view
+from support.logs import recorded
+from xpbd_ros.cli.main import main
+from xpbd_ros.export.states import States
+from xpbd_ros.view.recorded import Track
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
+                                reason="viser is not installed: pip install 'xpbd_ros[view]'")
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
+SHEET = """
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.2], resolution: [7, 5]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+pins:
+  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+
+
+@pytest.fixture(scope='module')
+def logs(tmp_path_factory):
+    """Return two logs of the same cloth, with different substeps."""
+    folder, found = tmp_path_factory.mktemp('logs'), []
+    for substeps in (8, 4):
+        scene = folder / f'{substeps}.yaml'
+        scene.write_text(SHEET.replace('substeps: 8', f'substeps: {substeps}'))
+        found.append(recorded(scene, folder / f'log_{substeps}', {}, frames=20))
+    return found
+
+
+def test_a_track_holds_the_frames_of_the_log(logs):
+    states = States(str(logs[0]), every=5)
+    track = Track.read(states, states)
+    assert track.times == pytest.approx(np.arange(0, 21, 5) / 60.0, abs=1e-8)
+    for k, state in enumerate(states):
+        assert np.array_equal(track.frame(k)[0], state.positions['cloth'])
+    assert [body.name for body in track.pins[2]] == ['left']
+    sheet, = track.sheets()
+    assert len(sheet.edges) == 6 * 5 + 7 * 4 + 24
+    assert sheet.rest_length.min() == pytest.approx(0.05, rel=1e-6)
+
+
+@needs_browser
+def test_two_logs_beside_each_other(logs):
+    process = start_view(logs[0], '--beside', logs[1])
+    browser = Browser()
+    try:
+        browser.open(address(process))
+        browser.until(lambda: 'distance of the logs' in browser.text(), 'the panel')
+        browser.until(lambda: ' of 20' in browser.text(), 'a frame')
+        browser.press('Pause')
+        browser.until(lambda: 'Play' in browser.text().split('\n'), 'the pause')
+        assert any(line.startswith('distance ') and line.endswith(' mm at most')
+                   for line in browser.text().split('\n'))
+        picture = browser.picture()[:, :800]
+        assert (picture[..., 2] > picture[..., 0] + 0.15).mean() > 0.005, 'the first log is blue'
+        assert (picture[..., 0] > picture[..., 2] + 0.15).mean() > 0.0005, 'the second is red'
+        assert browser.errors == []
+    finally:
+        browser.close()
+        process.send_signal(signal.SIGINT)
+        process.communicate()
+
+
+@needs_browser
+def test_an_exported_page_plays_without_a_server(logs, tmp_path, capsys):
+    page = tmp_path / 'page.html'
+    assert main(['view', str(logs[0]), '--export', str(page), '--json', '-']) == 0
+    assert json.loads(capsys.readouterr().out)['url'] == page.as_uri()
+    browser = Browser()
+    try:
+        browser.open(page.as_uri())
+
+        def blue() -> float:
+            picture = browser.picture()
+            return (picture[..., 2] > picture[..., 0] + 0.15).mean()
+        browser.until(lambda: blue() > 0.005, 'the cloth')
+        assert browser.errors == []
+    finally:
+        browser.close()
+
+
+@pytest.mark.parametrize(('words', 'text'), [
+    (['--every', '0'], '--every: must be at least 1 (got 0)'),
+    (['--beside', 'nowhere'], 'nowhere: no such file or folder')])
+def test_mistakes_are_one_line(logs, words, text, capsys):
+    assert main(['view', str(logs[0]), '--no-browser', *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert text in said
+
+
+def test_a_scene_is_neither_exported_nor_compared(capsys):
+    assert main(['view', 'towel', '--export', 'page.html']) == 2
+    assert '--export: needs a log, and towel is a scene' in capsys.readouterr().err
