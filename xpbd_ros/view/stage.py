@@ -10,7 +10,7 @@ from xpbd_ros.view.bodies import add_body
 COLOURS = ((42, 120, 181), (193, 128, 58), (74, 154, 98), (138, 95, 176))
 """of the cloths, in turn"""
 FORCE = (40, 40, 40)
-EYE = (1.2, -2.4, 1.0)
+EYE = (1.5, -3.0, 1.1)
 """from the centre of the cloths to the camera at first, over their size"""
 FIELD_OF_VIEW = 0.8
 """vertical [rad]"""
