@@ -24,8 +24,9 @@ def after_a_grasp(make, frames: int = 5):
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2'), ('line', 'ndf2'),
-    ('explicit', 'leapfrog')])
+    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2'),
+    pytest.param('line', 'ndf2', marks=pytest.mark.slow),
+    pytest.param('explicit', 'leapfrog', marks=pytest.mark.slow)])
 def test_a_simulation_continues_from_a_checkpoint_bit_for_bit(method, integrator):
     def make():
         return with_effects(names=FEW, method=method, integrator=integrator, substeps=12)
