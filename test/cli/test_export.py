@@ -8,22 +8,13 @@ import meshio
 import numpy as np
 import pytest
 
-from support.logs import recorded
+from support.logs import recorded, SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.sim.commands import Grasp, Pose, Release
 
-SHEET = """
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [7, 5]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
 TWO = SHEET.replace('pins:', """
   ribbon:
     grid: {size: [0.3, 0.1], resolution: [4, 3]}
@@ -85,7 +76,8 @@ def test_several_cloths_and_every_second_frame(two, tmp_path, capsys):
 
 
 def test_parquet_has_a_row_for_each_particle_and_for_each_pin(log, tmp_path, capsys):
-    parquet = pytest.importorskip('pyarrow.parquet', reason='pip install pyarrow')
+    parquet = pytest.importorskip('pyarrow.parquet',
+                                  reason="pyarrow is missing: pip install '.[export]'")
     found = export(log, tmp_path / 'out', '--format', 'parquet', capsys=capsys)
     particles, pins = (parquet.read_table(file).to_pydict() for file in found['files'])
     assert list(particles) == ['frame', 'time_s', 'cloth', 'particle', 'x', 'y', 'z']
@@ -111,8 +103,7 @@ def test_a_mesh_file_for_each_frame(log, tmp_path, suffix, capsys):
 
 
 def test_usd_has_a_time_sample_for_each_frame(log, tmp_path, capsys):
-    pxr = pytest.importorskip('pxr', reason='pip install usd-core')
-    assert pxr
+    pytest.importorskip('pxr', reason="usd-core is missing: pip install '.[export]'")
     from pxr import Usd, UsdGeom
     found = export(log, tmp_path / 'out', '--format', 'usd', capsys=capsys)
     stage = Usd.Stage.Open(found['files'][0])
@@ -145,6 +136,25 @@ def test_a_damaged_log_is_exported_as_far_as_it_goes(log, tmp_path, capsys):
     assert 'damaged log: the magic bytes at its end are missing' in capsys.readouterr().err
     with np.load(tmp_path / 'out' / 'states.npz') as arrays:
         assert len(arrays['frame']) == LogReader(cut).frames
+
+
+@pytest.mark.parametrize(('scene', 'text'), [
+    ('cloths: [1, 2', 'scene: line 1, column 14: expected'),
+    ('[1, 2]', 'scene: must be a mapping'),
+    ('frame_rate: fast', 'scene.frame_rate: must be a number')])
+def test_a_log_with_a_broken_scene_is_refused_in_one_line(log, tmp_path, scene, text, capsys):
+    broken = tmp_path / 'broken'
+    with LogWriter(broken, scene=scene, settings={}) as copy:
+        whole = LogReader(log)
+        for name, about in whole.topics.items():
+            copy.add_channel(name, about.type, about.qos)
+        for message in whole.messages():
+            copy.write(message.topic, message.data, time_ns=message.time_ns, frame=message.frame)
+    assert main(['export', str(broken), '--format', 'npz', '-o', str(tmp_path / 'out')]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert text in said
+    assert not (tmp_path / 'out').exists()
 
 
 @pytest.mark.parametrize(('words', 'text'), [

@@ -12,29 +12,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Float64
 
-from support.logs import recorded, state_hashes
+from support.logs import COMMANDS, recorded, SHEET, state_hashes
 from support.meshes import disc, obj_text
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
-
-SHEET = """
-duration: 0.25
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [7, 5]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
-HAND = Grasp('hand', Pose((0.6, 0.2, 0.0)), 0.05)
-COMMANDS = {2: [HAND, SetKey('gravity', (0.0, 0.0, -8.0)),
-                SetKey('cloths.sheet.effects.stretch.warp', 250.0)],
-            5: [MovePin('hand', Pose((0.6, 0.2, 0.05)))], 9: [Release('hand')]}
 
 
 @pytest.fixture(scope='module')

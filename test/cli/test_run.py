@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_typestore, Stores
 import yaml
 
-from support.logs import recorded
+from support.logs import COMMANDS, recorded, SHEET
 from support.meshes import disc, obj_text
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
@@ -29,19 +29,6 @@ from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
-
-SHEET = """
-duration: 0.25
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [7, 5]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
 
 
 def program(*words, **options) -> subprocess.CompletedProcess:
@@ -252,10 +239,6 @@ def repeated(log, *words, capsys) -> tuple[int, dict, list[str]]:
     return code, json.loads(out)['commands'] if out else {}, err.splitlines()
 
 
-HAND = Grasp('hand', Pose((0.6, 0.2, 0.0)), 0.05)
-COMMANDS = {2: [HAND, SetKey('gravity', (0.0, 0.0, -8.0)),
-                SetKey('cloths.sheet.effects.stretch.warp', 250.0)],
-            5: [MovePin('hand', Pose((0.6, 0.2, 0.1)))], 9: [Release('hand')]}
 
 
 @pytest.fixture(scope='module')

@@ -1,7 +1,6 @@
 """When a gripper grasps and releases; the joint positions are given."""
 
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import pytest
 from sensor_msgs.msg import JointState
@@ -14,27 +13,6 @@ from xpbd_ros.sim.commands import Grasp, Release
 
 pytestmark = pytest.mark.skipif(find_spec('yourdfpy') is None,
                                 reason="yourdfpy is missing: pip install '.[robot]'")
-
-
-class Stand:
-    """Stands in for a node: no DDS, its time is 5 s."""
-
-    def __init__(self):
-        self.refused = []
-        self.command_queue = SimpleNamespace(
-            refuse=lambda topic, reason: self.refused.append((topic, reason)))
-
-    def create_subscription(self, kind, topic, take, qos):
-        """Keep the callback."""
-        self.take = take
-
-    def resolve_topic_name(self, topic):
-        """Return a topic as it is."""
-        return topic
-
-    def now_ns(self):
-        """Return 5 s."""
-        return 5 * 10**9
 
 
 @pytest.fixture
@@ -51,37 +29,37 @@ def state(stamp: int = 0, **positions) -> JointState:
 
 
 @pytest.fixture
-def stand():
-    """Return a node."""
-    return Stand()
+def refused():
+    """Return the refused messages, (topic, reason) each."""
+    return []
 
 
 @pytest.fixture
-def states(stand):
-    """Return joint states of that node."""
-    return JointStates(stand, '/joint_states')
+def states(refused):
+    """Return joint states on a clock that stands at 5 s."""
+    return JointStates('/joint_states', lambda *about: refused.append(about), lambda: 5 * 10**9)
 
 
-def test_joint_states_of_several_publishers_add_up(stand, states):
-    stand.take(state(3, reach=0.1, lift=0.2))
-    stand.take(state(2, finger=0.03))
+def test_joint_states_of_several_publishers_add_up(states, refused):
+    states.take(state(3, reach=0.1, lift=0.2))
+    states.take(state(2, finger=0.03))
     assert states.latest == (3 * 10**9, {'reach': 0.1, 'lift': 0.2, 'finger': 0.03})
-    stand.take(state(finger=0.02))
+    states.take(state(finger=0.02))
     assert states.latest == (5 * 10**9, {'reach': 0.1, 'lift': 0.2, 'finger': 0.02}), 'now'
-    stand.take(JointState(name=['finger'], velocity=[1.0]))
-    assert not stand.refused
-    stand.take(state(6, finger=float('nan')))
-    stand.take(JointState(name=['finger'], position=[1.0, 2.0]))
-    assert [topic for topic, _ in stand.refused] == ['/joint_states'] * 2
+    states.take(JointState(name=['finger'], velocity=[1.0]))
+    assert not refused
+    states.take(state(6, finger=float('nan')))
+    states.take(JointState(name=['finger'], position=[1.0, 2.0]))
+    assert [topic for topic, _ in refused] == ['/joint_states'] * 2
     assert states.latest[1]['finger'] == 0.02
 
 
-def test_links_have_a_pose_once_all_joints_are_known(stand, states, robot):
+def test_links_have_a_pose_once_all_joints_are_known(states, robot):
     source = Kinematics(robot, states)
-    stand.take(state(3, reach=0.1, lift=0.2))
+    states.take(state(3, reach=0.1, lift=0.2))
     with pytest.raises(InputError, match='no position of finger on /joint_states'):
         source.latest_ns('world', 'palm')
-    stand.take(state(4, finger=0.03))
+    states.take(state(4, finger=0.03))
     assert source.latest_ns('world', 'palm') == 4 * 10**9
     assert source.pose('world', 'right_finger', 4 * 10**9).position == pytest.approx(
         (0.1, -0.03, 0.3))
@@ -96,10 +74,10 @@ def gripper(states, robot):
     assert said == []
 
 
-def test_it_grasps_below_releases_above_and_does_nothing_between(gripper, stand):
+def test_it_grasps_below_releases_above_and_does_nothing_between(gripper, states):
     given = []
     for finger in (0.02, 0.0061, 0.0059, 0.004, 0.0065, 0.0071, 0.008, 0.0065, 0.004):
-        stand.take(state(3, reach=0.0, lift=0.0, finger=finger))
+        states.take(state(3, reach=0.0, lift=0.0, finger=finger))
         given.append(gripper.command(holds=bool(given) and not gripper.open, reset=False))
     nothing = type(None)
     assert [type(command) for command in given] == [
@@ -108,11 +86,11 @@ def test_it_grasps_below_releases_above_and_does_nothing_between(gripper, stand)
     assert given[2].pose.position == pytest.approx((0.0, 0.0, 0.075)), 'at the tip'
 
 
-def test_a_joint_that_nothing_publishes_is_reported_once(stand, states, robot):
+def test_a_joint_that_nothing_publishes_is_reported_once(states, robot):
     said, now_ns = [], [7]
     gripper = GripperFollower(robot, states, Kinematics(robot, states), 'world',
                               now_ns=lambda: now_ns[0], warn=said.append)
-    stand.take(state(3, reach=0.0, lift=0.0))
+    states.take(state(3, reach=0.0, lift=0.0))
     for now_ns[0] in (7, 10**9, 2 * 10**9, 3 * 10**9):
         assert gripper.command(holds=False, reset=False) is None
         assert bool(said) == (now_ns[0] > 10**9)
@@ -120,8 +98,8 @@ def test_a_joint_that_nothing_publishes_is_reported_once(stand, states, robot):
                     'nothing']
 
 
-def test_a_reset_closes_it_again(gripper, stand):
-    stand.take(state(3, reach=0.0, lift=0.0, finger=0.004))
+def test_a_reset_closes_it_again(gripper, states):
+    states.take(state(3, reach=0.0, lift=0.0, finger=0.004))
     assert isinstance(gripper.command(holds=False, reset=False), Grasp)
     assert gripper.command(holds=False, reset=False) is None, 'it tries once'
     assert isinstance(gripper.command(holds=True, reset=True), Grasp)

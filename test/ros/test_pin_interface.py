@@ -70,7 +70,7 @@ def test_a_gripper_opens_moves_and_grasps_where_it_is(cloth):
     good, said = cloth.grasp('left', True)
     assert good
     assert said == 'holds 1 particle, the nearest 0.01 m away'
-    assert cloth.grasp('left', True) == (True, f'{said} already')
+    assert cloth.grasp('left', True) == (True, f'already {said}')
     cloth.peer.say('/cloth/pin/left/target', pose_stamped((-0.2, 0.2, 0.214)))
     frame = cloth.step(20)
     assert cloth.cloud(frame)[8, 0] == pytest.approx([-0.2, 0.2, 0.204], abs=1e-3), 'other corner'

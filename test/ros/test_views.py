@@ -1,4 +1,4 @@
-"""What RViz and Foxglove need: the shipped views, handles for pins, wrenches, colours."""
+"""RViz and Foxglove: the shipped views, handles of pins, wrench topics, surface colours."""
 
 import json
 import re

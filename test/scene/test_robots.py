@@ -1,4 +1,4 @@
-"""Robots in scenes: links become colliders; what cannot be read is refused with the place."""
+"""Robots in scenes: links become colliders; errors name file, key and value."""
 
 from importlib.util import find_spec
 from math import pi

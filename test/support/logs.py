@@ -13,7 +13,25 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import scene_text
-from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release, SetKey
+
+SHEET = """
+duration: 0.25
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.2], resolution: [7, 5]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+pins:
+  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+"""a scene whose corner is moved"""
+HAND = Grasp('hand', Pose((0.6, 0.2, 0.0)), 0.05)
+COMMANDS = {2: [HAND, SetKey('gravity', (0.0, 0.0, -8.0)),
+                SetKey('cloths.sheet.effects.stretch.warp', 250.0)],
+            5: [MovePin('hand', Pose((0.6, 0.2, 0.05)))], 9: [Release('hand')]}
+"""inputs for it, by frame"""
 
 
 def sample_log(folder: Path, *, frames: int = 60, frame_ns: int = 16_666_667,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from support.browser import address, Browser, CHROMIUM, MISSING, start_view
-from support.logs import recorded
+from support.logs import recorded, SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.export.states import States
 from xpbd_ros.view.recorded import Track
@@ -16,16 +16,6 @@ from xpbd_ros.view.recorded import Track
 pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
                                 reason="viser is not installed: pip install 'xpbd_ros[view]'")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
-SHEET = """
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [7, 5]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00, motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
 
 
 @pytest.fixture(scope='module')

@@ -6,15 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from shape_msgs.msg import Mesh
-import yaml
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader, Message
+from xpbd_ros.ros.clouds import positions_of
 from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.ros.logged_commands import last_part
-from xpbd_ros.ros.messages import positions_in
 from xpbd_ros.ros.recorder import type_name
+from xpbd_ros.scene.load import parse_yaml
 from xpbd_ros.scene.model import TopKeys
+from xpbd_ros.scene.read import mapping, read
 
 
 class Body(NamedTuple):
@@ -83,8 +84,7 @@ class States:
                         and about.type == type_name(MultiDOFJointState)]
         if not self._clouds:
             raise InputError(f'{self.path}: holds no ~/particles, so it is no log of xpbd_ros')
-        scene = yaml.safe_load(reader.scene or '')
-        self.frame_rate = float((scene or {}).get('frame_rate', TopKeys.frame_rate))
+        self.frame_rate = frame_rate(reader)
         self.triangles, self.particles = self._meshes()
         self.frames = [frame for frame in self._whole() if frame % every == 0]
         if not self.frames:
@@ -135,13 +135,21 @@ class States:
             bodies: dict[str, list[Body]] = {}
             for message in messages:
                 if message.topic in self._clouds:
-                    positions[self._clouds[message.topic]] = positions_in(
+                    positions[self._clouds[message.topic]] = positions_of(
                         unpacked(message.data, PointCloud2))
                 else:
                     bodies[last_part(message.topic)] = _bodies(
                         unpacked(message.data, MultiDOFJointState))
             yield State(frame, 1e-9 * (messages[0].time_ns - start_ns), positions,
                         bodies.get('pin_states', []), bodies.get('collider_wrenches', []))
+
+
+def frame_rate(reader: LogReader) -> float:
+    """Return the frame rate of a log's scene [Hz]."""
+    where = f'{reader.path}: scene'
+    scene = mapping(parse_yaml(reader.scene or '', where), where)
+    return read(TopKeys, {key: scene[key] for key in ('frame_rate',) if key in scene},
+                where).frame_rate
 
 
 def _cloth_of(topic: str) -> str:

@@ -45,6 +45,11 @@ def points_of(message: PointCloud2) -> np.ndarray:
     return np.stack([table[name].astype(float) for name in 'xyz'], axis=-1)
 
 
+def positions_of(message: PointCloud2) -> np.ndarray:
+    """Return the positions of a cloud in one row [m], float32, shape (points, 3)."""
+    return points_of(message).reshape(-1, 3).astype(np.float32)
+
+
 def cloud_of(positions: Sequence[float], frame_id: str, time_ns: int) -> PointCloud2:
     """Return a cloud of one row in float64; ``positions`` are x, y, z of each point [m]."""
     message = PointCloud2(height=1, width=len(positions) // 3, is_dense=True)

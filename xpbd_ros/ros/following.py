@@ -3,6 +3,9 @@
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.frame_follower import FrameFollower, PoseSource
 from xpbd_ros.ros.frame_inputs import FrameInputs
@@ -10,6 +13,9 @@ from xpbd_ros.scene.frames import followers
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.commands import Reset
 from xpbd_ros.sim.simulation import Simulation
+
+DEPTH = 50
+"""depth of the subscriptions to joint states [messages]"""
 
 
 class Following:
@@ -33,6 +39,7 @@ class Following:
         self._frame_id = scene.top.frame_id
         self.inputs = FrameInputs(node, self._frame_id, take, node.command_queue.refuse)
         self._joint_states: dict = {}    # by topic
+        self._subscriptions: list = []
         self._grippers: list = []
         try:
             sources = self._sources(scene)
@@ -80,9 +87,13 @@ class Following:
     def _states(self, robot):
         """Return the joint states of a robot; subscribe with the first call."""
         from xpbd_ros.ros.robots import JointStates
-        topic = robot.keys.joint_states
+        node, topic = self._node, self._node.resolve_topic_name(robot.keys.joint_states)
         if topic not in self._joint_states:
-            self._joint_states[topic] = JointStates(self._node, topic)
+            states = JointStates(topic, node.command_queue.refuse, node.now_ns)
+            self._joint_states[topic] = states
+            self._subscriptions.append(node.create_subscription(
+                JointState, topic, states.take,
+                QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)))
         return self._joint_states[topic]
 
     def _transforms(self, path: str) -> PoseSource:
@@ -123,5 +134,5 @@ class Following:
     def close(self) -> None:
         """Destroy the subscriptions."""
         self.inputs.close()
-        for states in self._joint_states.values():
-            states.close()
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)

@@ -11,8 +11,8 @@ from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.clouds import positions_of
 from xpbd_ros.ros.inputs import input_of, unpacked
-from xpbd_ros.ros.messages import positions_in
 from xpbd_ros.ros.recorder import CHECKPOINT, type_name
 from xpbd_ros.scene.files import written_out
 from xpbd_ros.scene.load import parse_yaml, scene_from_text
@@ -122,7 +122,7 @@ class Recording:
     def clouds(self) -> Iterator[tuple[int, str, np.ndarray]]:
         """Yield frame, topic and recorded positions [m] (float32, shape (particles, 3))."""
         for message in self._reader.messages(self._topics('particles', PointCloud2)):
-            yield message.frame, message.topic, positions_in(unpacked(message.data, PointCloud2))
+            yield message.frame, message.topic, positions_of(unpacked(message.data, PointCloud2))
 
     def _topics(self, name: str, kind: type) -> list[str]:
         return [topic for topic, about in self._reader.topics.items()

@@ -100,15 +100,6 @@ class Cloud:
         return bytes(self._buffer)
 
 
-def positions_in(cloud: PointCloud2) -> np.ndarray:
-    """Return x, y, z of a float32 cloud [m], shape (points, 3)."""
-    offsets = {field.name: field.offset for field in cloud.fields}
-    rows = np.frombuffer(cloud.data, np.dtype({
-        'names': ['x', 'y', 'z'], 'formats': ['<f4'] * 3,
-        'offsets': [offsets[name] for name in 'xyz'], 'itemsize': cloud.point_step}))
-    return np.column_stack([rows[name] for name in 'xyz'])
-
-
 class Surface:
     """
     The surface of one cloth as a TRIANGLE_LIST marker, for ``~/markers``.

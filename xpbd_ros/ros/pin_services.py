@@ -51,7 +51,7 @@ def grasp(node, name: str) -> str:
     node.interaction.act()
     pin = node.simulation.effects['pin']
     if name in pin.held:
-        return f'holds {_held(node, name)} already'
+        return f'already holds {_held(node, name)}'
     node.interaction.act(Grasp(name, pin.pose(name), node.scene.sections['pins'][name].radius))
     return f'holds {_held(node, name)}'
 

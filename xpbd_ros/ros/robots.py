@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from xpbd_ros.errors import InputError
@@ -20,9 +19,6 @@ from xpbd_ros.scene.urdf import Description
 from xpbd_ros.sim.commands import Command, Grasp, Pose, Release
 from xpbd_ros.sim.geometry.pose import compose
 
-DEPTH = 50
-"""depth of the subscription [messages]"""
-
 
 class JointStates:
     """
@@ -30,40 +26,35 @@ class JointStates:
 
     Parameters
     ----------
-    node : creates the subscription
-    topic : of type sensor_msgs/JointState; several publishers may share it
+    topic : full name; several publishers may share it
+    refuse : is given (topic, reason)
+    now_ns : clock for messages without a stamp [ns]
 
     """
 
-    def __init__(self, node, topic: str):
-        self._node = node
-        self.topic = node.resolve_topic_name(topic)
+    def __init__(self, topic: str, refuse: Callable[[str, str], None],
+                 now_ns: Callable[[], int]):
+        self.topic, self._refuse, self._now_ns = topic, refuse, now_ns
         self.latest: tuple[int, Mapping[str, float]] = 0, {}
         """stamp [ns], and positions [m, rad] by joint; replaced as a whole"""
-        self._subscription = node.create_subscription(
-            JointState, topic, self._take,
-            QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT))
 
-    def _take(self, message: JointState) -> None:
+    def take(self, message: JointState) -> None:
+        """Take the positions of a message; refuse it if they are not finite numbers, one each."""
         stamp_ns, known = self.latest
         if not message.position:
             return    # velocities or efforts alone
         if len(message.position) != len(message.name) or not all(map(isfinite, message.position)):
-            self._node.command_queue.refuse(
+            self._refuse(
                 self.topic, f'{len(message.name)} names and {len(message.position)} positions, '
                 'or some are not finite')
             return
         sent_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-        self.latest = (max(stamp_ns, sent_ns or self._node.now_ns()),
+        self.latest = (max(stamp_ns, sent_ns or self._now_ns()),
                        {**known, **dict(zip(message.name, message.position))})
 
     def clear(self) -> None:
         """Forget all positions, after the clock went back."""
         self.latest = 0, {}
-
-    def close(self) -> None:
-        """Destroy the subscription."""
-        self._node.destroy_subscription(self._subscription)
 
 
 class Kinematics:

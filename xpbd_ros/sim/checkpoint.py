@@ -1,11 +1,11 @@
 """
 A simulation's whole state as bytes, from which another process continues bit for bit.
 
-Besides positions and velocities it holds all that the next frame depends on: the integrator's
-history, pins and their targets, colliders and their motion, lists of candidates, counters. What
-follows from the scene alone (meshes, kernels, threads) is left out; the simulation that restores
-it brings its own. The bytes are a pickle whose classes are restricted to those of the simulation,
-so that a log from elsewhere runs no code.
+Besides positions and velocities it contains all that the next frame depends on: the integrator's
+history, pins and their targets, colliders and their motion, lists of candidates, counters. Meshes,
+kernels and threads are left out; the simulation that restores it has its own. The bytes are a
+pickle whose classes are restricted to those of the simulation, so that a log of unknown origin
+runs no code.
 """
 
 from collections.abc import Iterator
@@ -22,9 +22,9 @@ from xpbd_ros.sim.simulation import Simulation
 
 PROTOCOL = 5
 PACKAGES = ('xpbd_ros.sim.', 'xpbd_ros.effects.', 'scipy.sparse.')
-"""whose classes a checkpoint may hold"""
+"""packages whose classes a checkpoint may contain"""
 NUMPY = {'_frombuffer', '_reconstruct', 'dtype', 'ndarray', 'scalar'}
-"""how NumPy names what it rebuilds arrays with"""
+"""names of the functions and classes that NumPy unpickles arrays with"""
 OTHERS = {('collections', 'deque'), ('fractions', 'Fraction'),
           ('xpbd_ros.sim.checkpoint', '_method')}
 """further classes and functions by module and name"""
@@ -70,7 +70,7 @@ def restore(simulation: Simulation, data: bytes) -> None:
 
 
 def _shared(simulation: Simulation) -> Iterator[tuple[str, Any]]:
-    """Yield what follows from the scene, by name."""
+    """Yield the objects that compiling the scene creates, by name."""
     yield 'simulation', simulation
     for name in ('_step', '_crew', '_retune'):
         yield name, getattr(simulation, name)

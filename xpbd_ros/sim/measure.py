@@ -42,22 +42,8 @@ def largest_strain(simulation) -> float:
 
     On grids only warp and weft edges count.
     """
-    worst = 0.0
-    for cloth in simulation.cloths:
-        slots = cloth.block.slots
-        if cloth.mesh.grid is None:
-            a, b = cloth.mesh.edges.T
-            now, rest = (length(x[a] - x[b]) for x in (places(simulation.state.x, slots),
-                                                       cloth.mesh.positions))
-            worst = max(worst, float(np.abs(now / rest - 1.0).max()))
-            continue
-        for lines, rest in zip((slots, slots.T), cloth.mesh.spacing):
-            if lines.shape[1] > 1:
-                ends = [places(simulation.state.x, part.ravel())
-                        for part in (lines[:, 1:], lines[:, :-1])]
-                edges = length(ends[0] - ends[1])
-                worst = max(worst, float(np.abs(edges / rest - 1.0).max()))
-    return worst
+    return max(float(strains(cloth, places(simulation.state.x, cloth.slots)).max(initial=0.0))
+               for cloth in simulation.cloths)
 
 
 def stiffness_given(simulation) -> tuple[float, float] | None:

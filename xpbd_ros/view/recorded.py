@@ -15,6 +15,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.export.states import Body, States
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.geometry.mesh import edges
 from xpbd_ros.view.stage import Sheet, Stage
 
 APART = 1.3
@@ -59,11 +60,9 @@ class Track:
         found = []
         for cloth, x in self.positions.items():
             triangles = self.states.triangles[cloth]
-            edges = np.unique(np.sort(np.concatenate(
-                [triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1),
-                axis=0)
-            length = np.linalg.norm(x[0][edges[:, 1]] - x[0][edges[:, 0]], axis=1)
-            found.append(Sheet(cloth, triangles, edges, np.maximum(length, 1e-9)))
+            ends = edges(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
+            length = np.linalg.norm(x[0][ends[:, 1]] - x[0][ends[:, 0]], axis=1)
+            found.append(Sheet(cloth, triangles, ends, np.maximum(length, 1e-9)))
         return found
 
 

@@ -1,4 +1,4 @@
-"""What a page shows: cloths, colliders, pins with the forces on them."""
+"""The 3D scene of a page: cloths, colliders, and arrows for the forces on pins."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ SLACK, TAUT = np.array([66, 133, 244]), np.array([219, 68, 55])
 
 @dataclass(frozen=True)
 class Sheet:
-    """A cloth: its triangles, and the edges whose strain is shown."""
+    """A cloth: its triangles and edges."""
 
     name: str
     triangles: np.ndarray
@@ -52,7 +52,7 @@ class Stage:
     def __init__(self, server, sheets: Sequence[Sheet], positions: Sequence[np.ndarray]):
         self._server, self._sheets = server, sheets
         self.strain = False
-        """whether edges are coloured by their strain"""
+        """True if the edges are drawn, coloured by strain"""
         self._meshes = [server.scene.add_mesh_simple(
             f'/cloths/{sheet.name}', x.astype(np.float32), sheet.triangles, side='double',
             color=COLOURS[k % len(COLOURS)])
