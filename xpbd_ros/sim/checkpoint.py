@@ -113,6 +113,6 @@ class _Unpickler(pickle.Unpickler):
         known = (module, name) in OTHERS or package == 'numpy' and name in NUMPY
         if known or module.startswith(PACKAGES):
             found = super().find_class(module, name)
-            if known or isinstance(found, type):
+            if known or isinstance(found, type) and found.__module__ == module:    # not imported
                 return found
         raise pickle.UnpicklingError(f'{module}.{name} is no part of a simulation')
