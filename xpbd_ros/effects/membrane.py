@@ -46,12 +46,12 @@ from xpbd_ros.sim.constraints.projection import (
     keep,
     max_compliance,
     recall,
-    row,
     xpbd_residual,
 )
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.accumulators import row
 from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 

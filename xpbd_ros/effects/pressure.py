@@ -34,16 +34,15 @@ from xpbd_ros.sim.constraints.projection import (
     at_the_end,
     denominator,
     keep,
-    moves,
     put,
     recall,
-    row,
     xpbd_residual,
 )
 from xpbd_ros.sim.constraints.spin_correction import keep_places, turn_back
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.accumulators import moves, row
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.stepping.stages import (
     limit_motion,

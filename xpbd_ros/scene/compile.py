@@ -68,7 +68,7 @@ def compile_scene(scene: Scene) -> Simulation:
                           apart=APART.get(solver.method),
                           constraints=[these.particles for built in effects.values()
                                        for these in built.by_part],
-                          gap=gap)
+                          gap=gap, h=float(1 / frame_rate(scene)) / solver.substeps)
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),

@@ -27,9 +27,10 @@ lanes are transposed into scratch memory, solved in the same way, and transposed
 
 from typing import NamedTuple
 
+from numba import types
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import (
     after,
     both,
@@ -47,7 +48,9 @@ from xpbd_ros.sim.backend.simd import (
 from xpbd_ros.sim.backend.threads import share, wait, worker
 from xpbd_ros.sim.constraints.pinned_edges import gather_line_reaction, note_line
 from xpbd_ros.sim.constraints.projection import max_compliance
+from xpbd_ros.sim.particles.accumulators import moves, row
 from xpbd_ros.sim.particles.memory_layout import Block, zeros
+from xpbd_ros.sim.particles.rounding import store_moved, store_sum
 
 TINY = 1e-4
 """least α in the matrix, relative to m_k + m_{k+1}"""
@@ -82,6 +85,8 @@ class Lines(NamedTuple):
     """TINY"""
     tile: np.ndarray
     """scratch: transposed rows of x, y, z, mobility, f; shape (threads, 5, columns * lanes)"""
+    errors: np.ndarray
+    """scratch: transposed rows of rounding errors, shape (threads, 3, columns * lanes)"""
     work: np.ndarray
     """scratch of the elimination: d (3 rows), l, off-diagonal / pivot, s; shape
     (threads, 6, edges * lanes)"""
@@ -119,6 +124,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
                  np.array(spacing, dtype).reshape(-1, 2), warp, weft,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
                  zeros((threads, 5, longest * lanes_), dtype),
+                 zeros((threads, 3, longest * lanes_), dtype),
                  zeros((threads, 6, longest * lanes_), dtype))
 
 
@@ -154,21 +160,24 @@ def solve_warp(lines, g, force, state):
     if columns > 1:
         base, tiles = lines.force[g, 0], max(1, rows // count)
         one, other = share(state.team, tiles)
+        spare = lines.errors[worker(state.team)]
         for begin in range(one * count, rows if other == tiles else other * count, count):
-            row = max(0, min(begin, rows - count))    # the last tile may overlap the one before
-            top = start + row * stride
+            upper = max(0, min(begin, rows - count))    # the last tile may overlap the one before
+            top = start + upper * stride
             gather_rows(x, top, parts, part, stride, tile[0])
             gather_rows(y, top, parts, part, stride, tile[1])
             gather_rows(z, top, parts, part, stride, tile[2])
             gather_rows(m, top, parts, part, stride, tile[3])
             gather_rows(force, base + top, parts, part, stride, tile[4])
-            _solve(tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns,
-                   begin - row, lines.rest_length[g, 0], load(lines.warp[g], row), work,
+            errors = gather_errors(moves(state.rounding), top, parts, part, stride, spare)
+            _solve(tile[0], tile[1], tile[2], errors, tile[3], tile[4], 0, 0, count, columns,
+                   begin - upper, lines.rest_length[g, 0], load(lines.warp[g], upper), work,
                    lines.axis[0], lines.tiny)
             scatter_rows(tile[0], x, top, parts, part, stride)
             scatter_rows(tile[1], y, top, parts, part, stride)
             scatter_rows(tile[2], z, top, parts, part, stride)
             scatter_rows(tile[4], force, base + top, parts, part, stride)
+            scatter_errors(errors, moves(state.rounding), top, parts, part, stride)
         wait(state.team)
 
 
@@ -184,9 +193,9 @@ def solve_weft(lines, g, force, state):
         one, other = share(state.team, parts * part // count)
         for q in range(one * count, other * count, count):
             at = start + q
-            _solve(x, y, z, m, force, at, lines.force[g, 1] + at, stride, rows, 0,
-                   lines.rest_length[g, 1], load(lines.weft[g], q), work, lines.axis[1],
-                   lines.tiny)
+            _solve(x, y, z, moves(state.rounding), m, force, at, lines.force[g, 1] + at, stride,
+                   rows, 0, lines.rest_length[g, 1], load(lines.weft[g], q), work,
+                   lines.axis[1], lines.tiny)
         wait(state.team)
 
 
@@ -210,6 +219,37 @@ def scatter_rows(tile, target, top, parts, part, stride):
                       top + k * part + p, stride)
 
 
+def gather_errors(errors, top, parts, part, stride, tile):
+    """Transpose as many rows of rounding errors as there are lanes; return ``tile``, or None."""
+
+
+def scatter_errors(tile, errors, top, parts, part, stride):
+    """Transpose ``tile`` back into the rounding errors, unless it is None."""
+
+
+@inline(gather_errors)
+def _gather_errors(errors, top, parts, part, stride, tile):
+    if isinstance(errors, types.NoneType):
+        return lambda errors, top, parts, part, stride, tile: None
+
+    def gather(errors, top, parts, part, stride, tile):
+        for k in range(3):
+            gather_rows(errors[k], top, parts, part, stride, tile[k])
+        return tile
+    return gather
+
+
+@inline(scatter_errors)
+def _scatter_errors(tile, errors, top, parts, part, stride):
+    if isinstance(errors, types.NoneType):
+        return lambda tile, errors, top, parts, part, stride: None
+
+    def scatter(tile, errors, top, parts, part, stride):
+        for k in range(3):
+            scatter_rows(tile[k], errors[k], top, parts, part, stride)
+    return scatter
+
+
 @jit(inline=True)
 def edge_vector(x, y, z, axis):
     """
@@ -224,7 +264,8 @@ def edge_vector(x, y, z, axis):
 
 
 @jit
-def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, work, axis, tiny):
+def _solve(x, y, z, errors, m, force, start, edge, stride, nodes, done, rest, alpha, work, axis,
+           tiny):
     """
     Solve one line per lane, except in the first ``done`` lanes.
 
@@ -264,12 +305,12 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, rest, alpha, wor
         s = load(step, o) - above * s
         store(force, c, fma(s, load(long, o), load(force, c)))
         gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
-        store(x, i, fma(mb, gx - wx, load(x, i)))
-        store(y, i, fma(mb, gy - wy, load(y, i)))
-        store(z, i, fma(mb, gz - wz, load(z, i)))
+        store_moved(x, row(errors, 0), i, load(x, i), mb, gx - wx)
+        store_moved(y, row(errors, 1), i, load(y, i), mb, gy - wy)
+        store_moved(z, row(errors, 2), i, load(z, i), mb, gz - wz)
         above = load(ratio, o)
         wx, wy, wz = gx, gy, gz
     mb = load(m, start)
-    store(x, start, load(x, start) - mb * wx)
-    store(y, start, load(y, start) - mb * wy)
-    store(z, start, load(z, start) - mb * wz)
+    store_sum(x, row(errors, 0), start, load(x, start), -(mb * wx))
+    store_sum(y, row(errors, 1), start, load(y, start), -(mb * wy))
+    store_sum(z, row(errors, 2), start, load(z, start), -(mb * wz))

@@ -38,13 +38,16 @@ from xpbd_ros.sim.backend.simd import (
     splat,
     store,
 )
-from xpbd_ros.sim.backend.simd_records import load_records, PACK, store_records
+from xpbd_ros.sim.backend.simd_records import load_records, PACK
+from xpbd_ros.sim.backend.simd_vector3 import vector3
 from xpbd_ros.sim.constraints.line_solver import edge_vector
 from xpbd_ros.sim.constraints.mesh_batches import EMPTY
 from xpbd_ros.sim.constraints.pinned import listed_range_of
 from xpbd_ros.sim.constraints.pinned_edges import EdgeStops, gather_reaction, note
+from xpbd_ros.sim.particles.accumulators import record_moves
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import from_records, to_records
+from xpbd_ros.sim.particles.rounding import store_moved_records
 
 SHORT, SHARE = 4, 6
 """a path has at most SHORT edges, or one for every SHARE * PACK particles if these are more;
@@ -274,6 +277,7 @@ def hold(paths: Paths) -> None:
 def solve_paths(paths, edges, state, substep):
     """Solve every path, in order, and all once more (as ``line_solver.solve_edges`` does)."""
     records, begin, stops = edges.records, paths.begin, paths.stops
+    errors = record_moves(state.rounding)
     part, (one, other) = substep.end - substep.begin, (edges.slots[0], edges.slots[1])
     to_records(state, records, one, other)
     for _ in range(2):
@@ -283,7 +287,7 @@ def solve_paths(paths, edges, state, substep):
                 note(stops, first, last, records[:, 0], records[:, 1], records[:, 2],
                      state.apart, edges.force)
             for q in range(0, PACK, lanes(records)):
-                _solve_pack(paths, edges, begin[p], begin[p + 1], q)
+                _solve_pack(paths, edges, errors, begin[p], begin[p + 1], q)
             if first < last:
                 gather_reaction(stops, first, last, state.mobility, edges.force, part,
                                 state.reaction)
@@ -291,7 +295,7 @@ def solve_paths(paths, edges, state, substep):
 
 
 @jit
-def _solve_pack(paths, edges, begin, end, q):
+def _solve_pack(paths, edges, errors, begin, end, q):
     """Solve the paths in the lanes of one vector, from lane q of a pack on (doc/numerics 3.3)."""
     records, force, axis, work = edges.records, edges.force, paths.axis, paths.work
     one, other = edges.particles[0], edges.particles[1]
@@ -332,13 +336,14 @@ def _solve_pack(paths, edges, begin, end, q):
         store(force, c, fma(s, load(long, o), load(force, c)))
         gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
         xb, yb, zb, mb = load_records(records, other, c)
-        store_records(records, other, c, fma(mb, gx - wx, xb), fma(mb, gy - wy, yb),
-                      fma(mb, gz - wz, zb), mb)
+        store_moved_records(records, errors, other, c, vector3(xb, yb, zb), mb,
+                            vector3(gx - wx, gy - wy, gz - wz), mb)
         above = load(ratio, o)
         wx, wy, wz = gx, gy, gz
         if paths.starts[r] or r == begin:
             xa, ya, za, ma = load_records(records, one, c)
             on = load(paths.follows, c)
             m = on * ma - ma
-            store_records(records, one, c, fma(m, gx, xa), fma(m, gy, ya), fma(m, gz, za), ma)
+            store_moved_records(records, errors, one, c, vector3(xa, ya, za), m,
+                                vector3(gx, gy, gz), ma)
             wx, wy, wz = on * gx, on * gy, on * gz

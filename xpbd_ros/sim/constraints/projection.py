@@ -11,10 +11,7 @@ to the accumulator ``state.apart``, whose type selects the update:
 A multiplier of None is not stored; it is 0 before the only pass.
 """
 
-from operator import getitem
-
 from numba import types
-from numba.extending import intrinsic
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline
@@ -30,18 +27,6 @@ def max_compliance(dtype) -> float:
 
 def _kind(apart):
     return getattr(apart, 'instance_class', None)
-
-
-@intrinsic
-def row(typing, array, k):
-    """Return row k of an array as a view, or None for None (a compiled function cannot)."""
-    if isinstance(array, types.NoneType):
-        return types.none(array, k), lambda context, builder, *_: context.get_dummy_value()
-    view = typing.resolve_function_type(getitem, (array, k), {}).return_type
-
-    def generate(context, builder, signature, arguments):
-        return context.get_function(getitem, view(*signature.args))(builder, arguments)
-    return view(array, k), generate
 
 
 def recall(apart, force, c):
@@ -66,18 +51,6 @@ def xpbd_residual(residual, alpha, f):
 
 def denominator(apart, total, alpha):
     """Return the method's denominator of C + α f: W + α, (W + α) / ω (Jacobi), α (explicit)."""
-
-
-@intrinsic
-def moves(typing, apart):
-    """Return the array of accumulated displacements, shape (3, slots); None with Gauss-Seidel."""
-    if isinstance(apart, types.NoneType):
-        return types.none(apart), lambda context, builder, *_: context.get_dummy_value()
-    move = apart[apart.fields.index('move')]
-
-    def generate(context, builder, signature, arguments):
-        return context.get_getattr(apart, 'move')(context, builder, apart, arguments[0], 'move')
-    return move(apart), generate
 
 
 def at_the_end(apart):

@@ -24,9 +24,9 @@ from numba import types
 
 from xpbd_ros.sim.backend.emit import written_out
 from xpbd_ros.sim.backend.jit import inline
-from xpbd_ros.sim.backend.simd import first, lanes, load, store
-from xpbd_ros.sim.backend.simd_records import load_records, store_records
-from xpbd_ros.sim.backend.simd_vector3 import AXES, fma3, vector3
+from xpbd_ros.sim.backend.simd import first, lanes, load
+from xpbd_ros.sim.backend.simd_records import load_records
+from xpbd_ros.sim.backend.simd_vector3 import AXES, vector3
 from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.constraints.grid_batches import PHASES, share_of
 from xpbd_ros.sim.constraints.pinned import (
@@ -35,8 +35,9 @@ from xpbd_ros.sim.constraints.pinned import (
     listed_range,
     listed_range_of,
 )
-from xpbd_ros.sim.constraints.projection import moves, row
+from xpbd_ros.sim.particles.accumulators import moves, record_moves, row
 from xpbd_ros.sim.particles.records import from_records, to_records
+from xpbd_ros.sim.particles.rounding import store_moved, store_moved_records
 
 
 class Projection(NamedTuple):
@@ -108,14 +109,15 @@ def sweep_packs(data, state, substep, reverse):
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
     to_records(state, records, begin, end)
-    count, step = batch.particles.shape[1], lanes(records)
+    count, step, errors = (batch.particles.shape[1], lanes(records),
+                           record_moves(state.rounding))
     next_, past = listed_range(held)
     for p in range(0, count, step):
         q = count - step - p if reverse else p
         stop, on = next_, next_
         if next_ < past:
             stop, on = listed_between(held, next_, past, q, q + step, reverse)
-        project_pack(batch, state.apart, q, held, stop, on, part, state.reaction)
+        project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction)
         if stop < on:
             next_, past = (next_, stop) if reverse else (on, past)
     from_records(state, records, begin, end)
@@ -129,6 +131,8 @@ def sweep_runs(data, state, substep, reverse):
     places, step = batch.compliance.shape[1], lanes(mobility)
     x = state.x[0], state.x[1], state.x[2]
     to = row(moves(state.apart), 0), row(moves(state.apart), 1), row(moves(state.apart), 2)
+    errors = (row(moves(state.rounding), 0), row(moves(state.rounding), 1),
+              row(moves(state.rounding), 2))
     for phase in range(PHASES):
         begin, end = share_of(runs, state.team, phase, reverse)
         for a in range(end - begin):
@@ -145,9 +149,9 @@ def sweep_runs(data, state, substep, reverse):
                     c, stop, on = base + anchor + q, next_, next_
                     if next_ < past:
                         stop, on = listed_between(held, next_, past, c, c + step, reverse)
-                    project_run(batch, state.apart, x, to, mobility, anchor + q, offsets, c,
-                                number + q, shape, first(mobility, runs.count[r] - q), constants,
-                                held, stop, on, part, state.reaction)
+                    project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
+                                c, number + q, shape, first(mobility, runs.count[r] - q),
+                                constants, held, stop, on, part, state.reaction)
                     if stop < on:
                         next_, past = (next_, stop) if reverse else (on, past)
         wait(state.team)
@@ -179,7 +183,7 @@ def _constants_of(batch, shape):
     return lambda batch, shape: kernel(batch, shape)
 
 
-def project_pack(batch, apart, q, held, stop, on, part, reaction):
+def project_pack(batch, apart, errors, q, held, stop, on, part, reaction):
     """
     Project the constraints of a pack from index q on, as many as a vector has lanes.
 
@@ -187,15 +191,15 @@ def project_pack(batch, apart, q, held, stop, on, part, reaction):
     """
 
 
-def project_run(batch, apart, x, to, mobility, anchor, offsets, c, number, shape, there, constants,
-                held, stop, on, part, reaction):
+def project_run(batch, apart, x, to, errors, mobility, anchor, offsets, c, number, shape, there,
+                constants, held, stop, on, part, reaction):
     """
     Project the constraints of a run from an anchor on, as many as a vector has lanes.
 
     Parameters
     ----------
     batch, apart : the constraints, and the accumulator of the method or None
-    x, to : rows of the positions, and of the accumulator or None
+    x, to, errors : rows of the positions, and of the accumulator and of rounding errors or None
     mobility : shape (slots,)
     anchor, offsets : slot of the first anchor, and of the particles relative to it
     c, number, shape, there, constants : as in ``At``
@@ -206,7 +210,7 @@ def project_run(batch, apart, x, to, mobility, anchor, offsets, c, number, shape
 
 
 @written_out(project_pack)
-def _project_pack(writer, batch, apart, q, held, stop, on, part, reaction):
+def _project_pack(writer, batch, apart, errors, q, held, stop, on, part, reaction):
     kernel, width, _ = _PROJECTIONS[batch[0].instance_class]
     records, particles = writer.item(batch, 'records'), writer.item(batch, 'particles')
     index = [writer.call(operator.getitem, particles, writer.integer(k)) for k in range(width)]
@@ -224,16 +228,16 @@ def _project_pack(writer, batch, apart, q, held, stop, on, part, reaction):
             loaded = writer.call(load_records, target, each, q)
             xk = writer.call(vector3, *(writer.item(loaded, n) for n in range(3)))
             rest = writer.item(loaded, 3)
-        moved = writer.call(fma3, writer.call(operator.mul, mk, scale), way, xk)
-        writer.call(store_records, target, each, q, *_components(writer, moved), rest)
+        writer.call(store_moved_records, target, errors, each, q, xk,
+                    writer.call(operator.mul, mk, scale), way, rest)
     _react(writer, held, changes, q, stop, on, part, reaction)
 
 
 @written_out(project_run)
-def _project_run(writer, batch, apart, x, to, mobility, anchor, offsets, c, number, shape,
+def _project_run(writer, batch, apart, x, to, errors, mobility, anchor, offsets, c, number, shape,
                  there, constants, held, stop, on, part, reaction):
     kernel, width, _ = _PROJECTIONS[batch[0].instance_class]
-    rows, targets = ([writer.item(each, k) for k in range(3)] for each in (x, to))
+    rows, targets, left = ([writer.item(each, k) for k in range(3)] for each in (x, to, errors))
     slots = [writer.call(operator.add, anchor, writer.item(offsets, k)) for k in range(width)]
     m = [writer.call(load, mobility, slot) for slot in slots]
     places = [writer.call(vector3, *(writer.call(load, each, slot) for each in rows))
@@ -245,9 +249,10 @@ def _project_run(writer, batch, apart, x, to, mobility, anchor, offsets, c, numb
         if not isinstance(apart[0], types.NoneType):
             rows, xk = targets, writer.call(
                 vector3, *(writer.call(load, each, slot) for each in targets))
-        moved = writer.call(fma3, writer.call(operator.mul, mk, scale), way, xk)
-        for each, value in zip(rows, _components(writer, moved)):
-            writer.call(store, each, slot, value)
+        step = writer.call(operator.mul, mk, scale)
+        for each, lost, now, along in zip(rows, left, _components(writer, xk),
+                                          _components(writer, way)):
+            writer.call(store_moved, each, lost, slot, now, step, along)
     _react(writer, held, changes, c, stop, on, part, reaction)
 
 

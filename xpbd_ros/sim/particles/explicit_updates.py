@@ -16,7 +16,7 @@ def at_start(state):
     """Return the state with x = x_prev: constraints are evaluated at the substep's start."""
     return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
                  state.gravity, state.reaction, state.history, state.apart, state.team,
-                 state.gap, state.clock)
+                 state.gap, state.rounding, state.clock)
 
 
 @jit(inline=True)

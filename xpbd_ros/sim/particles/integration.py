@@ -13,6 +13,7 @@ grasp, a release or a reset) takes a backward Euler step.
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
 from xpbd_ros.sim.backend.threads import share, wait
+from xpbd_ros.sim.particles.accumulators import moves
 from xpbd_ros.sim.particles.history import (
     age,
     earlier_positions,
@@ -24,6 +25,7 @@ from xpbd_ros.sim.particles.history import (
     weights,
     with_order_reduction,
 )
+from xpbd_ros.sim.particles.rounding import clear, with_errors
 from xpbd_ros.sim.particles.state import State
 
 
@@ -44,7 +46,8 @@ def turned(state):
     """
     x, x_prev, v, history = rotate_history(state.history, state.x, state.x_prev, state.v)
     return State(x, x_prev, v, state.mass, state.inv_mass, state.mobility, state.gravity,
-                 state.reaction, history, state.apart, state.team, state.gap, state.clock)
+                 state.reaction, history, state.apart, state.team, state.gap, state.rounding,
+                 state.clock)
 
 
 @jit
@@ -105,6 +108,7 @@ def _begin(state, history, q, h):
         moved = mean(vi, past_v, i, a, b) + step * state.gravity[k]
         store(state.v, i, select(free, moved, vi))
         store(state.x, i, select(free, mean(xi, past, i, a, b) + step * moved, xi))
+        clear(moves(state.rounding), i)
 
 
 @jit(inline=True)
@@ -119,15 +123,16 @@ def _predict(state, history, q, h):
 
 
 @jit(inline=True)
-def velocity(v, now, start, step, per_step):
+def velocity(v, now, start, step, per_step, errors, i):
     """
     Return v + (now - (start + H v)) / H: the velocity after a step of H from ``start`` to ``now``.
 
     It is (now - start) / H up to rounding. The rounding error of x divided by H is a considerable
     part of the velocity that gravity adds in a short step, and accumulates, in float32 or far from
-    the origin. A correction of the predicted v keeps the bits of v. ``per_step`` is 1 / H.
+    the origin. A correction of the predicted v keeps the bits of v. ``per_step`` is 1 / H;
+    ``errors`` are those of ``particles.rounding`` at i.
     """
-    return v + (now - (start + step * v)) * per_step
+    return v + with_errors(now - (start + step * v), errors, i) * per_step
 
 
 @jit(inline=True)
@@ -140,7 +145,8 @@ def _update_velocity(state, history, q, h):
     for k in range(3):
         i = k * slots + q
         xi, start = load(state.x, i), mean(load(state.x_prev, i), past, i, a, b)
-        store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step),
+        store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step,
+                                                 moves(state.rounding), i),
                            (xi - start) * per_step))
 
 

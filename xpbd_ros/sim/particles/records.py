@@ -29,6 +29,25 @@ def to_records(state, records, first, last):
 
 
 @jit
+def _collect(rounding, first, last):
+    """Move the rounding errors of a sweep from their records to ``rounding.move``."""
+    if rounding is not None:
+        _add(rounding.move, rounding.records, first, last)
+        rounding.records[first:last + lanes(rounding.records)] = 0.0
+
+
+@jit
+def _add(move, records, first, last):
+    """Add records to the displacements of the slots first:last, rounded up to whole vectors."""
+    x, y, z = move[0], move[1], move[2]
+    for i in range(first, last, lanes(records)):
+        xi, yi, zi, _ = load_row(records, i)
+        store(x, i, load(x, i) + xi)
+        store(y, i, load(y, i) + yi)
+        store(z, i, load(z, i) + zi)
+
+
+@jit
 def _zero(apart, first, last):    # Numba prunes a branch on None where that is an argument
     if apart is not None:
         apart.records[first:last] = 0.0
@@ -55,10 +74,6 @@ def _back(state, apart, records, first, last):
             store(x, i, xi)
             store(y, i, yi)
             store(z, i, zi)
+        _collect(state.rounding, first, last)
     else:
-        x, y, z = apart.move[0], apart.move[1], apart.move[2]
-        for i in range(first, last, lanes(records)):
-            xi, yi, zi, _ = load_row(apart.records, i)
-            store(x, i, load(x, i) + xi)
-            store(y, i, load(y, i) + yi)
-            store(z, i, load(z, i) + zi)
+        _add(apart.move, apart.records, first, last)
