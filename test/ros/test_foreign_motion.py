@@ -3,6 +3,7 @@
 import importlib
 from importlib.util import find_spec
 import json
+from math import cos, sin
 from pathlib import Path
 
 from mcap.writer import Writer
@@ -29,11 +30,13 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.foreign import ForeignLog
 from xpbd_ros.ros.foreign_motion import ForeignMotion
+from xpbd_ros.ros.logged_tf import LoggedTransforms
 from xpbd_ros.ros.pose_messages import read_transforms, Transform
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.share import share_folder
 from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.geometry.pose import compose
 
 HAND = """
 pins:
@@ -242,6 +245,11 @@ def test_a_topic_outside_the_time_of_the_run_is_named_with_its_times(tmp_path):
         f'inputs./tool_pose: /tool_pose has messages from 3.030 s to 4.030 s of {log}, and the '
         'run takes 0.000 s to 1.000 s of it; change --start-offset or --duration')
     motion_of(log, SOURCES['pose'], frames=60, offset=3.0)
+    early = write_bag(tmp_path / 'early', [
+        *(pose_written(0.1 * k, '/tool_pose', 'world', Pose()) for k in range(11)),
+        written(3.0, '/status', 'std_msgs/msg/String', data='well')], 'mcap')
+    assert 'has messages from 0.000 s to 1.000 s of ' in refusal(early, SOURCES['pose'],
+                                                                 frames=60, offset=2.0)
 
 
 def test_a_log_without_tf_cannot_move_a_tf_frame(tmp_path):
@@ -317,6 +325,34 @@ def test_wrong_inputs_are_refused_when_the_scene_is_read(inputs, said):
     with pytest.raises(InputError, match='^scene.yaml: ') as error:
         scene_from_text(f'{TOWEL}{HAND}inputs: {inputs}', where='scene.yaml', name='scene')
     assert said in str(error.value)
+
+
+def test_transforms_between_those_of_a_log_are_interpolated():
+    """A base that moves along x, at 10 Hz, carries an arm that turns about z, at 50 Hz."""
+    tf = LoggedTransforms()
+
+    def turned(seconds: float) -> Pose:
+        return Pose((0.0, 0.0, 0.5), (0.0, 0.0, sin(0.5 * seconds), cos(0.5 * seconds)))
+    for k in range(101):
+        stamp_ns, time = START + 20_000_000 * k, 0.02 * k
+        if k % 5 == 0:
+            tf.take([Transform('world', 'base', stamp_ns, Pose((0.3 * time, 0.0, 0.0)))],
+                    static=False)
+        tf.take([Transform('base', 'arm', stamp_ns, turned(time))], static=False)
+    tf.take([Transform('arm', 'tip', 0, Pose((0.4, 0.0, 0.0)))], static=True)
+    assert tf.latest_ns('world', 'tip') == START + 2 * 10**9
+    assert tf.latest_ns('arm', 'tip') == 0
+    for time in (0.51, 0.987, 1.3):
+        found = tf.pose('world', 'tip', START + round(1e9 * time))
+        assert found.position == pytest.approx(
+            (0.3 * time + 0.4 * cos(time), 0.4 * sin(time), 0.5), abs=3e-5)
+        back = tf.pose('tip', 'world', START + round(1e9 * time))
+        assert compose(found, back).position == pytest.approx((0.0, 0.0, 0.0), abs=1e-15)
+    with pytest.raises(InputError, match="no transform of 'arm' at"):
+        tf.pose('world', 'tip', START + 2 * 10**9 + 1)
+    tf.take([Transform('mars', 'rover', START, Pose())], static=False)
+    with pytest.raises(InputError, match="TF does not connect 'rover' with 'world'"):
+        tf.pose('world', 'rover', 0)
 
 
 @pytest.mark.parametrize('order', ['<', '>'])

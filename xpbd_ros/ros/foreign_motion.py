@@ -8,6 +8,7 @@ that receives the same messages, delay and interpolation included.
 
 from collections.abc import Callable, Iterator
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 from sensor_msgs.msg import JointState
@@ -98,10 +99,10 @@ class ForeignMotion:
         """Return the transforms of the log."""
         if not self._tf_topics:
             raise InputError(f'needs TF, and {self._log.path} has no topic of {TF_MESSAGE}')
+        def take(static: bool, raw: bytes) -> None:
+            self._transforms.take(read_transforms(raw), static=static)
         for topic in self._tf_topics:
-            static = topic.endswith(STATIC)
-            self._takers[topic] = lambda raw, static=static: self._transforms.take(
-                read_transforms(raw), static=static)
+            self._takers[topic] = partial(take, topic.endswith(STATIC))
         return self._transforms
 
     def states(self, robot: Robot):

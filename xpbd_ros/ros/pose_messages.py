@@ -98,7 +98,8 @@ TYPES = (*SAMPLES, TRAJECTORY)
 
 def read_trajectory(message) -> Trajectory:
     """Read a trajectory_msgs/MultiDOFJointTrajectory."""
-    times, poses = [], []
+    times: list[int] = []
+    poses: list[tuple[Pose, ...]] = []
     for point in message.points:
         time_ns = nanoseconds(point.time_from_start, 'time_from_start')
         if times and time_ns <= times[-1]:
