@@ -47,6 +47,7 @@ def test_pins_and_colliders_follow_topics_whose_type_is_found(start, peer, tmp_p
 
 def test_poses_that_tf_would_have_to_transform_are_refused_without_it(start, peer, tmp_path):
     peer.forget()
+    peer.company.clear()
     (tmp_path / 'scene.yaml').write_text(SCENE)
     node = start(scene=tmp_path / 'scene.yaml')
     node.wait_for('running')
