@@ -79,7 +79,8 @@ class ForeignLog:
                               if about.encoding != 'cdr'}
             begin, end, count = reader.start_ns, reader.end_ns, reader.count
         if self.scene is None and not count:
-            raise InputError(f'{self.path}: holds no readable message')
+            raise InputError(f'{self.path}: is not a log of xpbd_ros: it holds no scene; and it '
+                             'holds no readable message')
         self.start_ns, self.end_ns = begin or 0, end or 0
 
     @property
