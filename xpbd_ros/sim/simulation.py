@@ -362,12 +362,7 @@ class Simulation:
                              state.inv_mass[self.slot]], self._history())
 
     def hash_of(self, frame: Frame) -> Callable[[], int]:
-        """
-        Return a function that returns ``hash`` of the present state, also after later frames.
-
-        ``frame`` is that of the present state. Only the memory of the integrator is copied here,
-        so another thread may do the work.
-        """
+        """Return a function for another thread: the ``hash`` of the present state, of ``frame``."""
         history = [array.copy() for array in self._history()]
         kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
         return lambda: self._digest(
