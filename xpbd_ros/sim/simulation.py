@@ -362,7 +362,7 @@ class Simulation:
                              state.inv_mass[self.slot]], self._history())
 
     def hash_of(self, frame: Frame) -> Callable[[], int]:
-        """Return a function for another thread: the ``hash`` of the present state, of ``frame``."""
+        """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
         history = [array.copy() for array in self._history()]
         kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
         return lambda: self._digest(
