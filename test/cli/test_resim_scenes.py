@@ -12,8 +12,8 @@ from support.tiers import slow
 
 DURATION = '0.2'
 """of each run [s]"""
-QUICK = 'fold'
-"""a scene with self-collision, contact and friction"""
+QUICK = 'grip'
+"""a scene with contact, friction and pads, which quick tests compile anyway"""
 
 
 def verb(*words: str, bits: str | None = None) -> dict:
