@@ -5,6 +5,8 @@ from importlib.util import find_spec
 import json
 from math import cos, sin
 from pathlib import Path
+import shutil
+import sys
 
 from mcap.writer import Writer
 import numpy as np
@@ -147,6 +149,41 @@ def test_a_run_is_recorded_so_that_it_repeats_without_the_log(bags, tmp_path, ca
     assert main(['run', str(scene), '--commands', str(run), '-o', str(tmp_path / 'again'),
                  '--json', '-']) == 0
     assert json.loads(capsys.readouterr().out)['commands']['identical']
+
+
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_log_cut_short_by_a_crash_is_used_as_far_as_it_goes(bags, tmp_path, storage, capsys):
+    """A bag without metadata.yaml, and an MCAP file without its end."""
+    scene, bag = tmp_path / 'scene.yaml', tmp_path / 'bag'
+    scene.write_text(scene_text(SOURCES['pose']))
+    shutil.copytree(bags[storage], bag)
+    (bag / 'metadata.yaml').unlink()
+    if storage == 'mcap':
+        file, = bag.glob('*.mcap')
+        data = file.read_bytes()
+        file.write_bytes(data[:-40])
+    assert main(['run', str(scene), '--commands', str(bag), '-o', str(tmp_path / 'run'),
+                 '--duration', '0.5']) == 0
+    assert ('damaged log: ' in capsys.readouterr().err) == (storage == 'mcap')
+    assert read_strictly(tmp_path / 'run')['/cloth/pin_targets'] > 5
+
+
+def test_sqlite_without_rosbags_names_the_extra(bags, tmp_path, monkeypatch, capsys):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(scene_text(SOURCES['pose']))
+    monkeypatch.setitem(sys.modules, 'rosbags.rosbag2', None)
+    assert main(['run', str(scene), '--commands', str(bags['sqlite3'])]) == 2
+    assert "needs rosbags: pip install 'xpbd_ros[bags]'" in capsys.readouterr().err
+
+
+def test_a_file_that_is_no_bag_is_refused_in_one_line(tmp_path, capsys):
+    scene, bag = tmp_path / 'scene.yaml', tmp_path / 'bag.db3'
+    scene.write_text(scene_text(SOURCES['pose']))
+    bag.write_bytes(b'no database')
+    assert main(['run', str(scene), '--commands', str(bag)]) == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert err.startswith(f'xpbd_ros run: {bag}: cannot be read: ')
 
 
 def test_a_plan_is_joined_by_lines_and_held_at_its_end(tmp_path):
