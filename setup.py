@@ -55,6 +55,8 @@ setup(
         'view': VIEW,
         # robots in scenes: URDF files; its forward kinematics where there is no TF
         'robot': ['yourdfpy>=0.0.56'],
+        # logs of other programs that are SQLite files; MCAP needs nothing
+        'bags': ['rosbags>=0.10'],
         # a rigid body and a cloth that move one another: doc/coupling.md
         'mujoco': ['mujoco>=3'],
         'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2',

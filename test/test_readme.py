@@ -19,6 +19,7 @@ from support.tiers import slow
 from xpbd_ros.demo.domain import private_environment
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.frames import followers
 from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.scene.materials import MATERIALS, pulled
 from xpbd_ros.share import share_folder
@@ -104,6 +105,15 @@ def test_pin_example_says_what_pins_hold():
         {**scene, **more, 'effects': effects}), where='README', name='readme'))
     assert simulation.effects['pin'].held['left'].slip == 3.0
     assert simulation.effects['pin'].held['left'].compliance == 0.002
+
+
+def test_example_of_inputs_follows_topics():
+    scene = scene_from_text(indented('Topics of other programs'), where='README', name='readme')
+    assert {each.name: each.frame for each in followers(scene)} == {
+        'left': 'topic:/left_hand', 'right': 'topic:/trackers:right_hand',
+        'ball': 'topic:/trackers:ball'}
+    assert compile_scene(scene).frame().pins['left'].pose.position == pytest.approx(
+        (-0.2, -0.2, 0.004))
 
 
 def test_seam_example_sews():

@@ -16,8 +16,10 @@ import time
 
 from mcap.writer import Writer
 import pytest
+from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String, UInt64
@@ -27,6 +29,7 @@ from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.ros.replay import Replay
 
 PATIENCE = 60.0    # s; only a failure takes that long
 START = 1_700_000_000_000_000_000
@@ -224,6 +227,65 @@ def test_the_services_say_what_they_did(write_log, replay, listener):
     success, said = listener.call('toggle_paused')
     assert success
     assert said.startswith('is paused at ')
+
+
+def test_it_says_whether_it_is_paused_and_stops_on_request(write_log, replay, listener):
+    process = replay(write_log(frames=100, frame_ns=10**9), '--start-paused')
+    assert listener.call('is_paused') == (True, 'is paused at 0.000 s')
+    listener.call('resume')
+    success, said = listener.call('is_paused')
+    assert (success, said[:14]) == (False, 'is playing at ')
+    listener.call('pause')
+    success, said = listener.call('stop')
+    assert success
+    assert said.startswith('stops at ')
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, err) == (0, '')
+    assert 'ended after ' in out
+
+
+def test_rate_and_position_are_parameters(write_log, replay, listener):
+    replay(write_log(frames=100, frame_ns=10**9), '--start-paused', '--rate', 2)
+    assert listener.call('pause') == (True, 'was paused at 0.000 s')
+    get = listener.node.create_client(GetParameters, '/xpbd_ros_replay/get_parameters')
+    change = listener.node.create_client(SetParameters, '/xpbd_ros_replay/set_parameters')
+
+    def ask(client, request):
+        listener.until(client.service_is_ready)
+        listener.spin(0.3)
+        future = client.call_async(request)
+        listener.until(future.done)
+        return future.result()
+
+    def put(name, value) -> tuple[bool, str]:
+        (found,) = ask(change, SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()])).results
+        return found.successful, found.reason
+    assert ask(get, GetParameters.Request(names=['rate'])).values[0].double_value == 2.0
+    listener.listen(UInt64, '/cloth/count')
+    listener.listen(String, '/cloth/scene', LATCHED)
+    assert put('seek', 40.5) == (True, '')
+    listener.until(lambda: [topic for topic, _ in listener.heard] == ['/cloth/scene'])
+    assert listener.call('is_paused') == (True, 'is paused at 40.500 s')
+    assert listener.call('play_next')[1] == '/cloth/count, frame 41, at 41.000 s'
+    listener.until(lambda: ('/cloth/count', cdr_uint64(41)) in listener.heard)
+    assert put('rate', 1e9) == (True, '')
+    listener.call('resume')
+    listener.until(lambda: ('/cloth/count', cdr_uint64(99)) in listener.heard)
+    assert ('/cloth/count', cdr_uint64(40)) not in listener.heard
+    assert [topic for topic, _ in listener.heard].count('/cloth/scene') == 1, 'latched'
+
+
+@pytest.mark.parametrize(('name', 'value', 'said'), [
+    ('rate', 0.0, 'rate: must be > 0 (got 0.0)'),
+    ('seek', 99.5, 'seek: must be within the log, which is 99.000 s long (got 99.5)')])
+def test_a_rate_or_position_without_sense_is_refused(write_log, own_domain, name, value, said):
+    rclpy.init()
+    node = Replay(LogReader(write_log(frames=100, frame_ns=10**9)), paused=True)
+    (found,) = node._node.set_parameters([Parameter(name, value=value)])
+    assert (found.successful, found.reason) == (False, said)
+    node.close()
+    rclpy.shutdown()
 
 
 def test_a_service_answers_within_a_burst_of_messages(write_log, replay, listener):

@@ -17,8 +17,8 @@ cloths:
     effects:
       stretch: {warp: 800.0, weft: 800.0}
 """
-TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, robots, pins, '
-       'colliders, seams)')
+TOP = ('(known: gravity, frame_id, frame_rate, duration, solver, cloths, effects, inputs, robots, '
+       'pins, colliders, seams)')
 
 
 def read(text, **options):

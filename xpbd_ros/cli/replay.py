@@ -2,9 +2,10 @@
 Publish a log, with the options of ros2 bag play.
 
 Each message is published with its recorded bytes and quality of service, at its log time. The
-services ~/pause, ~/resume, ~/toggle_paused and ~/play_next (std_srvs/srv/Trigger) control the
-replay, as do keys in a terminal: space pauses, right publishes the next message while paused, up
-and down change the rate by 10 %. A damaged log is played as far as it is readable. Inputs in the
+services ~/pause, ~/resume, ~/toggle_paused, ~/is_paused, ~/play_next and ~/stop
+(std_srvs/srv/Trigger) and the parameters rate and seek control the replay, as do keys in a
+terminal: space pauses, right publishes the next message while paused, up and down change the rate
+by 10 %. A damaged log is played as far as it is readable. Inputs in the
 log (pins, colliders, wind, parameters) are left out, since they would drive a running node;
 --inputs publishes them, as does --topics with their names.
 """

@@ -3,7 +3,8 @@ Simulate a scene as fast as possible, without DDS, and write the same log as the
 
 The motions in the scene file move pins and colliders. --commands also applies the inputs of an
 earlier log, at the frames that they acted on, and compares the run with that log, for its duration
-unless --duration is given.
+unless --duration is given. With the log of another program (MCAP or rosbag2), pins and colliders
+follow the TF frames, robots and topics that the scene names, from --start-offset on.
 
 Exit code: 0. With --commands it is 1 if the run is not bit-identical to the log: another scene,
 other keys (--set included), a log that begins in the middle of a run, or refused inputs.
@@ -40,7 +41,10 @@ def add_arguments(parser):
                         help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--commands', metavar='LOG',
                         help='apply the inputs of this log (a folder or an .mcap file), and '
-                             'compare the states with its states')
+                             'compare the states with its states; or take motion from the log of '
+                             'another program')
+    parser.add_argument('--start-offset', type=float, default=0.0, metavar='S',
+                        help="time at which the run begins in another program's log, in s")
     parser.add_argument('--settings', metavar='FILE',
                         help="a file with a 'solver:' block, which overrides the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
@@ -61,13 +65,14 @@ def run(arguments) -> int:
     from xpbd_ros.scene.compile import compile_scene
 
     check_outputs(arguments)
-    recording = recording_of('run', arguments.commands) if arguments.commands else None
+    recording, foreign = commands_in(arguments)
     if recording is not None and recording.not_repeatable:
         print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
         return 1
-    scene = scene_of(arguments, recording)
+    scene = scene_of(arguments, recording, foreign)
     frames = count_frames(scene)
     simulation = compile_scene(scene)
+    motion = motion_in(foreign, scene, simulation, frames, arguments.start_offset)
     quiet = arguments.json == '-'
     repeat = None
     if recording is not None:
@@ -75,7 +80,8 @@ def run(arguments) -> int:
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = new_log(folder, scene, simulation, program='run')
-    step_ms, refused, notes, shots = [], 0, [*notes_without_tf(scene), *simulation.notes], None
+    step_ms, refused, shots = [], 0, None
+    notes = [*([] if motion else notes_without_tf(scene)), *simulation.notes]
     if arguments.picture:
         from xpbd_ros.study.snapshots import Shots
         shots = Shots(simulation, frames)
@@ -87,7 +93,7 @@ def run(arguments) -> int:
         with collected_signals() as signals:
             for index in progress(range(1, frames + 1), 'frames'):
                 start = time.perf_counter()
-                inputs = repeat.commands(index) if repeat else ()
+                inputs = (repeat or motion).commands(index) if repeat or motion else ()
                 frame = simulation.step([*inputs, *monitor.commands()], keep=monitor.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 monitor.look(1e-3 * step_ms[-1])
@@ -120,6 +126,8 @@ def run(arguments) -> int:
     if repeat:
         notes += repeat.notes
         numbers['commands'] = repeat.numbers()
+    if motion:
+        notes += motion.texts()
     if shots:
         numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
@@ -137,7 +145,40 @@ def check_outputs(arguments) -> None:
         need_view('--picture')
 
 
-def scene_of(arguments, recording):
+def commands_in(arguments) -> tuple[Any, Any]:
+    """Return the log of ``--commands``: (a recorded run, None) or (None, another program's)."""
+    log = None
+    if arguments.commands:
+        from xpbd_ros.log.foreign import ForeignLog
+        need_ros('run --commands')
+        log = ForeignLog(arguments.commands)
+        if log.scene is not None:
+            log = None
+    if log is None:
+        if arguments.start_offset:
+            raise InputError("--start-offset: needs --commands with another program's log")
+        return recording_of('run', arguments.commands) if arguments.commands else None, None
+    for text in log.damage:
+        print(f'xpbd_ros run: damaged log: {text}; messages may be lost', file=sys.stderr)
+    length = 1e-9 * (log.end_ns - log.start_ns)
+    if not 0.0 <= arguments.start_offset < length:
+        raise InputError(f'--start-offset: must be within the log, from 0 to before {length:.3f} '
+                         f's (got {arguments.start_offset:g} s)')
+    return None, log
+
+
+def motion_in(log, scene, simulation, frames: int, offset: float):
+    """Return the motion in another program's log; None without one."""
+    if log is None:
+        return None
+    from xpbd_ros.ros.foreign_motion import ForeignMotion
+    try:
+        return ForeignMotion(log, scene, simulation, frames=frames, offset=offset)
+    except InputError as error:
+        raise InputError(f'{scene.where}: {error}') from None
+
+
+def scene_of(arguments, recording, foreign=None):
     """Return the scene with the overrides; with a log, as long as it."""
     from xpbd_ros.scene.load import load_scene, settings_overrides
 
@@ -146,10 +187,11 @@ def scene_of(arguments, recording):
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
     scene = load_scene(arguments.scene, overrides)
-    if recording is None or arguments.duration is not None:
+    if recording is None and foreign is None or arguments.duration is not None:
         return scene
-    return load_scene(arguments.scene, {
-        **overrides, 'duration': recording.last / scene.top.frame_rate})
+    length = (recording.last / scene.top.frame_rate if foreign is None else
+              1e-9 * (foreign.end_ns - foreign.start_ns) - arguments.start_offset)
+    return load_scene(arguments.scene, {**overrides, 'duration': length})
 
 
 def verdict(repeat, quiet: bool) -> int:

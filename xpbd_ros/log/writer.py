@@ -143,8 +143,13 @@ class LogWriter:
 
     def flush_if_due(self) -> None:
         """Flush if the flush period has passed; for times without new messages."""
-        if not self.closed and time.monotonic() - self._flushed >= self.flush_period:
+        if self.flush_is_due:
             self.flush()
+
+    @property
+    def flush_is_due(self) -> bool:
+        """True if the flush period has passed."""
+        return not self.closed and time.monotonic() - self._flushed >= self.flush_period
 
     def flush(self) -> None:
         """Complete the present chunk, and hand all written data to the operating system."""

@@ -344,7 +344,7 @@ class ClothNode(LifecycleNode):
         if not self.begun and not self.waits:
             self._publish_initial_state()
         if self.recorder is not None:
-            self.recorder.log.flush_if_due()
+            self.recorder.flush_if_due()
         self._publish_on_wall_time(None)
 
     def _publish_on_wall_time(self, frame) -> None:

@@ -1,4 +1,4 @@
-"""TF and joint states of a node: followers, grippers, and inputs in other TF frames."""
+"""The pins and colliders of a scene that follow something, in a node."""
 
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -7,11 +7,10 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros.frame_follower import FrameFollower, PoseSource
+from xpbd_ros.ros.followers import Followers
+from xpbd_ros.ros.frame_follower import PoseSource
 from xpbd_ros.ros.frame_inputs import FrameInputs
-from xpbd_ros.scene.frames import followers
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.commands import Reset
 from xpbd_ros.sim.simulation import Simulation
 
 DEPTH = 50
@@ -20,7 +19,7 @@ DEPTH = 50
 
 class Following:
     """
-    TF frames and robots of a configured node.
+    TF frames, robots and topics of other programs of a configured node.
 
     Parameters
     ----------
@@ -39,52 +38,28 @@ class Following:
         self._frame_id = scene.top.frame_id
         self.inputs = FrameInputs(node, self._frame_id, take, node.command_queue.refuse)
         self._joint_states: dict = {}    # by topic
+        self._topics: dict = {}    # subscribed topics of other programs, by name in the scene
         self._subscriptions: list = []
-        self._grippers: list = []
         try:
-            sources = self._sources(scene)
+            self._followers = Followers(simulation, scene, self, now_ns=self._now_ns,
+                                        warn=node.get_logger().warning)
         except InputError as error:
             self.close()
             raise InputError(f'{scene.where}: {error}') from None
-        self._follower = FrameFollower(
-            simulation, self._frame_id, sources, now_ns=self._now_ns,
-            warn=node.get_logger().warning)
 
     def _now_ns(self) -> int:
         """Return the time of the clock that the node steps on [ns]."""
         return self._node.pace()[0]()
 
-    def _sources(self, scene: Scene) -> list[tuple]:
-        """Return each follower with the source of its poses."""
-        of_collider: dict[str, PoseSource] = {}
-        grasps = []
-        for robot in scene.robots.values():
-            source = self._source(robot)
-            of_collider.update(dict.fromkeys(robot.colliders, source))
-            if robot.grasp is not None:
-                from xpbd_ros.ros.robots import GripperFollower
-                grasps.append((robot.grasp, source))
-                self._grippers.append((robot.pin, GripperFollower(
-                    robot, self._states(robot), source, self._frame_id, now_ns=self._now_ns,
-                    warn=self._node.get_logger().warning)))
-        found: list[tuple] = []
-        for each in followers(scene):
-            source = of_collider.get(each.name) if each.section == 'colliders' else None
-            found.append((each, self._transforms(each.path) if source is None else source))
-        return found + grasps
-
-    def _source(self, robot) -> PoseSource:
-        """Return the source of a robot's link poses."""
-        from xpbd_ros.ros.robots import Kinematics
+    def way(self, robot) -> str:
+        """Return how a robot is followed: 'tf' or 'joint_states'."""
         follow = robot.keys.follow
         if follow == 'auto':
             follow = 'tf' if find_spec('tf2_ros') else 'joint_states'
         self._node.get_logger().info(f"robot '{robot.name}': follows {follow}")
-        if follow == 'tf':
-            return self._transforms(f'robots.{robot.name}.follow')
-        return Kinematics(robot, self._states(robot))
+        return follow
 
-    def _states(self, robot):
+    def states(self, robot):
         """Return the joint states of a robot; subscribe with the first call."""
         from xpbd_ros.ros.robots import JointStates
         node, topic = self._node, self._node.resolve_topic_name(robot.keys.joint_states)
@@ -96,43 +71,42 @@ class Following:
                 QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)))
         return self._joint_states[topic]
 
-    def _transforms(self, path: str) -> PoseSource:
-        try:
-            return self.inputs.transforms()
-        except InputError as error:
-            raise InputError(f'{path}: {error}') from None
+    def transforms(self) -> PoseSource:
+        """Return the transforms; subscribe with the first call."""
+        return self.inputs.transforms()
+
+    def topic(self, name: str) -> PoseSource:
+        """Return the poses on a topic of another program; subscribe with the first call."""
+        if name not in self._topics:
+            from xpbd_ros.ros.foreign_topic import ForeignTopic
+            self._topics[name] = ForeignTopic(self._node, name, self._frame_id, self.transforms)
+        return self._topics[name].poses
 
     def commands(self, groups: Sequence[tuple]) -> list[tuple]:
         """Return the commands of followers before a frame, to act after the ``groups``."""
-        reset = any(isinstance(command, Reset) for group in groups for command in group)
-        found: list[tuple] = []
-        acting: list[str] = []
-        for pin, gripper in self._grippers:
-            command = gripper.command(holds=self._follower.holds(pin), reset=reset)
-            if command is not None:
-                found.append((command,))
-                acting.append(pin)
-            if gripper.open:
-                self._follower.let_go(pin)
-        return found + self._follower.commands(reset=reset, without=acting)
+        return self._followers.commands(groups)
 
     @property
     def finding(self) -> str:
         """Present warning for ``/diagnostics``; empty without one."""
-        return self._follower.finding
+        return self._followers.finding
 
     def diagnostics(self) -> dict[str, float]:
         """Return the values for ``/diagnostics``."""
-        return self._follower.diagnostics()
+        return self._followers.diagnostics()
 
     def clear(self) -> None:
         """Forget transforms and joint states, after the clock went back."""
         self.inputs.clear()
         for states in self._joint_states.values():
             states.clear()
+        for topic in self._topics.values():
+            topic.poses.clear()
 
     def close(self) -> None:
         """Destroy the subscriptions."""
         self.inputs.close()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
+        for topic in self._topics.values():
+            topic.close()

@@ -1,6 +1,11 @@
-"""Record one run to one log: states, inputs as applied, state hashes; for the node and ``run``."""
+"""
+Record one run to one log: states, inputs as applied, state hashes; for the node and ``run``.
 
-from collections.abc import Mapping
+Messages are encoded when a frame is given; hashed, compressed and written in a thread.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 import platform
 from types import MappingProxyType
@@ -11,6 +16,7 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Float64
 
+from xpbd_ros.log.background import Background
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros import diagnostics
@@ -47,7 +53,8 @@ class Recorder:
     settings : further entries of the log's metadata
     files : files that the scene refers to, by name
 
-    A log that begins in the middle of a run holds a checkpoint of that moment.
+    A log that begins in the middle of a run holds a checkpoint of that moment. An error in writing
+    is raised by one of the next calls.
 
     """
 
@@ -73,6 +80,9 @@ class Recorder:
             if not output.view_only:
                 self.log.add_channel(self._full(output.topic), type_name(output.kind),
                                      output.qos)
+        self._background = Background()
+        self._parts: list[Callable[[], object]] = []
+        """what the thread has to do for the present frame"""
         self._later: set[str] = set()
         """channels that were added with their first message"""
         self._counts: dict[str, float] = {}
@@ -80,23 +90,34 @@ class Recorder:
         frame = simulation.frame()
         self._write_all(outputs.start(), frame)
         self._write_state(frame)
+        self._submit()
+
+    def _submit(self) -> None:
+        """Give the thread what was collected."""
+        parts, self._parts = self._parts, []
+        self._background.run(parts)
 
     def _full(self, topic: str) -> str:
         return topic if topic.startswith('/') else f'{self._name}/{topic}'
 
-    def _write_all(self, found: dict[str, bytes], frame: Frame) -> None:
+    def _write_all(self, found: Mapping[str, bytes | Callable[[], bytes]], frame: Frame) -> None:
         for topic, data in found.items():
             self._write(topic, self.outputs.topics[topic].kind, data,
                         self.epoch_ns + frame.time_ns, frame.index)
 
-    def _write(self, topic: str, kind: type, data: bytes, time_ns: int, frame: int) -> None:
-        self.log.write(self._full(topic), trimmed(data, kind), time_ns=time_ns, frame=frame)
+    def _write(self, topic: str, kind: type, data: bytes | Callable[[], bytes], time_ns: int,
+               frame: int) -> None:
+        """Write a message, or what a function returns in the thread of the log."""
+        def write() -> None:
+            found = data() if callable(data) else data
+            self.log.write(self._full(topic), trimmed(found, kind), time_ns=time_ns, frame=frame)
+        self._parts.append(write)
 
     def _write_state(self, frame: Frame) -> None:
         time_ns = self.epoch_ns + frame.time_ns
         self._write_all(self.outputs.frame(frame, time_ns), frame)
         self._write_all(self.outputs.state(frame, time_ns), frame)
-        self._write_all({'state_hash': self.outputs.hash()}, frame)
+        self._write_all({'state_hash': self.outputs.hash(frame)}, frame)
 
     def frame(self, frame: Frame, encoded: dict[str, bytes] | None = None,
               stamp_ns: int | None = None) -> None:
@@ -118,15 +139,22 @@ class Recorder:
         for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
             self._write_one(topic, type(message), message, before_ns, frame.index)
         self._write_all(encoded, frame)
-        self._write_all({'state_hash': outputs.hash()}, frame)
+        self._write_all({'state_hash': outputs.hash(frame)}, frame)
         period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))
         if frame.index % period == 0:
             self._write_all(outputs.state(frame, stamp_ns), frame)
         self._write_guards(frame, stamp_ns)
+        self._submit()
+
+    def flush_if_due(self) -> None:
+        """Flush if the flush period has passed; for times without frames."""
+        if self.log.flush_is_due and self._background.idle:
+            self._background.run([self.log.flush_if_due])
 
     def _write_one(self, topic: str, kind: type, message, time_ns: int, frame: int) -> None:
         if topic not in self._later:
-            self.log.add_channel(self._full(topic), type_name(kind), INPUT)
+            self._parts.append(partial(self.log.add_channel, self._full(topic), type_name(kind),
+                                       INPUT))
             self._later.add(topic)
         self._write(topic, kind, serialize_message(message), time_ns, frame)
 
@@ -149,10 +177,14 @@ class Recorder:
         """Write a number about a frame to a topic below the node's name."""
         self._write_one(topic, Float64, Float64(data=value), self.epoch_ns + frame.time_ns,
                         frame.index)
+        self._submit()
 
     def close(self) -> None:
-        """Close the log."""
-        self.log.close()
+        """Write all that waits, and close the log."""
+        try:
+            self._background.close()
+        finally:
+            self.log.close()
 
 
 def environment() -> dict[str, str]:

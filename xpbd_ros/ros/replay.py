@@ -11,15 +11,18 @@ from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 import importlib
+import math
 import re
 import time
 
 from builtin_interfaces.msg import Time
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
@@ -114,7 +117,7 @@ class Replay:
     start_offset
         Log time to skip [s]; the last messages of latched topics in it are published first.
     paused
-        Whether to wait for ~/resume or ~/play_next.
+        Whether to wait for ~/resume, ~/play_next or ~/stop.
     clock_hz
         Rate of /clock [Hz], which replaces a recorded one; None for no clock.
     keys
@@ -140,9 +143,12 @@ class Replay:
             if (topics is None or topic in topics) and not (clock_hz and topic == CLOCK):
                 self._add_publisher(topic)
         for name, answer in (('pause', self._pause), ('resume', self._resume),
-                             ('toggle_paused', self._toggle), ('play_next', self._play_next)):
+                             ('toggle_paused', self._toggle), ('is_paused', self._tell_paused),
+                             ('play_next', self._play_next), ('stop', self._stop)):
             self._node.create_service(Trigger, f'~/{name}', answer)
+        self._stopped = False
         self._playhead = Playhead(self._start_ns, rate=rate, paused=paused)
+        self._declare(rate, start_offset)
         if clock_hz:
             self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
             self._node.create_timer(1.0 / clock_hz, self._publish_clock,
@@ -154,15 +160,24 @@ class Replay:
             self._node.create_timer(LOOK_PERIOD, self._look_for_listeners,
                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered = -ANSWER_TIME
-        self._rewind()
+        self._go(self._start_ns)
+
+    def _declare(self, rate: float, start_offset: float) -> None:
+        """Declare the parameters that set rate and position, which have no type in std_srvs."""
+        for name, value, what in (
+                ('rate', rate, 'log time per wall time; > 0'),
+                ('seek', start_offset, 'goes to this time of the log when it is set [s]')):
+            self._node.declare_parameter(name, value, ParameterDescriptor(description=what))
+        self._node.add_on_set_parameters_callback(self._check_parameters)
+        self._node.add_post_set_parameters_callback(self._apply_parameters)
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Publish until the end of the log (never, if it loops) or until ``stopped()``."""
+        """Publish until the end of the log (never, if it loops), ~/stop, or ``stopped()``."""
         served = time.monotonic()
-        while not stopped():
+        while not stopped() and not self._stopped:
             if self._next is None and not self._playhead.paused:
                 if self._loop:
-                    self._rewind()
+                    self._go(self._start_ns)
                 if self._next is None:
                     break
             wait = self._playhead.wait(self._next.time_ns) if self._next else STOP_PERIOD
@@ -215,21 +230,21 @@ class Replay:
                     'the inputs of this log')
             self._listeners[topic] = count
 
-    def _rewind(self) -> None:
-        """Go to the start offset, and publish the latched messages before it."""
+    def _go(self, time_ns: int) -> None:
+        """Go to a log time [ns], and publish the latched messages before it."""
         self._messages = self._log.messages(self._publishers.keys())
         before: dict[str, deque[Message]] = {
             topic: deque(maxlen=self._log.topics[topic].qos.depth) for topic in self._publishers
             if self._log.topics[topic].qos.latched}
         self._advance()
-        while self._next and self._next.time_ns < self._start_ns:
+        while self._next and self._next.time_ns < time_ns:
             if self._next.topic in before:
                 before[self._next.topic].append(self._next)
             self._advance()
         for messages in before.values():
             for message in messages:
                 self._publish(message)
-        self._playhead.jump(self._start_ns)
+        self._playhead.jump(time_ns)
 
     def _advance(self) -> None:
         """Read the next message of the log."""
@@ -276,6 +291,38 @@ class Replay:
         """Resume if paused, else pause."""
         return (self._resume if self._playhead.paused else self._pause)(request, answer)
 
+    def _tell_paused(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """Succeed if it is paused."""
+        paused = self._playhead.paused
+        return self._told(answer, paused,
+                          f'is {"paused" if paused else "playing"} at {self._where()}')
+
+    def _stop(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        """End the replay, also while paused."""
+        self._stopped = True
+        return self._told(answer, True, f'stops at {self._where()}')
+
+    def _check_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Refuse a rate that is not positive, and a time outside the log."""
+        duration = ((self._log.end_ns or 0) - (self._log.start_ns or 0)) * 1e-9
+        for each in parameters:
+            if each.name == 'rate' and not 0.0 < each.value < math.inf:
+                return SetParametersResult(successful=False,
+                                           reason=f'rate: must be > 0 (got {each.value})')
+            if each.name == 'seek' and not 0.0 <= each.value <= duration:
+                return SetParametersResult(successful=False, reason=(
+                    f'seek: must be within the log, which is {duration:.3f} s long (got '
+                    f'{each.value})'))
+        return SetParametersResult(successful=True)
+
+    def _apply_parameters(self, parameters: list[Parameter]) -> None:
+        """Play at a rate, or from a time, that was set."""
+        for each in parameters:
+            if each.name == 'rate':
+                self._playhead.set_rate(each.value)
+            elif each.name == 'seek':
+                self._go((self._log.start_ns or 0) + round(each.value * 1e9))
+
     def _play_next(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Publish the next message; refused unless paused."""
         if not self._playhead.paused:
@@ -299,7 +346,8 @@ class Replay:
                 text = self._play_next(Trigger.Request(), Trigger.Response()).message
             else:
                 rate = self._playhead.rate * (RATE_STEP if key == 'up' else 1.0 / RATE_STEP)
-                self._playhead.set_rate(min(max(rate, SLOWEST), FASTEST))
+                self._node.set_parameters([Parameter(
+                    'rate', value=min(max(rate, SLOWEST), FASTEST))])
                 text = f'rate {self._playhead.rate:.3g}'
             self._node.get_logger().info(text)
 

@@ -1,4 +1,4 @@
-"""The pins and colliders of a scene that follow TF frames."""
+"""The pins and colliders of a scene that follow TF frames, or topics in place of one."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,21 @@ from xpbd_ros.sim.commands import Pose
 
 TIMEOUT = 1.0
 """``frame_timeout`` unless given [s]"""
+PREFIX = 'topic:'
+"""of a ``frame`` that stands for a topic; TF frames do not begin with it"""
+
+
+def topic_frame(topic: str, joint: str | None = None) -> str:
+    """Return the ``frame`` that stands for a topic, and for one joint of its messages."""
+    return f'{PREFIX}{topic}' if joint is None else f'{PREFIX}{topic}:{joint}'
+
+
+def topic_of_frame(frame: str) -> tuple[str, str | None] | None:
+    """Return the topic, and the joint if one is named, that a ``frame`` stands for, or None."""
+    if not frame.startswith(PREFIX):
+        return None
+    topic, colon, joint = frame.removeprefix(PREFIX).partition(':')
+    return topic, joint if colon else None
 
 
 @dataclass(frozen=True)
@@ -27,11 +42,12 @@ class Follower:
     @property
     def path(self) -> str:
         """Key of its frame, in the scene file."""
-        return f'{self.section}.{self.name}.frame'
+        topic = topic_of_frame(self.frame)
+        return f'{self.section}.{self.name}.frame' if topic is None else f'inputs.{topic[0]}'
 
 
 def followers(scene: Scene) -> list[Follower]:
-    """Return the pins and colliders of a scene that follow TF frames."""
+    """Return the pins and colliders of a scene that follow TF frames or topics."""
     found = []
     for section in ('pins', 'colliders'):
         for name, entry in scene.sections.get(section, {}).items():

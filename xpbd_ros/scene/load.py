@@ -116,7 +116,12 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
         if raw.get('robots') is not None:
             from xpbd_ros.scene.robots import with_robots
             raw, robots = with_robots(raw, folder or Path())
-        return replace(_scene(_resolved(raw, folder or Path()), where, name), robots=robots)
+        inputs: dict = {}
+        if raw.get('inputs') is not None:
+            from xpbd_ros.scene.inputs import with_inputs
+            raw, inputs = with_inputs(raw)
+        return replace(_scene(_resolved(raw, folder or Path()), where, name), robots=robots,
+                       inputs=inputs)
     except InputError as error:
         raise InputError(f'{where}: {brief(str(error))}') from None
 
@@ -189,7 +194,8 @@ def _found(entry: Any, key: str, folder: Path) -> Any:
 
 def _scene(raw: dict, where: str, name: str) -> Scene:
     """Check a scene's mapping."""
-    top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', 'robots', *SECTIONS))
+    top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', 'inputs', 'robots',
+                                                *SECTIONS))
     cloths, cloth_effects = {}, {}
     for cloth, value in names(raw.get('cloths'), 'cloths').items():
         path = f'cloths.{cloth}'

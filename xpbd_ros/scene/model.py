@@ -115,6 +115,8 @@ class Scene:
     """path of the file as the user gave it, for error messages"""
     robots: dict[str, Any] = dataclasses.field(default_factory=dict)
     """robots by name (``scene.robots.Robot``), whose colliders are in ``sections``"""
+    inputs: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """topics of other programs with what they move, each a tuple of ``scene.inputs.Input``"""
 
     @property
     def effect_names(self) -> tuple[str, ...]:

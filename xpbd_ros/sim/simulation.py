@@ -357,11 +357,28 @@ class Simulation:
 
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
-        digest = hashlib.blake2b(digest_size=8)
         state = self.state
-        fresh = [] if state.history is None else [state.history.fresh]
-        for array in (state.x, state.v, state.inv_mass, *history_arrays(state), *fresh):
-            digest.update(np.ascontiguousarray(array[..., self.slot]).data)
+        return self._digest([state.x[..., self.slot], state.v[..., self.slot],
+                             state.inv_mass[self.slot]], self._history())
+
+    def hash_of(self, frame: Frame) -> Callable[[], int]:
+        """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
+        history = [array.copy() for array in self._history()]
+        kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
+        return lambda: self._digest(
+            [np.ascontiguousarray(array, kind) for array, kind in zip(
+                (frame.x.T, frame.v.T, frame.inv_mass), kinds)], history)
+
+    def _history(self) -> list[np.ndarray]:
+        """Return the arrays besides x, v and inv_mass that determine the next substep."""
+        history = self.state.history
+        return [*history_arrays(self.state), *([] if history is None else [history.fresh])]
+
+    def _digest(self, natural: list[np.ndarray], history: list[np.ndarray]) -> int:
+        """Return the hash of arrays in natural order, and of others in slots."""
+        digest = hashlib.blake2b(digest_size=8)
+        for array in (*natural, *(each[..., self.slot] for each in history)):
+            digest.update(np.ascontiguousarray(array).data)
         return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:

@@ -1,9 +1,9 @@
-"""Composition of poses of rigid bodies; IEEE operations only, like ``quaternion``."""
+"""Composition, inversion and interpolation of poses; IEEE operations only, like ``quaternion``."""
 
 from math import sqrt
 
 from xpbd_ros.sim.commands import Pose
-from xpbd_ros.sim.geometry.quaternion import multiply, rotate
+from xpbd_ros.sim.geometry.quaternion import conjugate, interpolate, multiply, rotate
 
 
 def compose(outer: Pose, inner: Pose) -> Pose:
@@ -32,3 +32,16 @@ def from_matrix(matrix) -> Pose:
         q[i] = 1.0 + m[i][i] - m[j][j] - m[k][k]
         q[j], q[k] = m[j][i] + m[i][j], m[k][i] + m[i][k]
     return Pose((m[0][3], m[1][3], m[2][3]), unit(q))
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the pose of the outer axes in those of ``pose``."""
+    q = conjugate(pose.orientation)
+    x, y, z = rotate.py_func(*q, *pose.position)
+    return Pose((-x, -y, -z), q)
+
+
+def interpolated(a: Pose, b: Pose, s: float) -> Pose:
+    """Return the pose at fraction s from a to b: linear, with the quaternion normalised."""
+    x, y, z = (p + s * (q - p) for p, q in zip(a.position, b.position))
+    return Pose((x, y, z), interpolate.py_func(a.orientation, b.orientation, s))

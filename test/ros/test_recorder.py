@@ -1,0 +1,107 @@
+"""The thread that writes a log: same hashes, bounded waiting, and errors that arrive."""
+
+import errno
+from functools import partial
+from pathlib import Path
+import threading
+import time
+
+import pytest
+
+from support.logs import SHEET, state_hashes
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.background import Background, MOST_WAITING
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.outputs import Outputs
+from xpbd_ros.ros.recorder import Recorder
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_text
+from xpbd_ros.scene.save import scene_text
+
+PATIENCE = 60.0
+"""[s]"""
+
+
+def begun(folder: Path, **keys):
+    """Return a simulation of the sheet, and its recorder."""
+    scene = scene_from_text(SHEET, where='sheet.yaml', name='sheet', overrides=keys)
+    simulation = compile_scene(scene)
+    return simulation, Recorder(folder, Outputs(simulation, 'world', scene_text(
+        scene, simulation.solver)), epoch_ns=10**18)
+
+
+@pytest.mark.parametrize('keys', [
+    {}, {'solver.integrator': 'bdf2'}, {'solver.precision': 'float32'}])
+def test_recorded_hashes_are_those_of_their_frames(tmp_path, keys):
+    """The thread computes them while later frames are stepped."""
+    simulation, recorder = begun(tmp_path / 'run', **keys)
+    expected = {0: simulation.hash()}
+    for _ in range(20):
+        frame = simulation.step()
+        recorder.frame(frame)
+        expected[frame.index] = simulation.hash()
+    later = simulation.hash_of(frame)
+    simulation.step()
+    assert later() == expected[20] != simulation.hash()
+    recorder.close()
+    assert state_hashes(tmp_path / 'run') == expected
+
+
+def test_frames_wait_for_a_slow_disk_so_that_memory_is_bounded(tmp_path, monkeypatch):
+    simulation, recorder = begun(tmp_path / 'run')
+    held, write = threading.Event(), recorder.log.write
+    monkeypatch.setattr(recorder.log, 'write', lambda *words, **names: (
+        held.wait(PATIENCE), write(*words, **names)))
+    given = []
+
+    def give() -> None:
+        for _ in range(3 * MOST_WAITING):
+            recorder.frame(simulation.step())
+            given.append(simulation.index)
+    thread = threading.Thread(target=give)
+    thread.start()
+    until(lambda: len(given) >= MOST_WAITING - 1)
+    time.sleep(0.2)
+    assert len(given) <= MOST_WAITING + 1
+    held.set()
+    thread.join(PATIENCE)
+    recorder.close()
+    assert len(state_hashes(tmp_path / 'run')) == 3 * MOST_WAITING + 1
+
+
+def until(true) -> None:
+    """Wait until something is so."""
+    deadline = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize('last', [False, True])
+def test_a_full_disk_is_told_by_a_later_call_and_the_log_stays_readable(tmp_path, monkeypatch,
+                                                                        last):
+    simulation, recorder = begun(tmp_path / 'run')
+    recorder.frame(simulation.step())
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+    until(lambda: recorder._background.idle)
+    recorder.log.flush()
+    monkeypatch.setattr(recorder.log._file, 'write', full)
+    recorder.frame(simulation.step())
+    until(lambda: recorder._background.idle)
+    with pytest.raises(InputError, match='cannot be written any further: No space left'):
+        recorder.close() if last else recorder.frame(simulation.step())
+    if not last:
+        recorder.close()
+    assert {message.frame for message in LogReader(tmp_path / 'run').messages()} == {0, 1}
+
+
+def test_what_waits_is_written_before_the_end():
+    done, background = [], Background()
+    for k in range(3):
+        background.run([partial(time.sleep, 0.05), partial(done.append, k),
+                        partial(done.append, k)])
+    background.close()
+    assert done == [0, 0, 1, 1, 2, 2]
+    assert background.idle

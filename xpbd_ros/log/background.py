@@ -1,0 +1,52 @@
+"""
+Write a log in a thread of its own, so that frames do not wait for hashes and compression.
+
+Both release the GIL. The work of one frame is one task, and tasks run in order. When MOST_WAITING
+of them wait, the caller waits too, so memory stays bounded and a crash loses no more than these
+frames beyond the flush period. The first error is raised by one of the next calls.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+MOST_WAITING = 4
+"""tasks that wait for the thread, at most"""
+
+
+class Background:
+    """A thread that runs tasks in order."""
+
+    def __init__(self):
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='log')
+        self._tasks: deque[Future[None]] = deque()
+        self._failed = False
+
+    def run(self, parts: Sequence[Callable[[], object]]) -> None:
+        """Run functions, in order, after all earlier ones; raise the error of an earlier one."""
+        while self._tasks and (len(self._tasks) >= MOST_WAITING or self._tasks[0].done()):
+            self._look(self._tasks.popleft())
+        self._tasks.append(self._thread.submit(_run, tuple(parts)))
+
+    def _look(self, task: Future[None]) -> None:
+        """Wait for a task; raise its error if it is the first."""
+        error = task.exception()
+        if error is not None and not self._failed:
+            self._failed = True
+            raise error
+
+    @property
+    def idle(self) -> bool:
+        """True if nothing waits and nothing runs."""
+        return all(task.done() for task in self._tasks)
+
+    def close(self) -> None:
+        """Run all that waits, and end the thread; raise the first error, unless it was raised."""
+        self._thread.shutdown()
+        while self._tasks:
+            self._look(self._tasks.popleft())
+
+
+def _run(parts: tuple[Callable[[], object], ...]) -> None:
+    for part in parts:
+        part()

@@ -1,0 +1,136 @@
+"""
+Poses on a topic of another program, as a source that pins and colliders follow.
+
+A pose in a TF frame other than the scene's is transformed at its stamp, as soon as TF has that
+time; until then the last pose before it counts. A pose without a stamp has the time of its
+arrival. A trajectory begins when it arrives: linear between its points, and held at its end.
+"""
+
+from bisect import bisect_right
+from collections.abc import Callable
+
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros.frame_follower import PoseSource
+from xpbd_ros.ros.pose_messages import read_trajectory, Sample, SAMPLES, TRAJECTORY, Trajectory
+from xpbd_ros.scene.frames import topic_of_frame
+from xpbd_ros.scene.read import unknown
+from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.geometry.pose import compose, interpolated
+
+KEPT = 100
+"""poses of a joint that are kept until TF has their time, at most"""
+
+
+class TopicPoses:
+    """
+    A ``PoseSource`` of the poses on one topic.
+
+    Parameters
+    ----------
+    topic : full name
+    frame_id : TF frame of the scene
+    transforms : returns the source of TF frames; called with the first pose in another TF frame
+    now_ns : clock for messages without a stamp, and for trajectories [ns]
+
+    """
+
+    def __init__(self, topic: str, frame_id: str, transforms: Callable[[], PoseSource],
+                 now_ns: Callable[[], int]):
+        self._topic, self._frame_id = topic, frame_id
+        self._transforms, self._now_ns = transforms, now_ns
+        self._samples: dict[str, tuple[Sample, ...]] = {}    # by joint; replaced as a whole
+        self._trajectory: tuple[int, Trajectory, tuple[Pose, ...]] | None = None
+
+    def take(self, type_name: str, message) -> None:
+        """Take a message of one of ``pose_messages.TYPES``."""
+        now_ns = self._now_ns()
+        if type_name == TRAJECTORY:
+            trajectory = read_trajectory(message)
+            self._need_transforms(trajectory.frame)
+            begin = tuple(self._before(joint, trajectory, now_ns)
+                          for joint in trajectory.joints)
+            self._trajectory = now_ns, trajectory, begin
+            return
+        samples = dict(self._samples)
+        for sample in SAMPLES[type_name](message):
+            self._need_transforms(sample.frame)
+            sample = sample._replace(stamp_ns=sample.stamp_ns or now_ns)
+            samples[sample.joint] = (*samples.get(sample.joint, ())[1 - KEPT:], sample)
+        self._samples = samples
+
+    def _need_transforms(self, frame: str) -> None:
+        """Raise InputError if poses in this TF frame can never be transformed."""
+        if frame not in ('', self._frame_id):
+            self._transforms()
+
+    def _before(self, joint: str, new: Trajectory, now_ns: int) -> Pose:
+        """Return the pose of a joint when a trajectory arrives: that of the previous one."""
+        if self._trajectory is not None:
+            begin_ns, old, _ = self._trajectory
+            if joint in old.joints and old.frame == new.frame:
+                return self._planned(joint, now_ns - begin_ns)
+        return new.poses[0][new.joints.index(joint)]
+
+    def latest_ns(self, frame: str, source: str) -> int:
+        """Return the stamp of the latest pose that can be given in the scene's TF frame [ns]."""
+        joint = self._joint(source)
+        if self._trajectory is not None:
+            return self._now_ns()
+        known_ns: dict[str, int] = {}    # latest time of TF, by TF frame
+        for sample in reversed(self._samples[joint]):
+            if sample.frame in ('', self._frame_id):
+                return sample.stamp_ns
+            if sample.frame not in known_ns:
+                known_ns[sample.frame] = self._transforms().latest_ns(self._frame_id,
+                                                                      sample.frame)
+            if known_ns[sample.frame] == 0 or known_ns[sample.frame] >= sample.stamp_ns:
+                return sample.stamp_ns
+        raise InputError(f'TF has not the time of {self._topic} yet')
+
+    def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
+        """Return the pose with a stamp that ``latest_ns`` gave, in the scene's TF frame."""
+        joint = self._joint(source)
+        if self._trajectory is not None:
+            begin_ns, trajectory, _ = self._trajectory
+            return self._to_scene(trajectory.frame, self._planned(joint, stamp_ns - begin_ns), 0)
+        found = next(sample for sample in reversed(self._samples[joint])
+                     if sample.stamp_ns == stamp_ns)
+        return self._to_scene(found.frame, found.pose, stamp_ns)
+
+    def _joint(self, source: str) -> str:
+        """Return the joint that a follower's ``frame`` names, or the only one."""
+        named = topic_of_frame(source)
+        known = self._trajectory[1].joints if self._trajectory is not None else (
+            tuple(self._samples))
+        if not known:
+            raise InputError(f'no message on {self._topic}')
+        joint = named[1] if named is not None else None
+        if joint is None and len(known) == 1:
+            return known[0]
+        if joint is None:
+            raise InputError(f"{self._topic} has several joints; name one with 'joint' "
+                             f'({", ".join(known)})')
+        if joint not in known:
+            raise InputError(f'{self._topic}: {unknown(joint, known, "joint")}')
+        return joint
+
+    def _planned(self, joint: str, since_ns: int) -> Pose:
+        """Return the pose of a joint at a time from the start of the trajectory [ns]."""
+        assert self._trajectory is not None
+        _, trajectory, begin = self._trajectory
+        j, times = trajectory.joints.index(joint), trajectory.times_ns
+        k = bisect_right(times, since_ns)
+        if k == len(times):
+            return trajectory.poses[-1][j]
+        before_ns, before = (times[k - 1], trajectory.poses[k - 1][j]) if k else (0, begin[j])
+        return interpolated(before, trajectory.poses[k][j],
+                            (since_ns - before_ns) / (times[k] - before_ns))
+
+    def _to_scene(self, frame: str, pose: Pose, stamp_ns: int) -> Pose:
+        if frame in ('', self._frame_id):
+            return pose
+        return compose(self._transforms().pose(self._frame_id, frame, stamp_ns), pose)
+
+    def clear(self) -> None:
+        """Forget all poses, after the clock went back."""
+        self._samples, self._trajectory = {}, None
