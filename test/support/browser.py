@@ -123,14 +123,52 @@ class Browser:
 
     def press(self, label: str) -> None:
         """Click the button with a label."""
-        self.until(lambda: self.value(f'!!{self._button(label)}'), f'the button {label}')
-        box = self.value(f'JSON.stringify({self._button(label)}.getBoundingClientRect())')
-        box = json.loads(box)
+        self._click(self._button(label), f'the button {label}')
+
+    def unfold(self, label: str) -> None:
+        """Click the innermost element with a text."""
+        self._click('[...document.querySelectorAll("p, div, span")].filter(each => '
+                    f'each.textContent.trim() === {json.dumps(label)}).at(-1)', label)
+
+    def _click(self, element: str, what: str) -> None:
+        """Click the middle of an element, given as a JavaScript expression."""
+        self.until(lambda: self.value(f'!!{element}'), what)
+        self.value(f'{element}.scrollIntoView({{block: "nearest"}})')
+        seen: list[str] = []
+
+        def rests() -> bool:
+            seen.append(self.value(f'JSON.stringify({element}.getBoundingClientRect())'))
+            return len(seen) > 1 and seen[-1] == seen[-2]
+        self.until(rests, f'the end of scrolling to {what}')
+        box = json.loads(seen[-1])
         self.click(box['x'] + 0.5 * box['width'], box['y'] + 0.5 * box['height'])
 
     def _button(self, label: str) -> str:
         return ('[...document.querySelectorAll("button")].find('
                 f'each => each.innerText.trim() === {json.dumps(label)})')
+
+    @staticmethod
+    def box(label: str) -> str:
+        """Return a JavaScript expression for the input box behind a label."""
+        return ('(() => { let at = [...document.querySelectorAll("label")].find(each => '
+                f'each.textContent.trim() === {json.dumps(label)} && each.checkVisibility()); '
+                'while (at && !at.querySelector("input")) at = at.parentElement; '
+                'return at && at.querySelector("input"); })()')
+
+    def type_into(self, label: str, text: str) -> None:
+        """Replace the text in the input box behind a label."""
+        def has_focus() -> bool:
+            self._click(self.box(label), f'the box {label}')
+            time.sleep(0.3)
+            return self.value(f'document.activeElement === {self.box(label)}')
+        self.until(has_focus, f'the focus on {label}')
+        self._key('a', modifiers=2, commands=['selectAll'])
+        self.call('Input.insertText', text=text)
+        self._key('Enter', windowsVirtualKeyCode=13)
+
+    def _key(self, key: str, **about) -> None:
+        for kind in ('keyDown', 'keyUp'):
+            self.call('Input.dispatchKeyEvent', type=kind, key=key, code=key, **about)
 
     def click(self, x: float, y: float) -> None:
         """Click at a place [pixels]."""

@@ -2,16 +2,15 @@
 
 import importlib.util
 import json
-import re
 import signal
 import socket
 import threading
 import time
 
-import numpy as np
 import pytest
 
 from support.browser import address, Browser, CHROMIUM, MISSING, start_view
+from support.page import blue, drag, is_blue, pins, pixel, SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import new_log
 from xpbd_ros.log.reader import LogReader
@@ -20,26 +19,10 @@ from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, SetKey
 from xpbd_ros.view.live import LiveView
 from xpbd_ros.view.server import close_server, open_server
-from xpbd_ros.view.stage import EYE, FIELD_OF_VIEW
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
                                 reason="viser is not installed: pip install 'xpbd_ros[view]'")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
-SHEET = """
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.6], resolution: [7, 7]}
-    pose:
-      position: [0.0, 0.0, 1.0]
-      orientation: [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}, shear: {stiffness: 30.0}}
-pins:
-  left: {cloth: sheet, at: corner_10}
-  right: {cloth: sheet, at: corner_11}
-effects: {damping: {rate: 3.0}}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
 
 
 @pytest.fixture(scope='module')
@@ -94,16 +77,11 @@ def still(page) -> float:
     return seen[-1]
 
 
-def is_blue(pixel) -> bool:
-    return pixel[2] > pixel[0] + 0.15
-
-
 @needs_browser
 def test_the_cloth_is_seen_and_nothing_else_is_blue(page):
     picture = page.picture()[:, :800]    # beside the panel
     assert is_blue(picture[len(picture) // 2, 600])
-    blue = (picture[..., 2] > picture[..., 0] + 0.15).mean()
-    assert 0.02 < blue < 0.6
+    assert 0.02 < blue(picture) < 0.6
     for corner in ((-20, 20), (-20, -20), (20, -20)):
         assert not is_blue(picture[corner])
     assert page.errors == []
@@ -126,9 +104,7 @@ def test_a_dragged_pin_takes_the_cloth_along(page):
     x, y = pixel(page, (0.03, 0.0, 1.53))
     below = int(y), int(x)
     page.until(lambda: is_blue(page.picture()[below]), 'the corner')
-    grip, goal = pixel(page, (0.0, 0.0, 1.63)), pixel(page, (0.0, 0.0, 1.33))
-    page.drag(grip, *(tuple(np.add(grip, share * np.subtract(goal, grip)))
-                      for share in np.linspace(0.1, 1.0, 15)))
+    drag(page, (0.0, 0.0, 1.63), (0.0, 0.0, 1.33))
     page.until(lambda: abs(pins(page)['left'][1][2] - 1.3) < 0.05, 'the pin')
     assert pins(page)['left'][1][:2] == (0.0, 0.0)
     assert pins(page)['right'][1] == (0.6, 0.0, 1.6)
@@ -143,30 +119,6 @@ def test_a_click_grasps_the_cloth_and_another_releases_it(page):
     page.press('Release all')
     page.until(lambda: not pins(page), 'the release')
     assert page.errors == []
-
-
-def pins(page) -> dict[str, tuple]:
-    """Return force [N] and position [m] of each pin that the page shows."""
-    found = {}
-    for line in page.text().splitlines():
-        match = re.fullmatch(r'(\w+): (\S+) N at (\S+), (\S+), (\S+) m', line)
-        if match:
-            found[match[1]] = float(match[2]), tuple(map(float, match.groups()[2:]))
-    return found
-
-
-def pixel(page, point) -> tuple[float, float]:
-    """Return where a point [m] is seen by the camera of the page's start."""
-    centre, size = np.array([0.3, 0.0, 1.3]), 0.6
-    eye = centre + size * np.array(EYE)
-    forward = (centre - eye) / np.linalg.norm(centre - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    away = np.subtract(point, eye)
-    width, height = json.loads(page.value('JSON.stringify([innerWidth, innerHeight])'))
-    scale = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW) / (away @ forward)
-    return (0.5 * width + scale * (away @ right),
-            0.5 * height - scale * (away @ np.cross(right, forward)))
 
 
 def test_a_viewed_run_has_the_bits_of_any_other(scene):

@@ -215,7 +215,8 @@ class NodeView:
             if activity.startswith(word):
                 self.controls.show_playing(playing)
         count = sum(len(x) for x in client.positions.values())
-        rows = [f'**{client.name}** at {1e-9 * client.time_ns:.2f} s, {count} particles']
+        seconds = 1e-9 * (client.time_ns - int(status.get('epoch_ns', client.time_ns)))
+        rows = [f'**{client.name}** at {seconds:.2f} s, {count} particles']
         if silent > SILENT:
             rows.append(f'**no message for {silent:.0f} s**')
         if status:
