@@ -166,6 +166,18 @@ class Browser:
         self.call('Input.insertText', text=text)
         self._key('Enter', windowsVirtualKeyCode=13)
 
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of the menu behind a label."""
+        chosen = ('[...document.querySelectorAll("[role=option]")].find(each => '
+                  f'each.textContent.trim() === {json.dumps(option)} && each.checkVisibility())')
+
+        def is_open() -> bool:
+            self._click(self.box(label), f'the menu {label}')
+            time.sleep(0.5)
+            return self.value(f'!!{chosen}')
+        self.until(is_open, f'the options of {label}')
+        self._click(chosen, option)
+
     def _key(self, key: str, **about) -> None:
         for kind in ('keyDown', 'keyUp'):
             self.call('Input.dispatchKeyEvent', type=kind, key=key, code=key, **about)

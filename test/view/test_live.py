@@ -121,16 +121,90 @@ def test_a_click_grasps_the_cloth_and_another_releases_it(page):
     assert page.errors == []
 
 
+@needs_browser
+def test_edges_are_coloured_by_force_and_by_strain(page):
+    def red() -> float:
+        picture = page.picture()[:, 400:800]
+        return (picture[..., 0] > picture[..., 2] + 0.15).mean()
+    page.press('Pause')
+    still(page)
+    plain = red()
+    for colour in ('strain', 'force'):
+        page.choose('Colour', colour)
+        page.until(lambda: red() > plain + 0.001, colour)
+        page.choose('Colour', 'none')
+        page.until(lambda: red() < plain + 0.0005, 'no colour')
+    assert page.errors == []
+
+
 def test_a_viewed_run_has_the_bits_of_any_other(scene):
     process = start_view(scene, '--duration', '3', '--json', '-')
     out, err = process.communicate()
     assert process.returncode == 0, err
     found = json.loads(out)
     assert found['frames'] > 20
+    assert hash_after(scene, found['frames']) == found['state_hash']
+
+
+@needs_browser
+def test_a_browser_that_comes_and_goes_changes_no_bit(scene, tmp_path):
+    process = start_view(scene, '--json', tmp_path / 'view.json')
+    url = address(process)
+    browser = Browser()
+    try:
+        browser.open(url)
+        browser.until(lambda: 'real time' in browser.text(), 'the figures')
+        browser.until(lambda: seconds(browser) > 1.0, 'a second')
+    finally:
+        browser.close()
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    found = json.loads((tmp_path / 'view.json').read_text())
+    assert found['drawn'] > 0
+    assert found['state_hash'] == hash_after(scene, found['frames'])
+
+
+def hash_after(scene, frames: int) -> str:
+    """Return the hash of the state after some frames without a page."""
     simulation = compile_scene(load_scene(str(scene)))
-    for _ in range(found['frames']):
+    for _ in range(frames):
         simulation.step()
-    assert f'{simulation.hash():016x}' == found['state_hash']
+    return f'{simulation.hash():016x}'
+
+
+def test_a_browser_that_reads_nothing_delays_no_frame(scene, monkeypatch):
+    """Its pictures would fill every buffer: the page drops them, and the run goes on."""
+    import viser
+    from websockets.sync.client import connect
+
+    monkeypatch.setattr('xpbd_ros.view.live.DRAWN_PER_SECOND', 1000.0)
+    ended, fine = threading.Event(), {'cloths.sheet.grid.resolution': [61, 61],
+                                      'solver.substeps': 1, 'frame_rate': 240.0}
+    server = open_server('127.0.0.1', 0)
+    view = LiveView(server, str(scene), fine, [str(scene)], None)
+    thread = threading.Thread(target=view.run, args=(ended.is_set,))
+    deaf = connect(f'ws://127.0.0.1:{server.get_port()}', max_queue=1, max_size=None,
+                   subprotocols=[f'viser-v{viser.__version__}'])
+    thread.start()
+    try:
+        picture = 3 * 4 * 61 * 61
+        most = 64 * 2**20    # far beyond the buffers of sockets [bytes]
+        deadline = time.monotonic() + 120.0
+        while view.drawn * picture < most:
+            assert thread.is_alive()
+            assert time.monotonic() < deadline, view.drawn
+            time.sleep(0.05)
+    finally:
+        ended.set()
+        thread.join()
+        deaf.close_timeout = 0.1
+        deaf.close()
+        close_server(server)
+    simulation = compile_scene(load_scene(str(scene), fine))
+    for _ in range(view.frames):
+        simulation.step()
+    assert simulation.hash() == view.simulation.hash()
 
 
 def test_a_recorded_session_is_solved_again_bit_for_bit(scene, tmp_path, capsys):
@@ -182,3 +256,12 @@ def test_mistakes_are_one_line(scene, capsys):
     assert f'--port {port} on 127.0.0.1: cannot be used' in said
     assert main(['view', 'no_such_scene', '--no-browser']) == 2
     assert 'no_such_scene: unknown scene (known: ' in capsys.readouterr().err
+
+
+def test_a_scene_that_fails_is_one_line(tmp_path, capsys):
+    scene = tmp_path / 'bad.yaml'
+    scene.write_text(SHEET.replace('warp: 300.0', 'warp: -1.0'))
+    assert main(['view', str(scene), '--no-browser']) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert 'cloths.sheet.effects.stretch.warp: must be ' in said

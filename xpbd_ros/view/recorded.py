@@ -187,9 +187,12 @@ class RecordedView:
         server.on_client_connect(self.stage.aim)
         for k, name in enumerate(names):
             x = np.concatenate(self._track.frame(0))
-            foot = np.array([x[:, 0].mean(), x[:, 1].min(), self._seen()[:, 2].min()])
+            foot = np.array([x[:, 0].mean(), x[:, 1].min(),
+                             self._seen()[:, 2].min() - 0.1 * size])
             server.scene.add_label(f'/names/{k}', name, anchor='top-center', position=tuple(
                 foot + (self._beside[k - 1].offset if k else 0.0)))
+        self._labels = [name.split('\n')[0] for name in names] or [
+            'first', *(f'run {k}' for k in range(2, len(tracks) + 1))]
         self.playing = True
         self._index = 0
         gui = server.gui
@@ -202,7 +205,7 @@ class RecordedView:
         self._speed = gui.add_dropdown('Speed', SPEEDS, initial_value='1')
         self._loop = gui.add_checkbox('Loop', True)
         add_colour_menu(gui, self.stage, ('none', 'strain'))
-        self._plot(sheets, [name.split('\n')[0] for name in names])
+        self._plot(sheets)
         self.show(0)
 
     def _seen(self) -> np.ndarray:
@@ -218,12 +221,11 @@ class RecordedView:
         return np.array([*corners(self._track, 0.0), *(
             place for each in self._beside for place in corners(each.track, each.offset))])
 
-    def _plot(self, sheets: Sequence[Sheet], names: Sequence[str]) -> None:
+    def _plot(self, sheets: Sequence[Sheet]) -> None:
         """Plot distances to the first run, forces on pins and colliders, and strains."""
-        labels = list(names) or ['first', *(f'beside {k}' if len(self._beside) > 1 else 'beside'
-                                            for k in range(1, len(self._beside) + 1))]
+        labels = self._labels
         if self._beside:
-            self._chart('distance of the logs [mm]', {
+            self._chart(f'distance to the {self._labels[0]} [mm]', {
                 label: np.array([1e3 * d.max() if len(d) else np.nan for d in each.distances])
                 for label, each in zip(labels[1:], self._beside)})
         bodies = [[*pins, *colliders] for pins, colliders in zip(self._track.pins,
@@ -272,8 +274,9 @@ class RecordedView:
                     self._show_bodies(each.track.colliders[at], f'beside_{k}/', each.offset)
         rows = [f'**{track.times[index]:.2f} s**, frame {track.frames[index]} of '
                 f'{track.frames[-1]}']
-        rows += [f'distance {1e3 * each.distances[index].max():.3g} mm at most'
-                 for each in self._beside if len(each.distances[index])]
+        rows += [f'distance {1e3 * each.distances[index].max():.3g} mm at most: {label}'
+                 for label, each in zip(self._labels[1:], self._beside)
+                 if len(each.distances[index])]
         self._figures.content = '  \n'.join(rows)
 
     def _show_bodies(self, bodies: Sequence[Body], prefix: str, offset) -> None:
@@ -309,6 +312,7 @@ class RecordedView:
 
     def as_html(self, *, rate: float = 30.0) -> str:
         """Return a page that plays without a server, with ``rate`` pictures a second."""
+        self.stage.aim_all(panel=False)
         serializer = self._server.get_scene_serializer()
         times = self._track.times
         for now_s in np.arange(times[0], times[-1] + 1e-9, 1.0 / rate):

@@ -16,6 +16,8 @@ EYE = (1.5, -3.0, 1.1)
 """from the centre of the cloths to the camera at first, over their size"""
 FIELD_OF_VIEW = 0.8
 """vertical [rad]"""
+PANEL = 0.2
+"""displacement of the camera that moves the cloths from behind the panel, over its distance"""
 AMBIENT = 1.2
 """light on sides that face away from the lamps"""
 FORCE_SCALE = 0.1
@@ -107,24 +109,31 @@ class Stage:
             self.centre = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
             radius = 0.5 * float(np.linalg.norm(np.ptp(seen, axis=0))) or 1.0
             distance = radius / np.sin(0.5 * FIELD_OF_VIEW) / np.linalg.norm(EYE)
-        self._eye = self.centre + distance * np.array(EYE)
+        self._back = distance * np.array(EYE)
+        aside = np.cross([0.0, 0.0, 1.0], EYE)
+        self._aside = 0.0 * aside if seen is None else (
+            PANEL * np.linalg.norm(self._back) * aside / np.linalg.norm(aside))
         server.scene.set_up_direction('+z')
         server.scene.configure_default_lights(cast_shadow=True)
         server.scene.add_light_ambient('/ambient', intensity=AMBIENT)
         self.aim_all()
 
-    def aim_all(self) -> None:
-        """Turn the camera to the cloths, in open browsers and in those that come later."""
-        camera = self._server.initial_camera
-        camera.position, camera.look_at = tuple(self._eye), tuple(self.centre)
+    def aim_all(self, *, panel: bool = True) -> None:
+        """
+        Turn the camera to the cloths, in open browsers and in those that come later.
+
+        The page has room for a panel at the right if ``panel``.
+        """
+        camera, at = self._server.initial_camera, self.centre + panel * self._aside
+        camera.position, camera.look_at = tuple(at + self._back), tuple(at)
         camera.fov = FIELD_OF_VIEW
         for client in self._server.get_clients().values():
             self.aim(client)
 
     def aim(self, client) -> None:
-        """Turn a browser's camera to the cloths."""
-        client.camera.position = tuple(self._eye)
-        client.camera.look_at = tuple(self.centre)
+        """Turn a browser's camera to the cloths, beside the panel."""
+        at = self.centre + self._aside
+        client.camera.position, client.camera.look_at = tuple(at + self._back), tuple(at)
         client.camera.fov = FIELD_OF_VIEW
 
     def show(self, positions: Sequence[np.ndarray], tensions: Sequence[np.ndarray] = ()) -> None:
