@@ -1,12 +1,14 @@
 """A headless Chromium, driven through the DevTools protocol: real pages, a real pointer."""
 
 import base64
+from contextlib import suppress
 from io import BytesIO
 from itertools import count
 import json
 import os
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -52,7 +54,7 @@ class Browser:
              '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
              '--disable-dev-shm-usage', f'--window-size={WIDTH},{HEIGHT}',
              f'--user-data-dir={self._folder.name}', 'about:blank'],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
         port = self._port()
         with urlopen(f'http://127.0.0.1:{port}/json') as answer:
             page = next(each for each in json.load(answer) if each['type'] == 'page')
@@ -199,9 +201,15 @@ class Browser:
     def _mouse(self, kind: str, place, **about) -> None:
         self.call('Input.dispatchMouseEvent', type=kind, x=place[0], y=place[1], **about)
 
+    def freeze(self) -> None:
+        """Stop all processes of the browser; it can only be closed from then on."""
+        os.killpg(self._process.pid, signal.SIGSTOP)
+
     def close(self) -> None:
         """End the browser."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._socket.close_timeout = 1.0
         self._socket.close()
-        self._process.kill()
         self._process.wait()
         self._folder.cleanup()

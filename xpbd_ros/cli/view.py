@@ -13,6 +13,7 @@ another address.
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from pathlib import Path
+import signal
 import sys
 import threading
 import webbrowser
@@ -258,7 +259,7 @@ def draw_instant(arguments, shown, frame: int) -> int:
 
 
 def serve(arguments, url: str, run: Callable[[Callable[[], bool]], None]) -> None:
-    """Tell the address, open a browser, and call ``run`` until Ctrl-C or ``--duration``."""
+    """Tell the address, open a browser, and call ``run`` until a signal or ``--duration``."""
     from xpbd_ros.view.server import reach
 
     ended = threading.Event()
@@ -270,8 +271,27 @@ def serve(arguments, url: str, run: Callable[[Callable[[], bool]], None]) -> Non
         timer = threading.Timer(arguments.duration, ended.set)
         timer.daemon = True
         timer.start()
-    with suppress(KeyboardInterrupt):
+    with signals_set(ended), suppress(KeyboardInterrupt):
         run(ended.is_set)
+
+
+@contextmanager
+def signals_set(ended: threading.Event):
+    """
+    Set an event on the first SIGINT or SIGTERM: the present frame and the log are finished.
+
+    A second one interrupts, such as a long compilation.
+    """
+    def stop(number, frame):
+        if ended.is_set():
+            raise KeyboardInterrupt
+        ended.set()
+    before = {each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def recorder():
