@@ -233,9 +233,9 @@ def picture_of_log(arguments) -> int:
     refuse(arguments, 'a page', 'it is drawn without one', 'beside', 'export')
     states = states_of(arguments.shown)
     entries = Recording(arguments.shown).scene.sections.get('colliders', {})
-    wanted = None
+    wanted = state = next(iter(states))
     for state in states:
-        if wanted is None or arguments.at is None or state.time_s <= arguments.at + 1e-6:
+        if arguments.at is None or state.time_s <= arguments.at + 1e-6:
             wanted = state
     if arguments.at is not None and not 0.0 <= arguments.at <= state.time_s + 1e-6:
         raise InputError(f'--at: {arguments.shown} lasts from 0 to {state.time_s:.3g} s (got '

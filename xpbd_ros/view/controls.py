@@ -69,7 +69,11 @@ class Controls:
         if 'pin' in effects:
             gui.add_button('Release all').on_click(lambda _: view.release_all())
         self._record = gui.add_checkbox('Record', False, hint='to an MCAP log in a new folder')
-        self._record.on_update(lambda event: by_hand(event) and view.record(self._record.value))
+
+        @self._record.on_update
+        def _(event) -> None:
+            if by_hand(event):
+                view.record(self._record.value)
         if scenes:
             menu = gui.add_dropdown('Scene', scenes, initial_value=scene)
             menu.on_update(lambda _: view.open(menu.value))
@@ -118,10 +122,6 @@ class Controls:
         """Show whether the simulation plays."""
         self._playing = playing
         self._play.label = 'Pause' if playing else 'Play'
-
-    def show_recording(self, recording: bool) -> None:
-        """Show whether the simulation is recorded."""
-        self._record.value = recording
 
     def say(self, text: str) -> None:
         """Show a message below the figures."""

@@ -25,9 +25,10 @@ from xpbd_ros.sim.simulation import Frame, Simulation
 from xpbd_ros.view.controls import Controls
 from xpbd_ros.view.handles import Handles
 from xpbd_ros.view.picking import particle_at
-from xpbd_ros.view.stage import line_of_action, Sheet, Stage
+from xpbd_ros.view.stage import Arrow, line_of_action, Sheet, Stage
 
-DRAWN_PER_SECOND = 30.0
+DRAWN_PER_SECOND = 33.0
+"""a little above 30, as a frame may be late"""
 TOLD_PER_SECOND = 4.0
 REACH = 1.5
 """radius of a click's grasp, over the spacing of the particles"""
@@ -81,7 +82,7 @@ class LiveView:
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Step in real time until ``stopped()``."""
-        due = drawn = told = time.monotonic()
+        due = picture = told = time.monotonic()
         try:
             while not stopped():
                 if self._next is not None:
@@ -93,8 +94,9 @@ class LiveView:
                     self._steps = max(0, self._steps - 1)
                     self._step()
                 now = time.monotonic()
-                if now - drawn >= 1.0 / DRAWN_PER_SECOND and self._server.get_clients():
-                    drawn = now
+                if now >= picture and self._server.get_clients():
+                    period = 1.0 / DRAWN_PER_SECOND
+                    picture = max(picture + period, now - period)    # the mean rate is kept
                     begin = time.thread_time()
                     self._draw()
                     self.drawing_s += time.thread_time() - begin
@@ -129,6 +131,7 @@ class LiveView:
     def play(self, on: bool) -> None:
         """Play or pause."""
         self.playing = on
+        self._times.clear()
         self.controls.show_playing(on)
 
     def step_once(self) -> None:
@@ -209,8 +212,8 @@ class LiveView:
                        if stage.colour == 'force' else ())
             stage.show_contacts(frame.x[touching(self.simulation)] if stage.contacts
                                 else frame.x[:0])
-            forces = {f'pins/{name}': (pin.pose.position, pin.force)
-                      for name, pin in frame.pins.items()}
+            forces: dict[str, Arrow] = {f'pins/{name}': (pin.pose.position, pin.force)
+                                        for name, pin in frame.pins.items()}
             movable = {}
             for name, state in frame.colliders.items():
                 stage.show_body(name, state.entry, state.pose)
@@ -242,16 +245,17 @@ class LiveView:
         self.put(Grasp(name, Pose((px, py, pz)), REACH * gap))
 
     def _tell(self) -> None:
-        frame, dt, times = self.frame, self.simulation.frame_dt, self._times
+        frame, dt, times = self.frame, self.simulation.frame_dt, list(self._times)
         step = sum(seconds for _, seconds in times) / max(1, len(times))
         wall = times[-1][0] - times[0][0] if len(times) > 1 else 0.0
-        factor = (len(times) - 1) * dt / wall if wall and self.playing else 0.0
+        factor = (len(times) - 1) * dt / wall if wall else 0.0
         strain = largest_strain(self.simulation)
         contacts = self.simulation.stats().get('contacts')
         self.controls.tell([
             f'**{1e-9 * frame.time_ns:.2f} s**, {len(frame.x)} particles'
             + (', recording' if self.recorder is not None else ''),
-            f'{factor:.2f} × real time; step {1e3 * step:.2f} ms of {1e3 * dt:.1f} ms',
+            (f'{factor:.2f} × real time' if self.playing else 'paused')
+            + f'; step {1e3 * step:.2f} ms of {1e3 * dt:.1f} ms',
             f'largest strain {100.0 * strain:.2g} %'
             + (f', {contacts} contacts' if contacts is not None else ''),
             f'error of a frame: {self._error()}',

@@ -22,7 +22,7 @@ from xpbd_ros.sim.contact.collider_entries import Entry, shape_of
 from xpbd_ros.view.controls import Controls
 from xpbd_ros.view.handles import Handles
 from xpbd_ros.view.picking import particle_at
-from xpbd_ros.view.stage import line_of_action, sheets_of, Stage
+from xpbd_ros.view.stage import Arrow, line_of_action, sheets_of, Stage
 
 PERIOD = 1.0 / 30.0
 """of the pictures [s]"""
@@ -50,11 +50,15 @@ class NodeView:
         self.stage: Stage | None = None
         self.handles: Handles
         self.controls: Controls
-        server.on_client_connect(lambda each: self.stage and self.stage.aim(each))
+        server.on_client_connect(self._aim)
         client.told = self.say
         self._show_scene(scene)
         self.frames = 0
         """pictures drawn"""
+
+    def _aim(self, browser) -> None:
+        if self.stage is not None:    # else it is aimed when the stage is there
+            self.stage.aim(browser)
 
     def say(self, text: str) -> None:
         """Show a message in the panel."""
@@ -168,7 +172,8 @@ class NodeView:
         self._note_placed()
         with self._server.atomic():
             stage.show(self._positions())
-            forces = {f'pins/{pin.name}': (pin.position, pin.force) for pin in pins}
+            forces: dict[str, Arrow] = {f'pins/{pin.name}': (pin.position, pin.force)
+                                        for pin in pins}
             for body in colliders:
                 self._show_body(body)
                 if norm(body.force) > LEAST_FORCE:

@@ -16,7 +16,7 @@ from xpbd_ros.export.body import Body
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.view.controls import add_colour_menu, by_hand
-from xpbd_ros.view.stage import line_of_action, ramp, Sheet, sheets_of, Stage
+from xpbd_ros.view.stage import Arrow, line_of_action, ramp, Sheet, sheets_of, Stage
 
 APART = 1.3
 """offset from one log to the next, over the size of the first"""
@@ -198,8 +198,7 @@ class RecordedView:
         gui = server.gui
         self._figures = gui.add_markdown('')
         self._slider = gui.add_slider('Frame', 0, max(1, len(self._track.times) - 1), 1, 0)
-        self._slider.on_update(lambda event: by_hand(event) and self.show(
-            min(int(self._slider.value), len(self._track.times) - 1)))
+        self._slider.on_update(self._seek)
         self._play = gui.add_button('Pause')
         self._play.on_click(lambda _: self._toggle())
         self._speed = gui.add_dropdown('Speed', SPEEDS, initial_value='1')
@@ -259,8 +258,9 @@ class RecordedView:
         self._index, track = index, self._track
         with self._server.atomic():
             self.stage.show(track.frame(index))
-            forces = {f'pins/{body.name}': (body.position, body.force)
-                      for body in track.pins[index] if any(body.force)}
+            forces: dict[str, Arrow] = {
+                f'pins/{body.name}': (body.position, body.force)
+                for body in track.pins[index] if any(body.force)}
             for body in track.colliders[index]:
                 if any(body.force):
                     forces[f'colliders/{body.name}'] = line_of_action(
@@ -286,6 +286,10 @@ class RecordedView:
             if entry is not None and not (prefix and entry.shape == 'plane'):
                 x, y, z = map(float, np.add(body.position, offset))
                 self.stage.show_body(prefix + body.name, entry, Pose((x, y, z), body.orientation))
+
+    def _seek(self, event) -> None:
+        if by_hand(event):    # and not by the playback
+            self.show(min(int(self._slider.value), len(self._track.times) - 1))
 
     def _toggle(self) -> None:
         self.playing = not self.playing

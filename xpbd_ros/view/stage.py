@@ -29,6 +29,9 @@ LEAST_FORCE = 0.01
 PALE = np.array([255, 255, 255])
 TOUCHING = (217, 130, 43)
 """colour of contacts"""
+Vector = np.ndarray | Sequence[float]
+Arrow = tuple[Vector, Vector]
+"""point [m] and force [N]"""
 SLACK, TAUT = np.array([66, 133, 244]), np.array([219, 68, 55])
 """colours of a compressed and of a stretched edge"""
 
@@ -165,7 +168,7 @@ class Stage:
         if self._touching.visible:
             self._touching.points = points.astype(np.float32)
 
-    def show_forces(self, forces: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> None:
+    def show_forces(self, forces: Mapping[str, Arrow]) -> None:
         """Show forces of the cloth [N] at points [m], by name."""
         for name in self._arrows.keys() - forces.keys():
             self._arrows.pop(name).remove()
@@ -211,8 +214,7 @@ def ramp(shares: np.ndarray) -> np.ndarray:
     return (PALE + shares[..., None] * (TAUT - PALE)).astype(np.uint8)
 
 
-def line_of_action(position: Sequence[float], force: np.ndarray, torque: np.ndarray
-                   ) -> np.ndarray:
+def line_of_action(position: Sequence[float], force: Vector, torque: Vector) -> np.ndarray:
     """
     Return the point of a wrench's line of action next to a body.
 
@@ -223,8 +225,7 @@ def line_of_action(position: Sequence[float], force: np.ndarray, torque: np.ndar
     torque : about the position [N m], shape (3,)
 
     """
-    force = np.asarray(force, float)
-    square = float(force @ force)
+    square = float(np.dot(force, force))
     return np.asarray(position) + (np.cross(force, torque) / square if square else 0.0)
 
 
