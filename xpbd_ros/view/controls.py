@@ -10,7 +10,7 @@ from xpbd_ros.view.stage import Stage
 
 
 class Controlled(Protocol):
-    """What the panel acts on."""
+    """Interface of a view that the panel controls."""
 
     stage: Stage | None
     handles: Handles

@@ -1,4 +1,4 @@
-"""The settings of a finished study that show best what accuracy costs, to be run side by side."""
+"""Settings of a finished study that show the cost of accuracy, to be run side by side."""
 
 import json
 from math import inf
@@ -25,7 +25,7 @@ class Shown(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a page of a study shows."""
+    """Settings of a finished study, to be run side by side."""
 
     settings: list[Shown]
     """the reference first"""
