@@ -10,6 +10,8 @@ import time
 import pytest
 
 from xpbd_ros.cli.main import main
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.study.accuracy.motion import report_of
 
 SHEET = """
 duration: 0.25
@@ -40,6 +42,20 @@ def done(scene, tmp_path_factory):
          '--jobs', '1'], capture_output=True, text=True, check=False, env=environment)
     assert (done.returncode, done.stderr) == (0, '')
     return done.stdout, folder
+
+
+def test_view_finds_the_settings_of_the_report(done):
+    said, folder = done
+    assert f'in motion  xpbd_ros view {folder}' in said
+    numbers = json.loads((folder / 'accuracy.json').read_text())
+    report = report_of(folder)
+    names = [name.split('\n')[0] for name, _ in report.settings]
+    assert names in (['reference', 'chosen', 'cheapest'], ['reference', 'chosen'])
+    solver = report.settings[1].scene.top.solver
+    for key in ('method', 'integrator', 'substeps', 'iterations', 'precision'):
+        assert getattr(solver, key) == numbers['recommended'][key]
+    assert (report.frames, report.commands) == (15, None)
+    assert len(compile_scene(report.settings[0].scene).slot) == 18
 
 
 def test_json_holds_what_is_promised(done):

@@ -5,6 +5,8 @@ import pytest
 
 from support.meshes import ball, file_of
 from support.scenes import hang, run_until_still, simulate
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim import measure
 
 
@@ -115,3 +117,18 @@ def test_the_tension_of_a_hanging_strip_is_the_weight_below():
     assert found[1:] == pytest.approx(below, rel=1e-9), 'the edge above pulls most'
     assert found[0] == found[1]
     assert not measure.has_tensions(simulate((2, 1)))
+
+
+def test_particles_that_touch_are_those_on_the_floor():
+    """A sheet that stands on its lower edge touches with that edge alone."""
+    simulation = compile_scene(scene_from_mapping({
+        'cloths': {'sheet': {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.2,
+                             'pose': {'position': [0.0, 0.0, 0.002],
+                                      'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5]},
+                             'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
+        'colliders': {'floor': {'plane': {}}}, 'effects': {'contact': {'thickness': 0.002}},
+        'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 8},
+    }, where='here', name='here'))
+    simulation.step()
+    assert measure.touching(simulation).tolist() == 4 * [True] + 8 * [False]
+    assert not measure.touching(simulate((2, 1))).any()

@@ -1,12 +1,14 @@
 """A headless Chromium, driven through the DevTools protocol: real pages, a real pointer."""
 
 import base64
+from contextlib import suppress
 from io import BytesIO
 from itertools import count
 import json
 import os
 from pathlib import Path
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -52,7 +54,7 @@ class Browser:
              '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--no-first-run',
              '--disable-dev-shm-usage', f'--window-size={WIDTH},{HEIGHT}',
              f'--user-data-dir={self._folder.name}', 'about:blank'],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
         port = self._port()
         with urlopen(f'http://127.0.0.1:{port}/json') as answer:
             page = next(each for each in json.load(answer) if each['type'] == 'page')
@@ -123,14 +125,64 @@ class Browser:
 
     def press(self, label: str) -> None:
         """Click the button with a label."""
-        self.until(lambda: self.value(f'!!{self._button(label)}'), f'the button {label}')
-        box = self.value(f'JSON.stringify({self._button(label)}.getBoundingClientRect())')
-        box = json.loads(box)
+        self._click(self._button(label), f'the button {label}')
+
+    def unfold(self, label: str) -> None:
+        """Click the innermost element with a text."""
+        self._click('[...document.querySelectorAll("p, div, span")].filter(each => '
+                    f'each.textContent.trim() === {json.dumps(label)}).at(-1)', label)
+
+    def _click(self, element: str, what: str) -> None:
+        """Click the middle of an element, given as a JavaScript expression."""
+        self.until(lambda: self.value(f'!!{element}'), what)
+        self.value(f'{element}.scrollIntoView({{block: "nearest"}})')
+        seen: list[str] = []
+
+        def rests() -> bool:
+            seen.append(self.value(f'JSON.stringify({element}.getBoundingClientRect())'))
+            return len(seen) > 1 and seen[-1] == seen[-2]
+        self.until(rests, f'the end of scrolling to {what}')
+        box = json.loads(seen[-1])
         self.click(box['x'] + 0.5 * box['width'], box['y'] + 0.5 * box['height'])
 
     def _button(self, label: str) -> str:
         return ('[...document.querySelectorAll("button")].find('
                 f'each => each.innerText.trim() === {json.dumps(label)})')
+
+    @staticmethod
+    def box(label: str) -> str:
+        """Return a JavaScript expression for the input box behind a label."""
+        return ('(() => { let at = [...document.querySelectorAll("label")].find(each => '
+                f'each.textContent.trim() === {json.dumps(label)} && each.checkVisibility()); '
+                'while (at && !at.querySelector("input")) at = at.parentElement; '
+                'return at && at.querySelector("input"); })()')
+
+    def type_into(self, label: str, text: str) -> None:
+        """Replace the text in the input box behind a label."""
+        def has_focus() -> bool:
+            self._click(self.box(label), f'the box {label}')
+            time.sleep(0.3)
+            return self.value(f'document.activeElement === {self.box(label)}')
+        self.until(has_focus, f'the focus on {label}')
+        self._key('a', modifiers=2, commands=['selectAll'])
+        self.call('Input.insertText', text=text)
+        self._key('Enter', windowsVirtualKeyCode=13)
+
+    def choose(self, label: str, option: str) -> None:
+        """Choose an option of the menu behind a label."""
+        chosen = ('[...document.querySelectorAll("[role=option]")].find(each => '
+                  f'each.textContent.trim() === {json.dumps(option)} && each.checkVisibility())')
+
+        def is_open() -> bool:
+            self._click(self.box(label), f'the menu {label}')
+            time.sleep(0.5)
+            return self.value(f'!!{chosen}')
+        self.until(is_open, f'the options of {label}')
+        self._click(chosen, option)
+
+    def _key(self, key: str, **about) -> None:
+        for kind in ('keyDown', 'keyUp'):
+            self.call('Input.dispatchKeyEvent', type=kind, key=key, code=key, **about)
 
     def click(self, x: float, y: float) -> None:
         """Click at a place [pixels]."""
@@ -149,9 +201,15 @@ class Browser:
     def _mouse(self, kind: str, place, **about) -> None:
         self.call('Input.dispatchMouseEvent', type=kind, x=place[0], y=place[1], **about)
 
+    def freeze(self) -> None:
+        """Stop all processes of the browser; it can only be closed from then on."""
+        os.killpg(self._process.pid, signal.SIGSTOP)
+
     def close(self) -> None:
         """End the browser."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._socket.close_timeout = 1.0
         self._socket.close()
-        self._process.kill()
         self._process.wait()
         self._folder.cleanup()

@@ -2,16 +2,15 @@
 
 import importlib.util
 import json
-import re
 import signal
 import socket
 import threading
 import time
 
-import numpy as np
 import pytest
 
 from support.browser import address, Browser, CHROMIUM, MISSING, start_view
+from support.page import blue, drag, is_blue, pins, pixel, SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import new_log
 from xpbd_ros.log.reader import LogReader
@@ -19,27 +18,15 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, SetKey
 from xpbd_ros.view.live import LiveView
-from xpbd_ros.view.server import close_server, open_server
-from xpbd_ros.view.stage import EYE, FIELD_OF_VIEW
+from xpbd_ros.view.server import close_server, open_server, url_of
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
                                 reason="viser is not installed: pip install 'xpbd_ros[view]'")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
-SHEET = """
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.6], resolution: [7, 7]}
-    pose:
-      position: [0.0, 0.0, 1.0]
-      orientation: [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}, shear: {stiffness: 30.0}}
-pins:
-  left: {cloth: sheet, at: corner_10}
-  right: {cloth: sheet, at: corner_11}
-effects: {damping: {rate: 3.0}}
-solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
-"""
+
+
+BUFFERS = 24 * 2**20
+"""more than the buffers of a connection hold [bytes]"""
 
 
 @pytest.fixture(scope='module')
@@ -94,16 +81,11 @@ def still(page) -> float:
     return seen[-1]
 
 
-def is_blue(pixel) -> bool:
-    return pixel[2] > pixel[0] + 0.15
-
-
 @needs_browser
 def test_the_cloth_is_seen_and_nothing_else_is_blue(page):
     picture = page.picture()[:, :800]    # beside the panel
     assert is_blue(picture[len(picture) // 2, 600])
-    blue = (picture[..., 2] > picture[..., 0] + 0.15).mean()
-    assert 0.02 < blue < 0.6
+    assert 0.02 < blue(picture) < 0.6
     for corner in ((-20, 20), (-20, -20), (20, -20)):
         assert not is_blue(picture[corner])
     assert page.errors == []
@@ -126,9 +108,7 @@ def test_a_dragged_pin_takes_the_cloth_along(page):
     x, y = pixel(page, (0.03, 0.0, 1.53))
     below = int(y), int(x)
     page.until(lambda: is_blue(page.picture()[below]), 'the corner')
-    grip, goal = pixel(page, (0.0, 0.0, 1.63)), pixel(page, (0.0, 0.0, 1.33))
-    page.drag(grip, *(tuple(np.add(grip, share * np.subtract(goal, grip)))
-                      for share in np.linspace(0.1, 1.0, 15)))
+    drag(page, (0.0, 0.0, 1.63), (0.0, 0.0, 1.33))
     page.until(lambda: abs(pins(page)['left'][1][2] - 1.3) < 0.05, 'the pin')
     assert pins(page)['left'][1][:2] == (0.0, 0.0)
     assert pins(page)['right'][1] == (0.6, 0.0, 1.6)
@@ -145,28 +125,24 @@ def test_a_click_grasps_the_cloth_and_another_releases_it(page):
     assert page.errors == []
 
 
-def pins(page) -> dict[str, tuple]:
-    """Return force [N] and position [m] of each pin that the page shows."""
-    found = {}
-    for line in page.text().splitlines():
-        match = re.fullmatch(r'(\w+): (\S+) N at (\S+), (\S+), (\S+) m', line)
-        if match:
-            found[match[1]] = float(match[2]), tuple(map(float, match.groups()[2:]))
-    return found
-
-
-def pixel(page, point) -> tuple[float, float]:
-    """Return where a point [m] is seen by the camera of the page's start."""
-    centre, size = np.array([0.3, 0.0, 1.3]), 0.6
-    eye = centre + size * np.array(EYE)
-    forward = (centre - eye) / np.linalg.norm(centre - eye)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    away = np.subtract(point, eye)
-    width, height = json.loads(page.value('JSON.stringify([innerWidth, innerHeight])'))
-    scale = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW) / (away @ forward)
-    return (0.5 * width + scale * (away @ right),
-            0.5 * height - scale * (away @ np.cross(right, forward)))
+@needs_browser
+def test_edges_are_coloured_by_strain_and_by_force(page):
+    def share(one: int, other: int) -> float:
+        """Return the part of the sheet that has more of one colour than of another."""
+        picture = page.picture()[200:460, 500:710]
+        return float((picture[..., one] > picture[..., other] + 0.15).mean())
+    page.until(lambda: seconds(page) > 0.5, 'strained edges')
+    page.press('Pause')
+    still(page)
+    sheet, gizmos = share(2, 0), share(0, 2)
+    page.choose('Colour', 'strain')
+    page.until(lambda: share(2, 0) < sheet - 0.01, 'the edges')
+    page.choose('Colour', 'force')
+    page.until(lambda: share(0, 2) > gizmos + 0.001, 'edges below the pins')
+    page.choose('Colour', 'none')
+    page.until(lambda: share(2, 0) > sheet - 0.002, 'no edges')
+    assert share(0, 2) == pytest.approx(gizmos, abs=0.0005)
+    assert page.errors == []
 
 
 def test_a_viewed_run_has_the_bits_of_any_other(scene):
@@ -175,10 +151,66 @@ def test_a_viewed_run_has_the_bits_of_any_other(scene):
     assert process.returncode == 0, err
     found = json.loads(out)
     assert found['frames'] > 20
+    assert hash_after(scene, found['frames']) == found['state_hash']
+
+
+@needs_browser
+def test_a_browser_that_comes_and_goes_changes_no_bit(scene, tmp_path):
+    process = start_view(scene, '--json', tmp_path / 'view.json')
+    url = address(process)
+    browser = Browser()
+    try:
+        browser.open(url)
+        browser.until(lambda: 'real time' in browser.text(), 'the figures')
+        browser.until(lambda: seconds(browser) > 1.0, 'a second')
+    finally:
+        browser.close()
+    time.sleep(1.0)
+    process.send_signal(signal.SIGINT)
+    process.communicate()
+    found = json.loads((tmp_path / 'view.json').read_text())
+    assert found['drawn'] > 0
+    assert found['state_hash'] == hash_after(scene, found['frames'])
+
+
+def hash_after(scene, frames: int) -> str:
+    """Return the hash of the state after some frames without a page."""
     simulation = compile_scene(load_scene(str(scene)))
-    for _ in range(found['frames']):
+    for _ in range(frames):
         simulation.step()
-    assert f'{simulation.hash():016x}' == found['state_hash']
+    return f'{simulation.hash():016x}'
+
+
+@needs_browser
+def test_a_browser_that_reads_nothing_delays_no_frame(scene, monkeypatch):
+    """A frozen browser's pictures would fill every buffer; they are dropped, and it runs on."""
+    monkeypatch.setattr('xpbd_ros.view.live.DRAWN_PER_SECOND', 1000.0)
+    ended, fine = threading.Event(), {'cloths.sheet.grid.resolution': [61, 61],
+                                      'solver.substeps': 1, 'frame_rate': 240.0}
+    server = open_server('127.0.0.1', 0)
+    view = LiveView(server, str(scene), fine, [str(scene)], None)
+    thread = threading.Thread(target=view.run, args=(ended.is_set,))
+    thread.start()
+    browser = Browser()
+    try:
+        browser.open(url_of(server))
+        browser.until(lambda: view.drawn > 10, 'pictures')
+        browser.freeze()
+        goal = view.drawn + BUFFERS // (3 * 4 * 61 * 61)
+        deadline = time.monotonic() + 120.0
+        while view.drawn < goal:
+            assert thread.is_alive()
+            assert time.monotonic() < deadline, view.drawn
+            time.sleep(0.05)
+    finally:
+        ended.set()
+        thread.join()
+        browser.close()
+        close_server(server)
+    simulation = compile_scene(load_scene(str(scene), fine))
+    for _ in range(view.frames):
+        simulation.step()
+    assert simulation.hash() == view.simulation.hash()
 
 
 def test_a_recorded_session_is_solved_again_bit_for_bit(scene, tmp_path, capsys):
@@ -230,3 +262,12 @@ def test_mistakes_are_one_line(scene, capsys):
     assert f'--port {port} on 127.0.0.1: cannot be used' in said
     assert main(['view', 'no_such_scene', '--no-browser']) == 2
     assert 'no_such_scene: unknown scene (known: ' in capsys.readouterr().err
+
+
+def test_a_scene_that_fails_is_one_line(tmp_path, capsys):
+    scene = tmp_path / 'bad.yaml'
+    scene.write_text(SHEET.replace('warp: 300.0', 'warp: -1.0'))
+    assert main(['view', str(scene), '--no-browser']) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert 'cloths.sheet.effects.stretch.warp: must be ' in said

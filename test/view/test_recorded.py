@@ -9,6 +9,7 @@ import pytest
 
 from support.browser import address, Browser, CHROMIUM, MISSING, start_view
 from support.logs import recorded, SHEET
+from support.page import blue
 from xpbd_ros.cli.main import main
 from xpbd_ros.export.states import States
 from xpbd_ros.view.recorded import Track
@@ -47,7 +48,7 @@ def test_two_logs_beside_each_other(logs):
     browser = Browser()
     try:
         browser.open(address(process))
-        browser.until(lambda: 'distance of the logs' in browser.text(), 'the panel')
+        browser.until(lambda: 'distance to the first [mm]' in browser.text(), 'the panel')
         browser.until(lambda: ' of 20' in browser.text(), 'a frame')
 
         def more(one: int, other: int) -> float:
@@ -56,7 +57,7 @@ def test_two_logs_beside_each_other(logs):
             return (picture[..., one] > picture[..., other] + 0.15).mean()
         browser.until(lambda: more(2, 0) > 0.001, 'the first log, which is blue')
         browser.until(lambda: more(0, 2) > 0.0002, 'the second one, red where it is far away')
-        assert any(line.startswith('distance ') and line.endswith(' mm at most')
+        assert any(line.startswith('distance ') and line.endswith(' mm at most: run 2')
                    for line in browser.text().split('\n'))
         browser.press('Pause')
         browser.until(lambda: 'Play' in browser.text().split('\n'), 'the pause')
@@ -76,10 +77,13 @@ def test_an_exported_page_plays_without_a_server(logs, tmp_path, capsys):
     try:
         browser.open(page.as_uri())
 
-        def blue() -> float:
+        browser.until(lambda: blue(browser.picture()) > 0.005, 'the cloth')
+        for _ in range(5):    # all the while, the whole cloth is in the middle of the page
             picture = browser.picture()
-            return (picture[..., 2] > picture[..., 0] + 0.15).mean()
-        browser.until(lambda: blue() > 0.001, 'the cloth')
+            assert blue(picture) > 0.005
+            for border in (picture[:60], picture[-100:-60], picture[:-60, :150],
+                           picture[:-60, -150:]):    # above the player's bar
+                assert blue(border) == 0.0
         assert browser.errors == []
     finally:
         browser.close()
@@ -98,3 +102,24 @@ def test_mistakes_are_one_line(logs, words, text, capsys):
 def test_a_scene_is_neither_exported_nor_compared(capsys):
     assert main(['view', 'towel', '--export', 'page.html']) == 2
     assert '--export: needs a log, and towel is a scene' in capsys.readouterr().err
+
+
+def test_a_cut_log_is_shown_as_far_as_it_goes(logs, tmp_path, capsys):
+    file, = logs[0].glob('*.mcap')
+    cut = tmp_path / 'cut.mcap'
+    cut.write_bytes(file.read_bytes()[:-2000])
+    page = tmp_path / 'page.html'
+    assert main(['view', str(cut), '--export', str(page), '--json', '-']) == 0
+    out, said = capsys.readouterr()
+    assert 1 < json.loads(out)['frames'] <= 21
+    lines = said.splitlines()
+    assert lines
+    assert all(line.startswith('xpbd_ros view: damaged log: ') for line in lines)
+    cut.write_bytes(file.read_bytes()[:200])
+    assert main(['view', str(cut), '--no-browser']) == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith('xpbd_ros view: ')
+    cut.write_bytes(b'no log')
+    assert main(['view', str(cut), '--no-browser']) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert str(cut) in said

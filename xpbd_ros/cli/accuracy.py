@@ -16,6 +16,8 @@ from pathlib import Path
 import signal
 import sys
 
+import yaml
+
 from xpbd_ros.cli.output import add_json_argument, check_output, STDOUT, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
@@ -132,6 +134,7 @@ def finish(arguments, found, folder: Path, commands: dict) -> int:
     from xpbd_ros.scene.load import settings_overrides
     from xpbd_ros.study.accuracy.choose import recommend, Row
     from xpbd_ros.study.accuracy.measure import again
+    from xpbd_ros.study.accuracy.motion import NUMBERS, SCENE
     from xpbd_ros.study.accuracy.picture import draw
     from xpbd_ros.study.accuracy.report import (
         facts,
@@ -172,15 +175,19 @@ def finish(arguments, found, folder: Path, commands: dict) -> int:
                       'uncertainty_m': truth.uncertainty, 'own_limit_apart_m': truth.apart,
                       'horizon_s': truth.horizon * found.frame_dt, 'floor_m': found.floor},
         'by': found.by, 'error': found.what, 'notes': found.notes,
+        'commands': str(Path(arguments.commands).absolute()) if arguments.commands else None,
         'budget_ms': asked, 'max_error_m': arguments.max_error, 'recommended': recommended,
         'pictures': [picture], 'report': page, 'csv': table,
     }
-    (folder / 'accuracy.json').unlink(missing_ok=True)
-    for destination in (str(folder / 'accuracy.json'), arguments.json):
+    (folder / SCENE).write_text(yaml.safe_dump(found.scene.raw, sort_keys=False),
+                                encoding='utf-8')
+    (folder / NUMBERS).unlink(missing_ok=True)
+    for destination in (str(folder / NUMBERS), arguments.json):
         write_json(destination, numbers)
     if arguments.json != STDOUT:
         print('\n'.join([*(f'{name:<10} {text}' for name, text in said), '',
                          *lines(found, chosen, drawn), '', f'report     {page.absolute()}',
+                         f'in motion  xpbd_ros view {folder}',
                          *([f'settings   {file.absolute()}'] if chosen is not None else [])]))
     return 0 if chosen is not None else 1
 

@@ -1,41 +1,53 @@
 """
-Show a scene in a browser page, running in real time, or a log with a time slider.
+Show a scene in a browser page, running in real time; or logs, a study, or a running node.
 
 Drag the gizmo of a pin and the cloth follows; click the cloth to grasp it there, click again to
 release it. All that is done in the page is recorded as commands, so that a recorded session
 repeats bit for bit with 'xpbd_ros resim'. A log is played with plots of its forces; --beside shows
-a second one next to it, coloured by the distance between the two. The page is on this machine
-only, unless --host names another address.
+others next to it, coloured by the distance to it. The folder of a study of 'xpbd_ros accuracy'
+shows its reference, its chosen and its cheapest setting side by side. --node shows a node that
+runs elsewhere, and drags its pins over DDS. The page is on this machine only, unless --host names
+another address.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
+import signal
 import sys
 import threading
 import webbrowser
 
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
-from xpbd_ros.cli.ros import need_ros, new_log
-from xpbd_ros.cli.run import parse_keys
+from xpbd_ros.cli.ros import commands_of, need_ros, new_log
+from xpbd_ros.cli.run import LONGEST, parse_keys
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.share import share_folder
 
 EXAMPLE = 'xpbd_ros view towel'
+PICTURE_WIDTH = 1000
+"""[pixels]"""
 
 
 def add_arguments(parser):
     """Add the verb's arguments to a parser."""
-    parser.add_argument('shown', metavar='SCENE|RUN',
+    parser.add_argument('shown', metavar='SCENE|RUN', nargs='?',
                         help='a scene file, the name of a shipped scene, the folder of a log or '
-                             'the .mcap file in it')
-    parser.add_argument('--beside', metavar='RUN2', help='a second log of the same cloths')
+                             'the .mcap file in it, or the folder of a study by accuracy')
+    parser.add_argument('--node', metavar='NAME',
+                        help='show this running node instead, such as /cloth')
+    parser.add_argument('--beside', action='append', default=[], metavar='RUN2',
+                        help='a further log of the same cloths; may be given several times')
     parser.add_argument('--every', type=int, default=1, metavar='N',
                         help='of a log, only frames whose index is a multiple of N (default: 1)')
     parser.add_argument('--export', metavar='FILE.html',
                         help='write a page of the log that plays without a server, and end')
+    parser.add_argument('--screenshot', metavar='FILE.png',
+                        help='draw the scene or the log at one time, without a browser, and end')
+    parser.add_argument('--at', type=float, metavar='S',
+                        help='time of the screenshot in s (default: the end)')
     parser.add_argument('--port', type=int, default=8080, metavar='N',
                         help='port of the page; 0 takes any (default: 8080)')
     parser.add_argument('--host', default='127.0.0.1', metavar='H',
@@ -50,81 +62,204 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Serve the page until Ctrl-C, or write it to a file."""
-    for file in (arguments.json, arguments.export):
+    for file in (arguments.json, arguments.export, arguments.screenshot):
         check_output(file)
+    if arguments.at is not None and not arguments.screenshot:
+        raise InputError('--at: is the time of a --screenshot, which is not asked for')
+    if (arguments.shown is None) == (arguments.node is None):
+        raise InputError('name one of a scene, a log, a study or --node, such as xpbd_ros view '
+                         'towel')
+    if arguments.node is not None:
+        refuse(arguments, 'a log', '--node shows a running node', 'beside', 'export')
+        refuse(arguments, 'a scene or a log', '--node shows a running node', 'screenshot', 'keys')
+        return show_node(arguments)
     path = Path(arguments.shown)
+    if path.exists() and (report := report_at(path)) is not None:
+        refuse(arguments, 'a scene or a log', f'{path} is a study', 'beside', 'screenshot')
+        return show_report(arguments, report)
     if path.suffix == '.mcap' or path.is_dir():
-        return show_log(arguments)
-    for name in ('beside', 'export'):
+        return (picture_of_log if arguments.screenshot else show_log)(arguments)
+    refuse(arguments, 'a log', f'{path} is a scene; record one with xpbd_ros run', 'beside',
+           'export')
+    return (picture_of_scene if arguments.screenshot else show_scene)(arguments)
+
+
+def refuse(arguments, needed: str, given: str, *names: str) -> None:
+    """Raise InputError if one of these options is given."""
+    for name in names:
         if getattr(arguments, name):
-            raise InputError(f'--{name}: needs a log, and {arguments.shown} is a scene; record '
-                             'one with xpbd_ros run')
-    return show_scene(arguments)
+            raise InputError(f'--{"set" if name == "keys" else name}: needs {needed}, and {given}')
+
+
+@contextmanager
+def served(arguments, port: int | None = None):
+    """Yield a server, and the address of its page."""
+    from xpbd_ros.view.server import close_server, open_server, url_of
+
+    server = open_server(arguments.host, arguments.port if port is None else port)
+    try:
+        yield server, url_of(server)
+    finally:
+        close_server(server)
 
 
 def show_scene(arguments) -> int:
     """Serve a page of a running scene."""
     from xpbd_ros.view.live import LiveView
-    from xpbd_ros.view.server import close_server, open_server, url_of
 
     keys = parse_keys(arguments.keys)
-    server = open_server(arguments.host, arguments.port)
-    url = url_of(server)
-    try:
-        names = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
-        if arguments.shown not in names:
-            names.insert(0, arguments.shown)
+    names = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+    if arguments.shown not in names:
+        names.insert(0, arguments.shown)
+    with served(arguments) as (server, url):
         view = LiveView(server, arguments.shown, keys, names, recorder())
         serve(arguments, url, view.run)
-        view.stop_recording()
-    finally:
-        close_server(server)
     write_json(arguments.json, {'url': url, 'pictures': [], 'frames': view.frames,
+                                'drawn': view.drawn,
                                 'drawing_ms_per_frame': 1e3 * view.drawing_s / max(1, view.frames),
                                 'state_hash': f'{view.simulation.hash():016x}'})
     return 0
 
 
-def show_log(arguments) -> int:
-    """Serve a page of a log, or write it to a file."""
-    need_ros('view')
-    from xpbd_ros.ros.logged_commands import Recording
-    from xpbd_ros.view.recorded import RecordedView
-    from xpbd_ros.view.server import close_server, open_server, url_of
+def show_node(arguments) -> int:
+    """Serve a page of a running node."""
+    need_ros('view --node')
+    from xpbd_ros.ros.cloth_client import ClothClient
+    from xpbd_ros.view.node import NodeView
 
-    if arguments.every < 1:
-        raise InputError(f'--every: must be at least 1 (got {arguments.every})')
-    track = track_of(arguments.shown, arguments.every)
-    beside = track_of(arguments.beside, arguments.every) if arguments.beside else None
-    scene = Recording(arguments.shown).scene
-    server = open_server(arguments.host, 0 if arguments.export else arguments.port)
-    url = url_of(server)
+    client = ClothClient(arguments.node)
     try:
-        view = RecordedView(server, track, scene, beside)
-        if arguments.export:
-            Path(arguments.export).write_text(view.as_html(), encoding='utf-8')
-            url = Path(arguments.export).absolute().as_uri()
-            if arguments.json != '-':
-                print(Path(arguments.export).absolute())
-        else:
+        scene = client.connect()
+        with served(arguments) as (server, url):
+            view = NodeView(server, client, scene)
             serve(arguments, url, view.run)
     finally:
-        close_server(server)
-    write_json(arguments.json, {'url': url, 'pictures': [], 'frames': len(track.times)})
+        client.close()
+    write_json(arguments.json, {'url': url, 'pictures': [], 'frames': view.frames})
     return 0
 
 
-def track_of(run: str, every: int):
-    """Return a log, read into arrays; its damage is printed."""
-    from xpbd_ros.export.states import States
+def show_log(arguments) -> int:
+    """Serve a page of logs, or write it to a file."""
+    need_ros('view')
+    from xpbd_ros.ros.logged_commands import Recording
+
+    if arguments.every < 1:
+        raise InputError(f'--every: must be at least 1 (got {arguments.every})')
+    tracks = [track_of(run, arguments.every) for run in (arguments.shown, *arguments.beside)]
+    scene = Recording(arguments.shown).scene
+    return show_tracks(arguments, tracks, scene)
+
+
+def report_at(path: Path):
+    """Return the report of a study at a path; None if there is none."""
+    from xpbd_ros.study.accuracy.motion import report_of
+    return report_of(path)
+
+
+def show_report(arguments, report) -> int:
+    """Run the settings of a study, and serve a page of them, or write it to a file."""
+    from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.study.accuracy.measure import without_solver
     from xpbd_ros.view.recorded import Track
-    states = States(run, every=every, tell=lambda text: print(
+
+    scene = report.settings[0].scene
+    commands = without_solver({} if report.commands is None else commands_of(
+        'view', report.commands, scene, report.frames))
+    tracks = [Track.stepped(name, compile_scene(scene), commands, progress(
+        range(1, report.frames + 1), name.split('\n')[0])) for name, scene in report.settings]
+    return show_tracks(arguments, tracks, scene, [name for name, _ in report.settings])
+
+
+def show_tracks(arguments, tracks, scene, names=()) -> int:
+    """Serve a page of runs, or write it to a file."""
+    from xpbd_ros.view.recorded import RecordedView
+
+    with served(arguments, 0 if arguments.export else None) as (server, url):
+        view = RecordedView(server, tracks, scene.sections.get('colliders', {}), names)
+        if arguments.export:
+            file = Path(arguments.export).absolute()
+            file.write_text(view.as_html(), encoding='utf-8')
+            url = file.as_uri()
+            if arguments.json != '-':
+                print(file)
+        else:
+            serve(arguments, url, view.run)
+    write_json(arguments.json, {'url': url, 'pictures': [], 'frames': len(tracks[0].times)})
+    return 0
+
+
+def states_of(run: str, every: int = 1):
+    """Return the states of a log; its damage is printed."""
+    from xpbd_ros.export.states import States
+    return States(run, every=every, tell=lambda text: print(
         f'xpbd_ros view: damaged log: {text}', file=sys.stderr))
+
+
+def track_of(run: str, every: int):
+    """Return a log, read into arrays."""
+    from xpbd_ros.view.recorded import Track
+    states = states_of(run, every)
     return Track.read(states, progress(states, 'frames'))
 
 
+def picture_of_scene(arguments) -> int:
+    """Simulate a scene up to a time, and draw it."""
+    from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.scene.load import load_scene
+    from xpbd_ros.study.picture import need_view
+    from xpbd_ros.study.snapshots import instant
+
+    need_view('--screenshot')
+    scene = load_scene(arguments.shown, parse_keys(arguments.keys))
+    end = scene.top.duration if arguments.at is None else arguments.at
+    if not 0.0 <= end <= LONGEST:
+        raise InputError(f'--at: must be from 0 to {LONGEST:g} s (got {end:g} s)')
+    simulation = compile_scene(scene)
+    frame = simulation.frame()
+    for _ in progress(range(round(end * scene.top.frame_rate)), 'frames'):
+        frame = simulation.step()
+    return draw_instant(arguments, instant(simulation, frame), frame.index)
+
+
+def picture_of_log(arguments) -> int:
+    """Draw a log at a time."""
+    need_ros('view')
+    from xpbd_ros.ros.logged_commands import Recording
+    from xpbd_ros.study.picture import need_view
+    from xpbd_ros.study.snapshots import instant_of
+
+    need_view('--screenshot')
+    refuse(arguments, 'a page', 'it is drawn without one', 'beside', 'export')
+    states = states_of(arguments.shown)
+    entries = Recording(arguments.shown).scene.sections.get('colliders', {})
+    wanted = state = next(iter(states))
+    for state in states:
+        if arguments.at is None or state.time_s <= arguments.at + 1e-6:
+            wanted = state
+    if arguments.at is not None and not 0.0 <= arguments.at <= state.time_s + 1e-6:
+        raise InputError(f'--at: {arguments.shown} lasts from 0 to {state.time_s:.3g} s (got '
+                         f'{arguments.at:g} s)')
+    return draw_instant(arguments, instant_of(
+        f'{wanted.time_s:.2f} s', zip(wanted.positions.values(), states.triangles.values()),
+        [(entries[body.name], body.position, body.orientation) for body in wanted.colliders
+         if body.name in entries]), wanted.frame)
+
+
+def draw_instant(arguments, shown, frame: int) -> int:
+    """Draw one instant to the file of ``--screenshot``."""
+    from xpbd_ros.study.picture import draw
+
+    file = Path(arguments.screenshot).absolute()
+    draw([shown], file, width_px=PICTURE_WIDTH)
+    if arguments.json != '-':
+        print(file)
+    write_json(arguments.json, {'url': None, 'pictures': [file], 'frames': frame})
+    return 0
+
+
 def serve(arguments, url: str, run: Callable[[Callable[[], bool]], None]) -> None:
-    """Tell the address, open a browser, and call ``run`` until Ctrl-C or ``--duration``."""
+    """Tell the address, open a browser, and call ``run`` until a signal or ``--duration``."""
     from xpbd_ros.view.server import reach
 
     ended = threading.Event()
@@ -136,8 +271,27 @@ def serve(arguments, url: str, run: Callable[[Callable[[], bool]], None]) -> Non
         timer = threading.Timer(arguments.duration, ended.set)
         timer.daemon = True
         timer.start()
-    with suppress(KeyboardInterrupt):
+    with signals_set(ended), suppress(KeyboardInterrupt):
         run(ended.is_set)
+
+
+@contextmanager
+def signals_set(ended: threading.Event):
+    """
+    Set an event on the first SIGINT or SIGTERM: the present frame and the log are finished.
+
+    A second one interrupts, such as a long compilation.
+    """
+    def stop(number, frame):
+        if ended.is_set():
+            raise KeyboardInterrupt
+        ended.set()
+    before = {each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
 
 
 def recorder():

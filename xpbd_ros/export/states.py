@@ -8,6 +8,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from shape_msgs.msg import Mesh
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.export.body import Body
 from xpbd_ros.log.reader import LogReader, Message
 from xpbd_ros.ros.clouds import positions_of
 from xpbd_ros.ros.inputs import unpacked
@@ -16,20 +17,6 @@ from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.load import parse_yaml
 from xpbd_ros.scene.model import TopKeys
 from xpbd_ros.scene.read import mapping, read
-
-
-class Body(NamedTuple):
-    """A pin that holds, or a collider, in one frame."""
-
-    name: str
-    position: tuple[float, float, float]
-    """[m]"""
-    orientation: tuple[float, float, float, float]
-    """x, y, z, w"""
-    force: tuple[float, float, float]
-    """of the cloth on it [N]"""
-    torque: tuple[float, float, float]
-    """about its position [N m]"""
 
 
 class State(NamedTuple):
@@ -138,7 +125,7 @@ class States:
                     positions[self._clouds[message.topic]] = positions_of(
                         unpacked(message.data, PointCloud2))
                 else:
-                    bodies[last_part(message.topic)] = _bodies(
+                    bodies[last_part(message.topic)] = bodies_of(
                         unpacked(message.data, MultiDOFJointState))
             yield State(frame, 1e-9 * (messages[0].time_ns - start_ns), positions,
                         bodies.get('pin_states', []), bodies.get('collider_wrenches', []))
@@ -158,7 +145,8 @@ def _cloth_of(topic: str) -> str:
     return parts[-2] if len(parts) > 3 and parts[-3] == 'cloth' else 'cloth'
 
 
-def _bodies(message: MultiDOFJointState) -> list[Body]:
+def bodies_of(message: MultiDOFJointState) -> list[Body]:
+    """Return the bodies in a message of ~/pin_states or ~/collider_wrenches."""
     found = []
     for name, pose, wrench in zip(message.joint_names, message.transforms, message.wrench):
         at, turn = pose.translation, pose.rotation

@@ -154,3 +154,13 @@ def tensions(simulation) -> np.ndarray:
         for ends in edges.particles.T:
             np.maximum.at(found, ends, size)
     return found[simulation.slot]
+
+
+def touching(simulation) -> np.ndarray:
+    """Return whether each particle touches a collider, in natural order; shape (particles,)."""
+    found = np.zeros(simulation.state.x.shape[1], bool)
+    if 'contact' in simulation.effects:
+        contacts = simulation.effects['contact'].contacts
+        count = max(0, contacts.count[0])
+        found[contacts.particle[:count][contacts.push[:count] > 0.0]] = True
+    return found[simulation.slot]

@@ -1,6 +1,9 @@
 """Pictures of a run: what a frame of a simulation looks like, at a few instants."""
 
+from collections.abc import Iterable
 from pathlib import Path
+
+import numpy as np
 
 from xpbd_ros.sim.simulation import Frame, Simulation
 from xpbd_ros.study.picture import Body, draw, Instant, Surface
@@ -23,13 +26,30 @@ def size_of(entry) -> tuple[float, ...]:
 
 
 def instant(simulation: Simulation, frame: Frame) -> Instant:
-    """Return what a picture of a frame shows; colliders that are meshes or ground are left out."""
-    surfaces = [Surface(frame.x[cloth.particles], cloth.mesh.triangles, COLOURS[k % len(COLOURS)])
-                for k, cloth in enumerate(simulation.cloths) if len(cloth.mesh.triangles)]
-    bodies = [Body(state.entry.shape, size_of(state.entry), state.pose.position,
-                   state.pose.orientation)
-              for state in frame.colliders.values() if state.entry.shape in SHAPES]
-    return Instant(f'{1e-9 * frame.time_ns:.2f} s', surfaces, bodies)
+    """Return what a picture of a frame shows."""
+    return instant_of(f'{1e-9 * frame.time_ns:.2f} s', (
+        (frame.x[cloth.particles], cloth.mesh.triangles) for cloth in simulation.cloths), (
+        (state.entry, state.pose.position, state.pose.orientation)
+        for state in frame.colliders.values()))
+
+
+def instant_of(title: str, cloths: Iterable[tuple[np.ndarray, np.ndarray]],
+               colliders: Iterable[tuple]) -> Instant:
+    """
+    Return a picture's content; colliders that are meshes or ground are left out.
+
+    Parameters
+    ----------
+    title : of the picture
+    cloths : positions [m], shape (particles, 3), and triangles, shape (triangles, 3), of each
+    colliders : entry in the scene, position and orientation of each
+
+    """
+    surfaces = [Surface(x, triangles, COLOURS[k % len(COLOURS)])
+                for k, (x, triangles) in enumerate(cloths) if len(triangles)]
+    bodies = [Body(entry.shape, size_of(entry), position, orientation)
+              for entry, position, orientation in colliders if entry.shape in SHAPES]
+    return Instant(title, surfaces, bodies)
 
 
 class Shots:

@@ -1,15 +1,40 @@
-"""The panel of a live page: playback, scenes, live keys, and figures of the run."""
+"""The panel of a page: playback, scenes, colours, live keys, and figures of the run."""
 
-from collections import deque
+from collections.abc import Collection, Mapping, Sequence
 from math import isfinite
+from typing import Any, Protocol
 
-from numpy.linalg import norm
+from xpbd_ros.sim.commands import Command, SetKey
+from xpbd_ros.view.handles import Handles
+from xpbd_ros.view.stage import Stage
 
-from xpbd_ros.scene.model import live_keys
-from xpbd_ros.sim.commands import SetKey
 
-RECENT = 60
-"""frames that the step time is averaged over"""
+class Controlled(Protocol):
+    """Interface of a view that the panel controls."""
+
+    stage: Stage | None
+    handles: Handles
+
+    def play(self, on: bool) -> None:
+        """Play or pause."""
+
+    def step_once(self) -> None:
+        """Compute one frame while paused."""
+
+    def reset(self) -> None:
+        """Go back to the scene's start."""
+
+    def release_all(self) -> None:
+        """Release all pins."""
+
+    def record(self, on: bool) -> None:
+        """Start or stop recording."""
+
+    def open(self, name: str) -> None:
+        """Change to another scene."""
+
+    def put(self, *commands: Command) -> None:
+        """Apply commands before the next frame."""
 
 
 class Controls:
@@ -19,42 +44,54 @@ class Controls:
     Parameters
     ----------
     gui : viser's interface for panels
-    view : ``LiveView`` that the buttons act on
-    names : scenes of the menu
+    view : acts on the buttons
+    effects : effects of the scene
+    keys : (dataclass field, present value) of each live key, as ``scene.model.live_keys`` returns
+    colours : words of ``Stage.colour`` to choose from
+    scenes, scene : scenes of the menu, and the present one; no menu without scenes
+    contacts : whether the view knows the contacts
 
     """
 
-    def __init__(self, gui, view, names: list[str]):
+    def __init__(self, gui, view: Controlled, *, effects: Collection[str],
+                 keys: Mapping[str, tuple[Any, Any]], colours: Sequence[str],
+                 scenes: Sequence[str] = (), scene: str = '', contacts: bool = False):
         self._view, self._gui = view, gui
-        self._step_s: deque[float] = deque(maxlen=RECENT)
         self._said = ''
+        self._boxes: dict[str, Any] = {}
+        self._playing = True
         self._figures = gui.add_markdown('')
-        self._play = gui.add_button('Pause' if view.playing else 'Play')
-        self._play.on_click(lambda _: self._toggle())
+        self._play = gui.add_button('Pause')
+        self._play.on_click(lambda _: view.play(not self._playing))
         gui.add_button('Step', hint='one frame, while paused').on_click(
             lambda _: view.step_once())
         gui.add_button('Reset', hint="back to the scene's start").on_click(lambda _: view.reset())
-        if 'pin' in view.simulation.effects:
+        if 'pin' in effects:
             gui.add_button('Release all').on_click(lambda _: view.release_all())
-        record = gui.add_checkbox('Record', False, hint='to an MCAP log in a new folder')
-        record.on_update(lambda _: view.record(record.value))
-        menu = gui.add_dropdown('Scene', names, initial_value=view.name)
-        menu.on_update(lambda _: view.open(menu.value))
-        strain = gui.add_checkbox('Strain', False, hint='edges: red stretched, blue compressed')
-        strain.on_update(lambda _: setattr(view.stage, 'strain', strain.value))
-        self._colliders = None
-        if 'contact' in view.simulation.effects:
-            self._colliders = gui.add_checkbox('Move colliders', False)
-            self._colliders.on_update(
-                lambda _: view.show_collider_handles(self.shows_colliders))
+        self._record = gui.add_checkbox('Record', False, hint='to an MCAP log in a new folder')
+
+        @self._record.on_update
+        def _(event) -> None:
+            if by_hand(event):
+                view.record(self._record.value)
+        if scenes:
+            menu = gui.add_dropdown('Scene', scenes, initial_value=scene)
+            menu.on_update(lambda _: view.open(menu.value))
+        add_colour_menu(gui, view.stage, colours)
+        if contacts and 'contact' in effects:
+            touching = gui.add_checkbox('Contacts', False, hint='particles that touch a collider')
+            touching.on_update(lambda _: setattr(view.stage, 'contacts', touching.value))
+        if 'contact' in effects:
+            colliders = gui.add_checkbox('Move colliders', False)
+            colliders.on_update(lambda _: view.handles.show_colliders(colliders.value))
         with gui.add_folder('Live keys', expand_by_default=False):
-            for key, (field, value) in live_keys(view.scene).items():
+            for key, (field, value) in keys.items():
                 self._add_key(key, field, value)
 
     def _add_key(self, key: str, field, value) -> None:
         about = field.metadata
         hint = f'{about["doc"] or field.name}{" [" + about["unit"] + "]" if about["unit"] else ""}'
-        if isinstance(value, tuple) and len(value) == 3:
+        if isinstance(value, tuple | list) and len(value) == 3:
             box = self._gui.add_vector3(key, tuple(map(float, value)), hint=hint)
         elif isinstance(value, int | float) and not isinstance(value, bool):
             least = about['minimum'] if about['above'] is None else about['above']
@@ -64,38 +101,45 @@ class Controls:
             box = self._gui.add_number(key, value, hint=hint, **bounds)
         else:
             return
+        self._boxes[key] = box
 
         @box.on_update
-        def _(_) -> None:
-            new = box.value
-            self._view.put(SetKey(key, tuple(new) if isinstance(value, tuple) else new))
+        def _(event) -> None:
+            if by_hand(event):
+                new = box.value
+                self._view.put(SetKey(key, tuple(map(float, new)) if isinstance(new, tuple)
+                                      else new))
 
-    @property
-    def shows_colliders(self) -> bool:
-        """True if colliders have gizmos."""
-        return self._colliders is not None and self._colliders.value
+    def refresh(self, keys: Mapping[str, tuple[Any, Any]]) -> None:
+        """Show the present values of the live keys."""
+        for key, (_, value) in keys.items():
+            if key in self._boxes:
+                value = tuple(map(float, value)) if isinstance(value, tuple | list) else value
+                if self._boxes[key].value != value:
+                    self._boxes[key].value = value
 
-    def _toggle(self) -> None:
-        self._view.playing = not self._view.playing
-        self._play.label = 'Pause' if self._view.playing else 'Play'
-
-    def time(self, seconds: float) -> None:
-        """Note the time of a step [s]."""
-        self._step_s.append(seconds)
+    def show_playing(self, playing: bool) -> None:
+        """Show whether the simulation plays."""
+        self._playing = playing
+        self._play.label = 'Pause' if playing else 'Play'
 
     def say(self, text: str) -> None:
         """Show a message below the figures."""
         self._said = text
 
-    def tell(self, frame, strain: float, *, recording: bool) -> None:
+    def tell(self, rows: Sequence[str]) -> None:
         """Show the figures of the present frame."""
-        step = sum(self._step_s) / max(1, len(self._step_s))
-        factor = self._view.simulation.frame_dt / step if step else 0.0
-        rows = [f'**{1e-9 * frame.time_ns:.2f} s**, {len(frame.x)} particles'
-                + (', recording' if recording else ''),
-                f'step {1e3 * step:.2f} ms: {factor:.1f} × real time',
-                f'largest strain {100.0 * strain:.2g} %',
-                *(f'{name}: {norm(pin.force):.3g} N at '
-                  f'{", ".join(f"{c:.2f}" for c in pin.pose.position)} m'
-                  for name, pin in frame.pins.items())]
         self._figures.content = '  \n'.join([*rows, *([f'*{self._said}*'] if self._said else [])])
+
+
+def by_hand(event) -> bool:
+    """Return whether a change was made in a browser, and not by this program."""
+    return event.client is not None
+
+
+def add_colour_menu(gui, stage: Stage | None, colours: Sequence[str]) -> None:
+    """Add the menu of the quantity that colours the edges."""
+    menu = gui.add_dropdown(
+        'Colour', colours, initial_value='none',
+        hint='strain: red stretched, blue compressed; force: tension, red the largest')
+    menu.on_update(lambda _: setattr(stage, 'colour', menu.value))

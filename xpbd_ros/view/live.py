@@ -12,30 +12,32 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.linalg import norm
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.ros.error_monitor import ErrorMonitor
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
-from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.commands import (
-    Command,
-    Grasp,
-    MoveCollider,
-    MovePin,
-    Pose,
-    Release,
-    ReleaseAll,
-    Reset,
-)
-from xpbd_ros.sim.measure import largest_strain
+from xpbd_ros.scene.model import live_keys, Scene
+from xpbd_ros.sim.commands import Command, Grasp, Pose, Release, ReleaseAll, Reset
+from xpbd_ros.sim.measure import has_tensions, largest_strain, tensions, touching
 from xpbd_ros.sim.simulation import Frame, Simulation
 from xpbd_ros.view.controls import Controls
-from xpbd_ros.view.stage import Sheet, Stage
+from xpbd_ros.view.handles import Handles
+from xpbd_ros.view.picking import particle_at
+from xpbd_ros.view.stage import Arrow, line_of_action, Sheet, Stage
 
-DRAWN_PER_SECOND = 30.0
+DRAWN_PER_SECOND = 33.0
+"""a little above 30, as a frame may be late"""
 TOLD_PER_SECOND = 4.0
 REACH = 1.5
 """radius of a click's grasp, over the spacing of the particles"""
+RECENT = 60
+"""frames that times are averaged over"""
+LATEST = 0.1
+"""delay beyond which frames are dropped [s]"""
+LEAST_FORCE = 1e-6
+"""force of the cloth on a collider below which there is no arrow [N]"""
 
 
 class LiveView:
@@ -58,45 +60,57 @@ class LiveView:
         self._commands: deque[Command] = deque()
         self.name = ''
         """scene in the menu"""
+        self.stage: Stage | None = None
+        self.handles: Handles
+        self.controls: Controls
         self._next = self._loaded(scene)    # the scene to change to; None for none
         server.on_client_connect(self._aim)
         self._steps = 0    # frames to compute while paused
         self._recording: bool | None = None    # whether to record from now on; None: as it is
         self.playing = True
         self.recorder: Any = None
+        self._monitor: ErrorMonitor | None = None
         self._names = names
+        self._times: deque[tuple[float, float]] = deque(maxlen=RECENT)
         self.frame: Frame
         self.drawing_s = 0.0
-        """time spent on drawing [s]"""
+        """processor time of the loop's thread for drawing [s]"""
+        self.drawn = 0
+        """pictures drawn"""
         self.frames = 0
         """frames computed"""
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Step in real time until ``stopped()``."""
-        due = drawn = told = time.monotonic()
-        while not stopped():
-            if self._next is not None:
-                self._change(*self._next)
-                due = time.monotonic()
-            if self._recording is not None:
-                self._record_or_stop(self._recording)
-            if self.playing or self._steps:
-                self._steps = max(0, self._steps - 1)
-                self._step()
-            now = time.monotonic()
-            if now - drawn >= 1.0 / DRAWN_PER_SECOND:
-                drawn = now
-                self._draw()
-                self.drawing_s += time.monotonic() - now
-            if now - told >= 1.0 / TOLD_PER_SECOND:
-                told = now
-                self._tell()
-            due = max(due + self.simulation.frame_dt, time.monotonic() - 0.1)
-            time.sleep(max(0.0, due - time.monotonic()))
-        self.stop_recording()
+        due = picture = told = time.monotonic()
+        try:
+            while not stopped():
+                if self._next is not None:
+                    self._change(*self._next)
+                    due = time.monotonic()
+                if self._recording is not None:
+                    self._record_or_stop(self._recording)
+                if self.playing or self._steps:
+                    self._steps = max(0, self._steps - 1)
+                    self._step()
+                now = time.monotonic()
+                if now >= picture and self._server.get_clients():
+                    period = 1.0 / DRAWN_PER_SECOND
+                    picture = max(picture + period, now - period)    # the mean rate is kept
+                    begin = time.thread_time()
+                    self._draw()
+                    self.drawing_s += time.thread_time() - begin
+                    self.drawn += 1
+                if now - told >= 1.0 / TOLD_PER_SECOND:
+                    told = now
+                    self._tell()
+                due = max(due + self.simulation.frame_dt, time.monotonic() - LATEST)
+                time.sleep(max(0.0, due - time.monotonic()))
+        finally:
+            self._close()
 
     def _aim(self, client) -> None:
-        if hasattr(self, 'stage'):    # else it is aimed when the stage is there
+        if self.stage is not None:    # else it is aimed when the stage is there
             self.stage.aim(client)
 
     def put(self, *commands: Command) -> None:
@@ -114,6 +128,12 @@ class LiveView:
         scene = load_scene(name, self._overrides)
         return name, scene, compile_scene(scene)
 
+    def play(self, on: bool) -> None:
+        """Play or pause."""
+        self.playing = on
+        self._times.clear()
+        self.controls.show_playing(on)
+
     def step_once(self) -> None:
         """Compute one frame while paused."""
         self._steps += 1
@@ -122,6 +142,10 @@ class LiveView:
         """Go back to the scene's start."""
         self.put(Reset())
         self._steps += not self.playing
+
+    def release_all(self) -> None:
+        """Release all pins."""
+        self.put(ReleaseAll())
 
     def record(self, on: bool) -> None:
         """Start or stop recording, between two frames."""
@@ -132,7 +156,7 @@ class LiveView:
     def _change(self, name: str, scene: Scene, simulation: Simulation) -> None:
         """Compile the kernels of a scene, and show it."""
         self._next = None
-        self.stop_recording()
+        self._close()
         self._server.scene.reset()
         self._server.gui.reset()
         self._server.gui.add_markdown(f'**{scene.name}**: compiling for this scene; the first '
@@ -143,20 +167,31 @@ class LiveView:
         self.simulation = simulation
         self.frame = simulation.frame()
         self._commands.clear()
-        self._handles: dict = {}
-        self._dragged: set[str] = set()
+        self._times.clear()
+        solver = scene.top.solver
+        self._monitor = ErrorMonitor(simulation, target=solver.error_target,
+                                     most=solver.max_substeps)
         self.stage = Stage(self._server, [_sheet(cloth) for cloth in simulation.cloths],
-                           self._positions())
-        self.controls = Controls(self._server.gui, self, self._names)
+                           self._positions(self.frame.x))
+        self.handles = Handles(self._server, self.stage.size, self.put)
+        self.controls = Controls(
+            self._server.gui, self, effects=simulation.effects, keys=live_keys(scene),
+            colours=('none', 'strain', *(('force',) if has_tensions(simulation) else ())),
+            scenes=self._names, scene=name, contacts=True)
+        self.controls.show_playing(self.playing)
         if 'pin' in simulation.effects:
             self.stage.on_click(self._click)
         self._draw()
 
     def _step(self) -> None:
+        assert self._monitor is not None
         commands = [self._commands.popleft() for _ in range(len(self._commands))]
         begin = time.perf_counter()
-        self.frame = self.simulation.step(commands)
-        self.controls.time(time.perf_counter() - begin)
+        self.frame = self.simulation.step([*commands, *self._monitor.commands()],
+                                          keep=self._monitor.due())
+        now = time.perf_counter()
+        self._monitor.look(now - begin)
+        self._times.append((now, now - begin))
         self.frames += 1
         for _, reason in self.frame.refused:
             self.controls.say(reason)
@@ -165,68 +200,39 @@ class LiveView:
         if self.recorder is not None:
             self.recorder.frame(self.frame)
 
-    def _positions(self) -> list[np.ndarray]:
-        return [self.frame.x[cloth.particles] for cloth in self.simulation.cloths]
+    def _positions(self, values: np.ndarray) -> list[np.ndarray]:
+        """Return the rows of each cloth."""
+        return [values[cloth.particles] for cloth in self.simulation.cloths]
 
     def _draw(self) -> None:
+        assert self.stage is not None
+        stage, frame = self.stage, self.frame
         with self._server.atomic():
-            self.stage.show(self._positions())
-            pins = {name: (pin.pose, pin.force) for name, pin in self.frame.pins.items()}
-            self.stage.show_forces({name: (pose.position, force)
-                                    for name, (pose, force) in pins.items()})
-            poses = {f'pins/{name}': pose for name, (pose, _) in pins.items()}
-            for name, state in self.frame.colliders.items():
-                self.stage.show_body(name, state)
+            stage.show(self._positions(frame.x), self._positions(tensions(self.simulation))
+                       if stage.colour == 'force' else ())
+            stage.show_contacts(frame.x[touching(self.simulation)] if stage.contacts
+                                else frame.x[:0])
+            forces: dict[str, Arrow] = {f'pins/{name}': (pin.pose.position, pin.force)
+                                        for name, pin in frame.pins.items()}
+            movable = {}
+            for name, state in frame.colliders.items():
+                stage.show_body(name, state.entry, state.pose)
+                if norm(state.force) > LEAST_FORCE:
+                    forces[f'colliders/{name}'] = line_of_action(
+                        state.pose.position, state.force, state.torque), state.force
                 if state.entry.shape != 'plane':
-                    poses[f'colliders/{name}'] = state.pose
-            self.stage.forget_bodies(self.frame.colliders)
-            self._show_handles(poses)
-
-    def _show_handles(self, poses: dict[str, Pose]) -> None:
-        """Show a gizmo at each pin and collider; one that is dragged stays with the pointer."""
-        for name in self._handles.keys() - poses.keys():
-            self._handles.pop(name).remove()
-            self._dragged.discard(name)
-        for name, pose in poses.items():
-            if name not in self._handles:
-                self._handles[name] = self._handle(name, pose)
-            elif name not in self._dragged:
-                x, y, z, w = pose.orientation
-                self._handles[name].position = pose.position
-                self._handles[name].wxyz = (w, x, y, z)
-
-    def _handle(self, path: str, pose: Pose):
-        section, name = path.split('/', 1)
-        handle = self._server.scene.add_transform_controls(
-            f'/handles/{path}', scale=0.15 * self.stage.size, depth_test=False, opacity=0.8,
-            position=pose.position, wxyz=(pose.orientation[3], *pose.orientation[:3]),
-            visible=section == 'pins' or self.controls.shows_colliders)
-
-        @handle.on_update
-        async def _(event) -> None:
-            (self._dragged.discard if event.phase == 'end' else self._dragged.add)(path)
-            w, x, y, z = map(float, handle.wxyz)
-            px, py, pz = map(float, handle.position)
-            target = Pose((px, py, pz), (x, y, z, w))
-            self.put(MovePin(name, target) if section == 'pins' else MoveCollider(name, target))
-        return handle
-
-    def show_collider_handles(self, shown: bool) -> None:
-        """Show or hide the gizmos of colliders."""
-        for path, handle in list(self._handles.items()):
-            if path.startswith('colliders/'):
-                handle.visible = shown
+                    movable[name] = state.pose
+            stage.show_forces(forces)
+            stage.forget_bodies(frame.colliders)
+            self.handles.show({name: pin.pose for name, pin in frame.pins.items()}, movable)
 
     def _click(self, origin, direction) -> None:
         """Grasp the particle next to a ray; release the pin if one holds it."""
+        assert self.stage is not None
         x = self.frame.x
-        to = x - origin
-        along = to @ direction
-        apart = np.linalg.norm(to - along[:, None] * direction, axis=1)
-        near = np.flatnonzero((apart < apart.min() + 1e-3 * self.stage.size) & (along > 0.0))
-        if not len(near):
+        particle = particle_at(x, origin, direction, self.stage.size)
+        if particle is None:
             return
-        particle = int(near[along[near].argmin()])
         for name, pin in self.frame.pins.items():
             if particle in pin.particles:
                 self.put(Release(name))
@@ -238,13 +244,31 @@ class LiveView:
         px, py, pz = map(float, x[particle])
         self.put(Grasp(name, Pose((px, py, pz)), REACH * gap))
 
-    def release_all(self) -> None:
-        """Release all pins."""
-        self.put(ReleaseAll())
-
     def _tell(self) -> None:
-        self.controls.tell(self.frame, largest_strain(self.simulation),
-                           recording=self.recorder is not None)
+        frame, dt, times = self.frame, self.simulation.frame_dt, list(self._times)
+        step = sum(seconds for _, seconds in times) / max(1, len(times))
+        wall = times[-1][0] - times[0][0] if len(times) > 1 else 0.0
+        factor = (len(times) - 1) * dt / wall if wall else 0.0
+        strain = largest_strain(self.simulation)
+        contacts = self.simulation.stats().get('contacts')
+        self.controls.tell([
+            f'**{1e-9 * frame.time_ns:.2f} s**, {len(frame.x)} particles'
+            + (', recording' if self.recorder is not None else ''),
+            (f'{factor:.2f} × real time' if self.playing else 'paused')
+            + f'; step {1e3 * step:.2f} ms of {1e3 * dt:.1f} ms',
+            f'largest strain {100.0 * strain:.2g} %'
+            + (f', {contacts} contacts' if contacts is not None else ''),
+            f'error of a frame: {self._error()}',
+            *(f'{name}: {norm(pin.force):.3g} N at '
+              f'{", ".join(f"{c:.2f}" for c in pin.pose.position)} m'
+              for name, pin in frame.pins.items())])
+
+    def _error(self) -> str:
+        """Return the latest error estimate as text."""
+        latest = None if self._monitor is None else self._monitor.latest
+        if latest is None:
+            return 'not estimated yet'
+        return f'{latest.rms:.2g} m (RMS)' if latest.resolved else 'under-resolved'
 
     def _record_or_stop(self, on: bool) -> None:
         self._recording = None
@@ -255,6 +279,13 @@ class LiveView:
         elif self.recorder is None:
             self.recorder = self._record(self.scene, self.simulation)
             self.controls.say(f'recording to {self.recorder.folder}')
+
+    def _close(self) -> None:
+        """Finish the log, and stop estimating errors."""
+        self.stop_recording()
+        if self._monitor is not None:
+            self._monitor.close()
+            self._monitor = None
 
     def stop_recording(self) -> None:
         """Finish the log, if one is open."""

@@ -1,45 +1,57 @@
 """
-A log in the browser: a time slider, speed, plots of forces, and a second log beside it.
+Logs in the browser: a time slider, speed, plots, and further logs beside the first.
 
-The second log is shown next to the first, with points coloured by their distance from the first.
+The others are shown next to the first, with points coloured by their distance from the first.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 import time
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.export.states import Body, States
-from xpbd_ros.scene.model import Scene
+from xpbd_ros.export.body import Body
 from xpbd_ros.sim.commands import Pose
-from xpbd_ros.sim.geometry.mesh import edges
-from xpbd_ros.view.stage import Sheet, Stage
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.view.controls import add_colour_menu, by_hand
+from xpbd_ros.view.stage import Arrow, line_of_action, ramp, Sheet, sheets_of, Stage
 
 APART = 1.3
-"""offset of the second log, over the size of the scene"""
-NEAR, FAR = np.array([235, 235, 235]), np.array([200, 40, 30])
-"""colours of particles without distance, and at the largest"""
+"""offset from one log to the next, over the size of the first"""
 SPEEDS = ('0.1', '0.25', '0.5', '1', '2', '4', '10')
+SAMPLES = 50
+"""frames that the camera is fitted to"""
+SAME = 1e-6
+"""largest difference of times that count as equal [s]"""
+GREY = (215, 218, 222)
+"""colour of further logs below their points"""
+LINES = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c')
+"""colours of plotted lines"""
 
 
 @dataclass(frozen=True)
 class Track:
-    """A log, read into arrays."""
+    """A run, frame by frame, as arrays."""
 
-    states: States
+    name: str
+    frames: Sequence[int]
+    """indices of the frames"""
     times: np.ndarray
     """[s], shape (frames,)"""
-    positions: dict[str, np.ndarray]
+    triangles: Mapping[str, np.ndarray]
+    """by cloth, shape (triangles, 3)"""
+    positions: Mapping[str, np.ndarray]
     """by cloth [m], float32, shape (frames, particles, 3)"""
-    pins: list[list[Body]]
-    colliders: list[list[Body]]
+    pins: Sequence[Sequence[Body]]
+    """by frame"""
+    colliders: Sequence[Sequence[Body]]
+    """by frame"""
 
     @classmethod
-    def read(cls, states: States, frames: Iterable) -> 'Track':
-        """Return all frames of a log; ``frames`` iterates over its states."""
+    def read(cls, states, frames: Iterable) -> 'Track':
+        """Return all frames of a log; ``frames`` iterates over its ``export.states.States``."""
         times, pins, colliders = np.zeros(len(states)), [], []
         positions = {cloth: np.empty((len(states), count, 3), np.float32)
                      for cloth, count in states.particles.items()}
@@ -49,7 +61,27 @@ class Track:
                 positions[cloth][k] = x
             pins.append(state.pins)
             colliders.append(state.colliders)
-        return cls(states, times, positions, pins, colliders)
+        return cls(str(states.path), states.frames, times, states.triangles, positions, pins,
+                   colliders)
+
+    @classmethod
+    def stepped(cls, name: str, simulation: Simulation, commands: Mapping[int, Sequence],
+                frames: Iterable[int]) -> 'Track':
+        """Return a new run with commands by frame; ``frames`` counts its frames from 1 on."""
+        states = [simulation.frame()]
+        for index in frames:
+            states.append(simulation.step(commands.get(index, ())))
+            if not np.isfinite(states[-1].x).all():
+                states.pop()
+                break
+        return cls(
+            name, [state.index for state in states],
+            np.array([1e-9 * state.time_ns for state in states]),
+            {cloth.name: cloth.mesh.triangles for cloth in simulation.cloths},
+            {cloth.name: np.array([state.x[cloth.particles] for state in states], np.float32)
+             for cloth in simulation.cloths},
+            [_bodies(state.pins) for state in states],
+            [_bodies(state.colliders) for state in states])
 
     def frame(self, index: int) -> list[np.ndarray]:
         """Return the positions of each cloth [m]."""
@@ -57,96 +89,167 @@ class Track:
 
     def sheets(self) -> list[Sheet]:
         """Return the cloths; an edge is as long as in the first frame."""
-        found = []
-        for cloth, x in self.positions.items():
-            triangles = self.states.triangles[cloth]
-            ends = edges(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
-            length = np.linalg.norm(x[0][ends[:, 1]] - x[0][ends[:, 0]], axis=1)
-            found.append(Sheet(cloth, triangles, ends, np.maximum(length, 1e-9)))
-        return found
+        return sheets_of(self.positions, self.triangles.values(), self.frame(0))
+
+    def strains(self, sheets: Sequence[Sheet]) -> np.ndarray:
+        """Return the largest strain of any edge in each frame, shape (frames,)."""
+        return np.array([max(
+            (float(np.abs(np.linalg.norm(x[sheet.edges[:, 1]] - x[sheet.edges[:, 0]], axis=1)
+                          / sheet.rest_length - 1.0).max(initial=0.0))
+             for sheet, x in zip(sheets, self.frame(k))), default=0.0)
+            for k in range(len(self.times))])
 
 
-class RecordedView:
+def _bodies(states: Mapping[str, Any]) -> list[Body]:
+    """Return the pins or colliders of a frame."""
+    return [Body(name, tuple(state.pose.position), tuple(state.pose.orientation),
+                 tuple(state.force), tuple(state.torque)) for name, state in states.items()]
+
+
+class Beside:
     """
-    The page of a log.
+    A further run next to the first, with points coloured by the distance from the first.
 
     Parameters
     ----------
     server : viser server
-    track : the log
-    scene : of the log, whose colliders have shapes
-    beside : a second log of the same cloths; None for none
+    number : its place, from 1 on
+    track, first : both runs
+    size : size of the first [m]
+
+    Raises
+    ------
+    InputError : the runs are of different cloths
 
     """
 
-    def __init__(self, server, track: Track, scene: Scene, beside: Track | None = None):
-        self._server, self._track, self._beside = server, track, beside
-        self._entries = scene.sections.get('colliders', {})
-        self.stage = Stage(server, track.sheets(), track.frame(0))
+    def __init__(self, server, number: int, track: Track, first: Track, size: float):
+        counts = [{cloth: x.shape[1] for cloth, x in each.positions.items()}
+                  for each in (track, first)]
+        if list(counts[0].items()) != list(counts[1].items()):
+            raise InputError(f'--beside: {track.name}: has other cloths than {first.name}')
+        self.track = track
+        self.offset = np.array([number * APART * size, 0.0, 0.0], np.float32)
+        at = np.searchsorted(track.times, first.times + SAME, side='right') - 1
+        self._index = np.where(first.times <= track.times[-1] + SAME, np.maximum(at, 0), -1)
+        self.distances = [
+            np.concatenate([np.linalg.norm(a - b, axis=1) for a, b in zip(
+                first.frame(k), track.frame(index))]) if index >= 0 else np.empty(0, np.float32)
+            for k, index in enumerate(self._index)]
+        """from the first run [m], by its frames; empty after the end of this one"""
+        self.farthest = max(float(each.max(initial=0.0)) for each in self.distances) or 1.0
+        self._meshes = [server.scene.add_mesh_simple(
+            f'/beside/{number}/{cloth}', x[0] + self.offset, track.triangles[cloth], side='double',
+            color=GREY) for cloth, x in track.positions.items()]
+        self._points = server.scene.add_point_cloud(
+            f'/beside/{number}/points', np.concatenate(track.frame(0)) + self.offset,
+            ramp(np.zeros(len(self.distances[0]))), precision='float32',
+            point_size=0.012 * size, point_shape='circle')
+
+    def index(self, index: int) -> int | None:
+        """Return the frame at the time of a frame of the first run; None after its end."""
+        return int(self._index[index]) if self._index[index] >= 0 else None
+
+    def show(self, index: int, farthest: float) -> None:
+        """Show the frame at the time of a frame of the first run; red is ``farthest`` [m]."""
+        at = self.index(index)
+        if at is None:
+            return
+        places = [x + self.offset for x in self.track.frame(at)]
+        for mesh, x in zip(self._meshes, places):
+            mesh.vertices = x
+        self._points.points = np.concatenate(places)
+        self._points.colors = ramp(self.distances[index] / farthest)
+
+
+class RecordedView:
+    """
+    The page of one or more runs.
+
+    Parameters
+    ----------
+    server : viser server
+    tracks : runs of the same cloths; the first is the one that the others are compared with
+    entries : colliders of the scene, which have shapes
+    names : texts below the cloths, by run; empty for none
+
+    """
+
+    def __init__(self, server, tracks: Sequence[Track], entries: Mapping[str, Any],
+                 names: Sequence[str] = ()):
+        self._server, self._track, self._entries = server, tracks[0], entries
+        sheets = self._track.sheets()
+        size = float(np.ptp(np.concatenate(self._track.frame(0)), axis=0).max()) or 1.0
+        self._beside = [Beside(server, k, track, tracks[0], size)
+                        for k, track in enumerate(tracks[1:], 1)]
+        self._farthest = max((each.farthest for each in self._beside), default=1.0)
+        self.stage = Stage(server, sheets, self._track.frame(0), self._seen())
         server.on_client_connect(self.stage.aim)
+        for k, name in enumerate(names):
+            x = np.concatenate(self._track.frame(0))
+            foot = np.array([x[:, 0].mean(), x[:, 1].min(),
+                             self._seen()[:, 2].min() - 0.1 * size])
+            server.scene.add_label(f'/names/{k}', name, anchor='top-center', position=tuple(
+                foot + (self._beside[k - 1].offset if k else 0.0)))
+        self._labels = [name.split('\n')[0] for name in names] or [
+            'first', *(f'run {k}' for k in range(2, len(tracks) + 1))]
         self.playing = True
         self._index = 0
-        if beside is not None:
-            self._add_beside(beside)
         gui = server.gui
         self._figures = gui.add_markdown('')
-        self._slider = gui.add_slider('Frame', 0, max(1, len(track.times) - 1), 1, 0)
-        self._slider.on_update(lambda event: self._seek(event))
+        self._slider = gui.add_slider('Frame', 0, max(1, len(self._track.times) - 1), 1, 0)
+        self._slider.on_update(self._seek)
         self._play = gui.add_button('Pause')
         self._play.on_click(lambda _: self._toggle())
         self._speed = gui.add_dropdown('Speed', SPEEDS, initial_value='1')
         self._loop = gui.add_checkbox('Loop', True)
-        strain = gui.add_checkbox('Strain', False, hint='relative to the first frame')
-        strain.on_update(lambda _: setattr(self.stage, 'strain', strain.value))
-        self._plot()
+        add_colour_menu(gui, self.stage, ('none', 'strain'))
+        self._plot(sheets)
         self.show(0)
 
-    def _add_beside(self, beside: Track) -> None:
-        if list(beside.states.particles.items()) != list(self._track.states.particles.items()):
-            raise InputError(f'--beside: {beside.states.path}: has other cloths than '
-                             f'{self._track.states.path}')
-        frames = min(len(beside.times), len(self._track.times))
-        self._distances = [
-            np.concatenate([np.linalg.norm(a - b, axis=1) for a, b in zip(
-                self._track.frame(k), beside.frame(k))]) for k in range(frames)]
-        self._farthest = max(float(each.max()) for each in self._distances) or 1.0
-        self._offset = np.array([APART * self.stage.size, 0.0, 0.0], np.float32)
-        self._points = self._server.scene.add_point_cloud(
-            '/beside', self._beside_points(0), self._beside_colours(0), precision='float32',
-            point_size=0.012 * self.stage.size, point_shape='circle')
+    def _seen(self) -> np.ndarray:
+        """Return the points that all runs reach, as seen by the camera."""
+        def corners(track: Track, offset) -> list[np.ndarray]:
+            step = max(1, len(track.times) // SAMPLES)
+            found = []
+            for x in track.positions.values():
+                places = x[::step].reshape(-1, 3)
+                places = places[np.isfinite(places).all(axis=1)]
+                found += [places.min(axis=0) + offset, places.max(axis=0) + offset]
+            return found
+        return np.array([*corners(self._track, 0.0), *(
+            place for each in self._beside for place in corners(each.track, each.offset))])
 
-    def _beside_points(self, index: int) -> np.ndarray:
-        assert self._beside is not None
-        return np.concatenate(self._beside.frame(index)) + self._offset
-
-    def _beside_colours(self, index: int) -> np.ndarray:
-        share = self._distances[index][:, None] / self._farthest
-        return (NEAR + share * (FAR - NEAR)).astype(np.uint8)
-
-    def _plot(self) -> None:
-        """Plot the forces on the pins and colliders, and the distance to the second log."""
-        names = list(dict.fromkeys(body.name for frame in (*self._track.pins,
-                                                           *self._track.colliders)
-                                   for body in frame))
-        forces = {name: np.zeros(len(self._track.times)) for name in names}
-        for k, bodies in enumerate(zip(self._track.pins, self._track.colliders)):
-            for body in (*bodies[0], *bodies[1]):
+    def _plot(self, sheets: Sequence[Sheet]) -> None:
+        """Plot distances to the first run, forces on pins and colliders, and strains."""
+        labels = self._labels
+        if self._beside:
+            self._chart(f'distance to the {self._labels[0]} [mm]', {
+                label: np.array([1e3 * d.max() if len(d) else np.nan for d in each.distances])
+                for label, each in zip(labels[1:], self._beside)})
+        bodies = [[*pins, *colliders] for pins, colliders in zip(self._track.pins,
+                                                                 self._track.colliders)]
+        forces = {body.name: np.zeros(len(bodies)) for frame in bodies for body in frame}
+        for k, frame in enumerate(bodies):
+            for body in frame:
                 forces[body.name][k] = np.linalg.norm(body.force)
-        lines = {f'{name} [N]': values for name, values in forces.items() if values.any()}
-        if self._beside is not None:
-            apart = np.full(len(self._track.times), np.nan)
-            apart[:len(self._distances)] = [1e3 * each.max() for each in self._distances]
-            self._server.gui.add_markdown('distance of the logs [mm]')
-            self._chart({'largest': apart})
-        if lines:
-            self._server.gui.add_markdown('force of the cloth')
-            self._chart(lines)
+        self._chart('force of the cloth', {f'{name} [N]': values
+                                           for name, values in forces.items() if values.any()})
+        strains = {labels[0]: 100.0 * self._track.strains(sheets)}
+        for label, each in zip(labels[1:], self._beside):
+            own = 100.0 * each.track.strains(sheets)
+            strains[label] = np.array([np.nan if at is None else own[at] for at in map(
+                each.index, range(len(self._track.times)))])
+        self._chart('largest strain [%]', strains)
 
-    def _chart(self, lines: dict[str, np.ndarray]) -> None:
-        colours = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c')
+    def _chart(self, title: str, lines: Mapping[str, np.ndarray]) -> None:
+        """Add a plot of lines against the time, unless there are none."""
+        if not lines:
+            return
+        self._server.gui.add_markdown(title)
         self._server.gui.add_uplot(
-            (self._track.times, *lines.values()),
-            ({'label': 'time [s]'}, *({'label': name, 'stroke': colours[k % len(colours)],
+            (self._track.times, *(np.asarray(values, float) for values in lines.values())),
+            ({'label': 'time [s]'}, *({'label': name, 'stroke': LINES[k % len(LINES)],
                                        'width': 1.5} for k, name in enumerate(lines))),
             aspect=1.6, scales={'x': {'time': False}})
 
@@ -155,26 +258,38 @@ class RecordedView:
         self._index, track = index, self._track
         with self._server.atomic():
             self.stage.show(track.frame(index))
-            self.stage.show_forces({body.name: (body.position, body.force)
-                                    for body in (*track.pins[index], *track.colliders[index])
-                                    if any(body.force)})
+            forces: dict[str, Arrow] = {
+                f'pins/{body.name}': (body.position, body.force)
+                for body in track.pins[index] if any(body.force)}
             for body in track.colliders[index]:
-                if body.name in self._entries:
-                    self.stage.show_body(body.name, SimpleNamespace(
-                        entry=self._entries[body.name],
-                        pose=Pose(body.position, body.orientation)))
-            if self._beside is not None and index < len(self._distances):
-                self._points.points = self._beside_points(index)
-                self._points.colors = self._beside_colours(index)
-        rows = [f'**{track.times[index]:.2f} s**, frame {track.states.frames[index]} of '
-                f'{track.states.frames[-1]}']
-        if self._beside is not None and index < len(self._distances):
-            rows.append(f'distance {1e3 * self._distances[index].max():.3g} mm at most')
+                if any(body.force):
+                    forces[f'colliders/{body.name}'] = line_of_action(
+                        body.position, body.force, body.torque), body.force
+            self.stage.show_forces(forces)
+            self._show_bodies(track.colliders[index], '', 0.0)
+            for k, each in enumerate(self._beside, 1):
+                each.show(index, self._farthest)
+                at = each.index(index)
+                if at is not None:
+                    self._show_bodies(each.track.colliders[at], f'beside_{k}/', each.offset)
+        rows = [f'**{track.times[index]:.2f} s**, frame {track.frames[index]} of '
+                f'{track.frames[-1]}']
+        rows += [f'distance {1e3 * each.distances[index].max():.3g} mm at most: {label}'
+                 for label, each in zip(self._labels[1:], self._beside)
+                 if len(each.distances[index])]
         self._figures.content = '  \n'.join(rows)
 
+    def _show_bodies(self, bodies: Sequence[Body], prefix: str, offset) -> None:
+        """Show colliders; planes only for the first run, as they reach everywhere."""
+        for body in bodies:
+            entry = self._entries.get(body.name)
+            if entry is not None and not (prefix and entry.shape == 'plane'):
+                x, y, z = map(float, np.add(body.position, offset))
+                self.stage.show_body(prefix + body.name, entry, Pose((x, y, z), body.orientation))
+
     def _seek(self, event) -> None:
-        if event.client is not None:    # the user's hand, not the playback
-            self.show(int(self._slider.value))
+        if by_hand(event):    # and not by the playback
+            self.show(min(int(self._slider.value), len(self._track.times) - 1))
 
     def _toggle(self) -> None:
         self.playing = not self.playing
@@ -201,6 +316,7 @@ class RecordedView:
 
     def as_html(self, *, rate: float = 30.0) -> str:
         """Return a page that plays without a server, with ``rate`` pictures a second."""
+        self.stage.aim_all(panel=False)
         serializer = self._server.get_scene_serializer()
         times = self._track.times
         for now_s in np.arange(times[0], times[-1] + 1e-9, 1.0 / rate):
