@@ -12,8 +12,8 @@ from support.tiers import slow
 
 DURATION = '0.2'
 """of each run [s]"""
-QUICK = 'grip'
-"""a scene with contact, friction and pads, which quick tests compile anyway"""
+QUICK = 'sheet'
+"""the scene of the quick tier, whose kernels compile fast"""
 
 
 def verb(*words: str, bits: str | None = None) -> dict:
