@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 import copy
 from dataclasses import dataclass
 from fractions import Fraction
-import hashlib
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
+from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
@@ -136,6 +136,7 @@ class Simulation:
             self._guard.compile()
         self._last.look()
         self.frame()
+        self.hash()
         for built in self.effects.values():
             built.compile(self.state)
 
@@ -357,12 +358,10 @@ class Simulation:
 
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
-        digest = hashlib.blake2b(digest_size=8)
         state = self.state
         fresh = [] if state.history is None else [state.history.fresh]
-        for array in (state.x, state.v, state.inv_mass, *history_arrays(state), *fresh):
-            digest.update(np.ascontiguousarray(array[..., self.slot]).data)
-        return int.from_bytes(digest.digest(), 'little')
+        return hashed([state.x, state.v, state.inv_mass, *history_arrays(state), *fresh],
+                      self.slot)
 
     def stats(self) -> dict[str, float]:
         """Return the effects' statistics of the last frame, by name."""
