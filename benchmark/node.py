@@ -5,15 +5,14 @@ Cost of the node beside the physics, and how regular its clouds are.
     python benchmark/node.py --seconds 20 --json figures.json
     python benchmark/node.py --idle                without subscribers and without a log
 
-Four processes run on a private ROS domain on loopback. The node steps a hanging cloth with contact and
-records it. A listener subscribes to the clouds and to the markers, and takes all that has arrived 30
-times a second. A bare node has one timer of the frame's period. ``node``, ``physics`` and the rest are
-processor time over wall time; physics is the processor time inside ``Simulation.step``. Markers and
-the log count for the node, DDS included.
+Four processes run on a private ROS domain on loopback. The node steps a hanging cloth with contact
+and records it. A listener subscribes to the clouds and the markers, and takes all that has arrived
+30 times a second. A bare node has one timer of the frame's period. Shares are processor time over
+wall time: of the node with all its threads, of the physics (``Simulation.step``), of the estimates
+of its error, and of the overhead, the rest. DDS, markers and log are overhead.
 
-Jitter is the distance of a moment from a steady grid of the frame's period that fits all moments best
-(median of the distances 0): of the publication of each cloud (DDS source time), of the end of each
-step, and of each call of the bare timer. The share of the last is the machine's.
+Jitter is |interval - period|: of the publications of the clouds (DDS source time), of the ends of
+the steps, and of the calls of the bare timer, which is the machine's.
 """
 
 import argparse
@@ -133,11 +132,8 @@ def figures(found: dict, here: dict, arguments) -> dict:
 
 
 def jitter(moments, period: float) -> dict[str, float]:
-    """Return percentiles of the distance of moments [s] from a steady grid [ms]."""
-    moments = np.array(moments)
-    steps = np.round(np.diff(moments) / period)
-    late = moments - moments[0] - np.concatenate([[0.0], np.cumsum(steps)]) * period
-    return percentiles(1e3 * np.abs(late - np.median(late)))
+    """Return percentiles of |interval - period| [ms]."""
+    return percentiles(1e3 * np.abs(np.diff(moments) - period))
 
 
 def percentiles(values: np.ndarray) -> dict[str, float]:
@@ -185,11 +181,12 @@ def threads_s() -> dict[str, float]:
 def run_node(rest: list[str]) -> int:
     """Run the node for some seconds, with the physics timed."""
     import rclpy
+
     from xpbd_ros.ros.cloth_node import ClothNode
     from xpbd_ros.ros.process import run
     from xpbd_ros.sim.simulation import Simulation
     file, seconds, *words = rest
-    begun, physics, ends, walls = [], [], [], []
+    physics, ends, walls = [], [], []
     step = Simulation.step
 
     def timed(simulation, *arguments, **options):

@@ -298,12 +298,14 @@ class ClothNode(LifecycleNode):
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
-        due = frame.index % self.publish_every == 0
-        encoded = self.outputs.frame(frame, stamp_ns) if due else {}
+        due, encoded, heard = frame.index % self.publish_every == 0, {}, set()
         if due:
+            heard.update(filter(self.topics.is_heard, self.outputs.of_frames))
+            encoded = self.outputs.frame(frame, stamp_ns, heard if self.recorder is None else None)
             self._publish(self.outputs.wrenches(frame, stamp_ns, self.topics.is_heard))
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
+            heard.add('scene')
             encoded['scene'] = self._changed(keys)
             frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
                                          self.simulation.solver.substeps)
@@ -312,7 +314,7 @@ class ClothNode(LifecycleNode):
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
             self.topics.publish('/clock', clock)
-        self._publish(encoded)
+        self._publish({topic: data for topic, data in encoded.items() if topic in heard})
         if self.recorder is not None:
             try:
                 self.recorder.frame(frame, encoded, stamp_ns)
@@ -361,7 +363,9 @@ class ClothNode(LifecycleNode):
             self.interaction.publish()
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + 1.0
-            self.topics.publish('/diagnostics', self.status.message())
+            status = self.status.look(heard=self.topics.is_heard('/diagnostics'))
+            if status is not None:
+                self.topics.publish('/diagnostics', status)
 
     def _publish(self, encoded: dict[str, bytes]) -> None:
         assert self.topics is not None

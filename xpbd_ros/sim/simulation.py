@@ -112,7 +112,10 @@ class Simulation:
 
     def time_ns(self, index: int) -> int:
         """Return the simulation time of a frame [ns]."""
-        return round(index * self._frame_ns)
+        frame_ns = self._frame_ns
+        whole, rest = divmod(index * frame_ns.numerator, frame_ns.denominator)
+        twice = 2 * rest - frame_ns.denominator
+        return whole + (twice > 0 or twice == 0 and whole % 2)    # as round(), 20 times faster
 
     def _collect(self) -> None:
         """Build the tuple of all effects' data that the kernels take."""
