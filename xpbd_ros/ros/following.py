@@ -11,7 +11,7 @@ from xpbd_ros.ros.frame_follower import FrameFollower, PoseSource
 from xpbd_ros.ros.frame_inputs import FrameInputs
 from xpbd_ros.scene.frames import followers
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.commands import Reset
+from xpbd_ros.sim.commands import Grasp, Reset
 from xpbd_ros.sim.simulation import Simulation
 
 DEPTH = 50
@@ -35,7 +35,7 @@ class Following:
     """
 
     def __init__(self, node, scene: Scene, simulation: Simulation, take: Callable):
-        self._node = node
+        self._node, self._simulation = node, simulation
         self._frame_id = scene.top.frame_id
         self.inputs = FrameInputs(node, self._frame_id, take, node.command_queue.refuse)
         self._joint_states: dict = {}    # by topic
@@ -103,8 +103,14 @@ class Following:
             raise InputError(f'{path}: {error}') from None
 
     def commands(self, groups: Sequence[tuple]) -> list[tuple]:
-        """Return the commands of followers before a frame, to act after the ``groups``."""
-        reset = any(isinstance(command, Reset) for group in groups for command in group)
+        """
+        Return the commands of followers before a frame, to act after the ``groups``.
+
+        Commands that services have applied since the last frame count like those of the groups.
+        """
+        before = [*self._simulation.pending, *(each for group in groups for each in group)]
+        reset = any(isinstance(command, Reset) for command in before)
+        grasped = {command.pin for command in before if isinstance(command, Grasp)}
         found: list[tuple] = []
         acting: list[str] = []
         for pin, gripper in self._grippers:
@@ -114,7 +120,7 @@ class Following:
                 acting.append(pin)
             if gripper.open:
                 self._follower.let_go(pin)
-        return found + self._follower.commands(reset=reset, without=acting)
+        return found + self._follower.commands(reset=reset, without=acting, grasped=grasped)
 
     @property
     def finding(self) -> str:

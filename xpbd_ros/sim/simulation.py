@@ -193,9 +193,9 @@ class Simulation:
         return refused
 
     @property
-    def has_pending(self) -> bool:
-        """True if commands were applied since the last frame."""
-        return bool(self._pending)
+    def pending(self) -> tuple[Command, ...]:
+        """Commands that were applied since the last frame."""
+        return tuple(self._pending)
 
     def _clock(self) -> Clock:
         """Return the next frame as the effects see it: after a load, at the time of the save."""
