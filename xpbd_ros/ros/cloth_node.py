@@ -106,7 +106,7 @@ class ClothNode(LifecycleNode):
         overrides = settings_overrides(self.value('settings')) if self.value('settings') else {}
         if self.value('frame_id'):
             overrides['frame_id'] = self.value('frame_id')
-        scene = load_scene(self.value('scene'), overrides)
+        scene = load_scene(self.value('scene'), overrides, self._description_on)
         simulation = compile_scene(scene)
         live = scene_parameters(scene, simulation.solver.substeps)
         changed = self.live_parameters.declare(live)
@@ -146,6 +146,12 @@ class ClothNode(LifecycleNode):
         self._substeps = simulation.solver.substeps
         for text in self.live_parameters.unknown():
             log.warning(text)
+
+    def _description_on(self, topic: str) -> str:
+        """Return the description of a robot on a topic."""
+        from xpbd_ros.ros.robots import description_on
+        self.get_logger().info(f'waiting for {self.resolve_topic_name(topic)}')
+        return description_on(self, topic)
 
     def _max_entries(self) -> int:
         """Return the most entries of an array message: delete all, then delete and add each."""
@@ -335,8 +341,9 @@ class ClothNode(LifecycleNode):
         """
         assert self.simulation is not None
         solver = self.simulation.solver
-        self.scene = scene_from_mapping(self.scene.raw, where=self.scene.where,
-                                        name=self.scene.name, overrides=keys)
+        changed = scene_from_mapping(self.scene.raw, where=self.scene.where,
+                                     name=self.scene.name, overrides=keys)
+        self.scene = replace(changed, robots=self.scene.robots)
         if self.value('solver.substeps') != solver.substeps:
             self.set_parameters([Parameter('solver.substeps', value=solver.substeps)])
         self.get_logger().info(f'now: {solver.reason}')
@@ -392,7 +399,7 @@ class ClothNode(LifecycleNode):
             split_duration=round(1e9 * self.value('record.split_duration')),
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')},
-            files=as_attachments(self.scene.raw))
+            files=as_attachments(self.scene))
         self._recorded.add(folder.absolute())
         self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')
