@@ -72,12 +72,19 @@ def forget_multistep(multistep: Multistep) -> None:
 @jit
 def spread_impulses(contacts, state, substep):
     """Add -R to each collider's sum, after ``add_impulses``."""
-    if state.history is not None:
-        _spread(state.history, contacts, state, substep.h)
+    _spread(state.history, contacts, state, substep.h)
 
 
 @jit
 def _spread(history, contacts, state, h):
+    if history is None:
+        return
+    else:    # Numba prunes the branch that is not taken
+        _spread_all(history, contacts, state, h)
+
+
+@jit
+def _spread_all(history, contacts, state, h):
     spread, colliders = contacts.wrenches.multistep, contacts.colliders.count[0]
     total = contacts.wrenches.impulse
     for c in range(colliders):
@@ -148,13 +155,15 @@ def _add(history, contacts, spread, state, i, new, h):
         _put(contacts, spread.forces, c, k, i, state, own)
         if new:
             _put(contacts, spread.now, c, k, i, state, part)
-            _put(contacts, spread.ended[1], c, k, i, state, -_before(history, m, i, k, fall))
+            _put(contacts, spread.ended[1], c, k, i, state,
+                 -_before(history.older_v, history, m, i, k, fall))
         else:
             _put(contacts, spread.forces, c, k, i, state,
                  m * (free - state.v[k, i]) / ratio)
         if fresh == FULL:
             _put(contacts, spread.ended[0], c, k, i, state, part)
-            _put(contacts, spread.ended[1], c, k, i, state, _before(history, m, i, k, fall))
+            _put(contacts, spread.ended[1], c, k, i, state,
+                 _before(history.older_v, history, m, i, k, fall))
     return fresh != FULL
 
 
@@ -185,9 +194,8 @@ def _gone(history, i, k, start, a, b):
 
 
 @jit(inline=True)
-def _before(history, m, i, k, fall):
+def _before(older, history, m, i, k, fall):
     """Return m (v_n - v_{n-1} - g h) along axis k; with BDF2, which needs none, 0 [N s]."""
-    older = history.older_v
     if older is None:
         return 0.0
     else:    # Numba prunes the branch that is not taken
