@@ -94,14 +94,31 @@ def _spread_all(history, contacts, state, h):
             spread.now[c, k] = spread.ended[0, c, k] = spread.ended[1, c, k] = 0.0
     known = spread.count[0]
     _mark(history, contacts, spread)
-    kept = 0
+    x, before, v, after = state.x, state.x_prev, history.v, contacts.after
+    per, (gx, gy, gz) = 1.0 / h, (h * state.gravity[0], h * state.gravity[1], h * state.gravity[2])
+    kept, c, fx, fy, fz, tx, ty, tz = 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for n in range(spread.count[0]):
         i = spread.particle[n]
-        if _add(history, contacts, spread, state, i, n >= known, h):
-            spread.particle[kept] = i
-            kept += 1
-        else:
+        if history.fresh[i] >= TOUCHED + NONE and state.inv_mass[i] > 0.0:
+            # in contact, and without a history before: most particles, summed up in registers
+            if spread.owner[i] != c:
+                _put_sums(spread, c, fx, fy, fz, tx, ty, tz)
+                c, fx, fy, fz, tx, ty, tz = spread.owner[i], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            m, a, b, d = state.mass[i], x[0, i], x[1, i], x[2, i]
+            px = m * ((a - before[0, i]) * per - v[0, i] - gx)
+            py = m * ((b - before[1, i]) * per - v[1, i] - gy)
+            pz = m * ((d - before[2, i]) * per - v[2, i] - gz)
+            rx, ry, rz = a - after[c, 0], b - after[c, 1], d - after[c, 2]
+            fx, fy, fz = fx + px, fy + py, fz + pz
+            tx += ry * pz - rz * py
+            ty += rz * px - rx * pz
+            tz += rx * py - ry * px
+        elif not _add(history, contacts, spread, state, i, n >= known, h):
             spread.owner[i] = FREE
+            continue
+        spread.particle[kept] = i
+        kept += 1
+    _put_sums(spread, c, fx, fy, fz, tx, ty, tz)
     spread.count[0] = kept
     share, a, b = usual_weights(history)
     for c in range(colliders):
@@ -112,6 +129,14 @@ def _spread_all(history, contacts, state, h):
             total[c, k] -= spread.change[c, k] - now
             spread.last[c, k] = now - spread.ended[0, c, k]
             spread.older[c, k] = last - spread.ended[1, c, k]
+
+
+@jit(inline=True)
+def _put_sums(spread, c, fx, fy, fz, tx, ty, tz):
+    """Add sums of m (v - v_n - g h) and of their moments to those of collider c."""
+    for k, part in enumerate((fx, fy, fz, tx, ty, tz)):
+        spread.forces[c, k] += part
+        spread.change[c, k] += part
 
 
 @jit
@@ -130,17 +155,10 @@ def _mark(history, contacts, spread):
 
 @jit
 def _add(history, contacts, spread, state, i, new, h):
-    """Add the part of marked particle i; return whether it stays marked."""
+    """Add the part of a marked particle whose contact begins or has ended; tell if it stays so."""
     if state.inv_mass[i] == 0.0:
         return False    # it is pinned now
     c, fresh, m = spread.owner[i], history.fresh[i], state.mass[i]
-    if fresh >= TOUCHED + NONE:    # in contact, and without a history before
-        for k in range(3):
-            v = (state.x[k, i] - state.x_prev[k, i]) / h
-            part = m * (v - history.v[k, i] - h * state.gravity[k])
-            _put(contacts, spread.forces, c, k, i, state, part)
-            _put(contacts, spread.change, c, k, i, state, part)
-        return True
     ratio, a, b = weights_before(history, i)
     for k in range(3):
         d, fall = _displacement(contacts, i, k), h * state.gravity[k]
