@@ -304,7 +304,9 @@ class ClothNode(LifecycleNode):
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
-        due, encoded, heard = frame.index % self.publish_every == 0, {}, set()
+        encoded: dict[str, bytes] = {}
+        heard: set[str] = set()
+        due = frame.index % self.publish_every == 0
         if due:
             heard.update(filter(self.topics.is_heard, self.outputs.of_frames))
             encoded = self.outputs.frame(frame, stamp_ns, heard if self.recorder is None else None)

@@ -148,7 +148,7 @@ class Surface:
         colours : r, g, b, a of all particles of the scene if coloured, shape (particles, 4)
 
         """
-        struct.pack_into('<iI', self._buffer, 8, *divmod(time_ns, 10**9))
+        struct.pack_into('<iI', self._buffer.data, 8, *divmod(time_ns, 10**9))
         if len(self._points):
             np.take(x, self._corners, axis=0, out=self._points, mode='clip')
         if colours is not None and len(self._colours):

@@ -58,8 +58,11 @@ class Multistep(NamedTuple):
 
 def new_multistep(capacity: int, slots: int) -> Multistep:
     """Return an empty list."""
+    def sums():
+        return np.zeros((capacity, 6))
+
     return Multistep(np.zeros(1, np.int64), np.zeros(slots, np.int64), np.full(slots, FREE),
-                     *(np.zeros((capacity, 6)) for _ in range(6)), np.zeros((2, capacity, 6)))
+                     sums(), sums(), sums(), sums(), sums(), sums(), np.zeros((2, capacity, 6)))
 
 
 def forget_multistep(multistep: Multistep) -> None:
