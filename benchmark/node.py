@@ -97,8 +97,12 @@ def measure(arguments) -> dict:
                  str(arguments.seconds), *more], env=environment)
         node = start('node', *words)
         others = [start('timer')] + ([] if quiet else [start('listener')])
-        if node.wait() or any(each.wait() for each in others):
-            raise InputError('a process of the measurement failed')
+        try:
+            if node.wait() or any(each.wait() for each in others):
+                raise InputError('a process of the measurement failed')
+        finally:
+            for each in (node, *others):
+                each.kill()
         found = {role: json.loads(file.read_text()) for role, file in files.items()
                  if file.exists()}
     return figures(found, here, arguments)
