@@ -13,7 +13,7 @@ from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose, Release, T
 R = 0.005
 BALL = {'sphere': {'radius': 0.15}, 'friction': 0.5}
 EXACT = 1e-9
-"""of the largest force, with backward Euler"""
+"""of the largest force"""
 
 
 def cloth(grid=(9, 8), size=(0.4, 0.35), *, damping=0.0, **options):
@@ -108,6 +108,14 @@ def test_impulses_add_up_to_the_momentum(name):
     assert found.worst() < EXACT
 
 
+@pytest.mark.parametrize('name', ['strike', 'drag'])
+def test_impulses_add_up_at_auto(name):
+    """Forces act on neighbours over several substeps, on a particle in contact in one."""
+    found = told(name, method='auto', integrator=None, substeps=None)
+    assert found.largest.max() > 0.1
+    assert found.worst() < 1e-4
+
+
 SLOW = [(setting, name) for setting in SETTINGS for name in STORIES
         if setting != ('gauss_seidel', 'backward_euler')]
 
@@ -115,14 +123,14 @@ SLOW = [(setting, name) for setting in SETTINGS for name in STORIES
 @pytest.mark.slow
 @pytest.mark.parametrize('setting, name', SLOW)
 def test_impulses_add_up_whatever_the_method(setting, name):
-    """Exactly with backward Euler; with a history within 2 % over 0.1 s, explicit within 1 %."""
+    """Within 0.1 % over 0.1 s, and 0.5 % in every frame; explicit within 1 % over 0.1 s."""
     method, integrator = setting
     explicit = method == 'explicit'
     found = told(name, method=method, integrator=integrator, substeps=64 if explicit else 8,
                  iterations=1 if explicit else 2)
-    assert found.worst(6) < (0.01 if explicit else 0.02)
-    if integrator == 'backward_euler':
-        assert found.worst() < 1e-3
+    assert found.worst(6) < (0.01 if explicit else 1e-3)
+    if not explicit:
+        assert found.worst() < (1e-3 if integrator == 'backward_euler' else 5e-3)
 
 
 @pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])

@@ -3,6 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 import re
+from types import SimpleNamespace
 
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Twist, Vector3, Vector3Stamped
 import numpy as np
@@ -12,6 +13,8 @@ import yaml
 
 from support.node import pin, pose_stamped, targets, TOWEL
 from xpbd_ros.errors import InputError
+from xpbd_ros.ros.clouds import cloud_of, points_of
+from xpbd_ros.ros.following import Following
 from xpbd_ros.ros.frame_follower import FrameFollower
 from xpbd_ros.ros.frame_inputs import FrameInputs, NotYet, to_scene_frame
 from xpbd_ros.scene.compile import compile_scene
@@ -25,6 +28,7 @@ from xpbd_ros.sim.commands import (
     Release,
     RemoveCollider,
     Reset,
+    Twist as Velocity,
 )
 from xpbd_ros.sim.geometry.pose import compose
 
@@ -161,6 +165,49 @@ def test_silence_releases_a_pin_and_holds_a_collider_until_the_frame_is_back():
     assert follow.follower.finding == ''
 
 
+def test_a_released_pin_still_follows_and_grasps_where_its_frame_is():
+    follow = Follow(tool=(0, Pose((0.0, 0.0, 1.0))), hand=(10**9, Pose(CORNER)))
+    follow.step()
+    follow.step(Release('hand'))
+    there = 0.2, -0.2, 0.004    # another corner
+    follow.tell(hand=there)
+    assert kinds(follow.step()) == [MovePin]
+    for _ in range(10):
+        frame = follow.step()
+    assert frame.pins == {}
+    pin = follow.simulation.effects['pin']
+    assert pin.pose('hand').position == pytest.approx(there)
+    frame = follow.step(Grasp('hand', pin.pose('hand'), 0.02))
+    assert frame.pins['hand'].particles.tolist() == [8]
+
+
+def test_a_grasp_between_frames_follows_in_the_next_one(monkeypatch):
+    """A service grasps somewhere else; its TF frame, whose pose is not new, draws the pin."""
+    given = Given(tool=(0, Pose((0.0, 0.0, 1.0))), hand=(0, Pose(CORNER)))
+    monkeypatch.setattr(FrameInputs, 'transforms', lambda self: given)
+    scene = scene_from_text(SCENE, where='scene.yaml', name='scene')
+    simulation = compile_scene(scene)
+    silent = SimpleNamespace(info=None, warning=None)
+    node = SimpleNamespace(command_queue=SimpleNamespace(refuse=None), pace=lambda: (lambda: 0,),
+                           get_logger=lambda: silent)
+    following = Following(node, scene, simulation, None)
+
+    def step(*groups) -> list[type]:
+        frame = simulation.step([*groups, *following.commands(groups)])
+        assert not frame.refused
+        return kinds(frame)
+    assert step() == [MovePin, MoveCollider]
+    assert step((Release('hand'),)) == [Release]
+    grasp = Grasp('hand', Pose((-0.15, -0.2, 0.004)), 0.06)
+    assert not simulation.apply([grasp])
+    assert step() == [Grasp, MovePin]
+    assert step() == []
+    assert simulation.effects['pin'].pose('hand').position == pytest.approx(CORNER)
+    assert step((Release('hand'),), (grasp,)) == [Release, Grasp, MovePin], 'by a topic'
+    assert not simulation.apply([Reset()])
+    assert step() == [Reset, MovePin, MoveCollider]
+
+
 def test_a_static_frame_is_never_silent():
     follow = Follow(tool=(0, Pose((0.0, 0.0, 1.0))), hand=(0, Pose(CORNER)))
     assert kinds(follow.step()) == [MovePin, MoveCollider]
@@ -288,9 +335,12 @@ def test_messages_in_another_frame_are_transformed():
     def lookup(frame, stamp_ns, what):
         asked.append((frame, stamp_ns, what))
         return TURNED
+
+    def still(frame, stamp_ns, what):
+        return Velocity()
     message = targets(frame_id='tool', stamp=7, a=(1.0, 0.0, 0.0))
     message.twist = [Twist(linear=Vector3(x=2.0))]
-    to_scene_frame(message, 'world', lookup)
+    to_scene_frame(message, 'world', lookup, still)
     t = message.transforms[0].translation
     assert (t.x, t.y, t.z) == pytest.approx((1.0, 3.0, 3.0))
     assert message.twist[0].linear.y == pytest.approx(2.0)
@@ -298,28 +348,89 @@ def test_messages_in_another_frame_are_transformed():
     assert asked == [('tool', 7, 'header')]
 
     pose: PoseStamped = pose_stamped((1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 2.0), 'tool')
-    to_scene_frame(pose, 'world', lookup)
+    to_scene_frame(pose, 'world', lookup, still)
     assert pose.pose.position.y == pytest.approx(3.0)
     assert pose.pose.orientation.w == pytest.approx(2.0 * HALF), 'refused later, as it came'
 
     wind = Vector3Stamped(vector=Vector3(x=1.0))
     wind.header.frame_id = 'tool'
-    to_scene_frame(wind, 'world', lookup)
+    to_scene_frame(wind, 'world', lookup, still)
     assert (wind.vector.x, wind.vector.y) == pytest.approx((0.0, 1.0))
 
     click = PointStamped(point=Point(x=1.0))
     click.header.frame_id = 'tool'
-    to_scene_frame(click, 'world', lookup)
+    to_scene_frame(click, 'world', lookup, still)
     assert click.point.y == pytest.approx(3.0)
+
+    cloud = cloud_of([1.0, 0.0, 0.0, np.nan, np.nan, np.nan, 0.0, 1.0, 0.5], 'tool', 7)
+    cloud.width, cloud.height, cloud.row_step = 1, 3, 24
+    to_scene_frame(cloud, 'world', lookup, still)
+    assert points_of(cloud)[:, 0] == pytest.approx(np.array(
+        [[1.0, 3.0, 3.0], [np.nan] * 3, [0.0, 2.0, 3.5]]), nan_ok=True)
+    assert (cloud.header.frame_id, cloud.header.stamp.nanosec) == ('world', 7)
 
     asked.clear()
     marks = MarkerArray(markers=[pin('here', (1.0, 0.0, 0.0)),
                                  pin('there', (1.0, 0.0, 0.0), frame_id='tool'),
                                  pin('gone', frame_id='tool', action=Marker.DELETE)])
-    to_scene_frame(marks, 'world', lookup)
+    to_scene_frame(marks, 'world', lookup, still)
     assert [m.pose.position.y for m in marks.markers] == pytest.approx([0.0, 3.0, 0.0])
     assert [m.header.frame_id for m in marks.markers] == ['world'] * 3
     assert asked == [('tool', 0, 'marker there/0')]
+
+
+class Turntable(Given):
+    """A frame ``tool`` that turns about z at 2 rad/s and travels along x at 0.5 m/s."""
+
+    def __init__(self, latest_ns: int = 10**9):
+        self.now_ns, self.first_ns = latest_ns, 0
+        self.is_static = False
+
+    def latest_ns(self, frame: str, source: str) -> int:
+        """Return the stamp of the latest pose."""
+        return 0 if self.is_static else self.now_ns
+
+    def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
+        """Return the pose at a time; refuse times without one."""
+        t = 1e-9 * (stamp_ns or self.now_ns)
+        if not self.first_ns <= (stamp_ns or self.now_ns) <= self.now_ns:
+            raise InputError('extrapolation')
+        return Pose((0.5 * t, 0.0, 1.0), (0.0, 0.0, float(np.sin(t)), float(np.cos(t))))
+
+
+@pytest.mark.parametrize('stamp_ns', [9 * 10**8, 0])
+def test_a_twist_in_a_frame_that_moves_gets_its_velocity_too(stamp_ns):
+    """As the derivative of the transformed position and orientation says."""
+    taken, refused = [], []
+
+    def take(topic, raw, kind, read):
+        try:
+            read(raw())
+        except InputError as error:
+            refused.append(str(error))
+    inputs = FrameInputs(Clockwork(), 'world', take, lambda topic, reason: None)
+    inputs._transforms = table = Turntable()
+
+    def say(twist: Twist, stamp_ns: int) -> None:
+        inputs.take('a', lambda: targets(frame_id='tool', stamp=stamp_ns, twist=twist,
+                                         a=(0.3, 0.1, 0.0)), None, taken.append)
+    say(Twist(linear=Vector3(y=0.2), angular=Vector3(x=1.0)), stamp_ns)
+    t = 1e-9 * (stamp_ns or table.now_ns)
+    c, s = np.cos(2.0 * t), np.sin(2.0 * t)
+    x, y = c * 0.3 - s * 0.1, s * 0.3 + c * 0.1
+    found = taken[0].twist[0]
+    assert (found.linear.x, found.linear.y, found.linear.z) == pytest.approx(
+        (0.5 - 2.0 * y - s * 0.2, 2.0 * x + c * 0.2, 0.0), abs=1e-9)
+    assert (found.angular.x, found.angular.y, found.angular.z) == pytest.approx(
+        (c, s, 2.0), abs=1e-9)
+    table.first_ns = 895 * 10**6
+    table.now_ns = 9 * 10**8
+    say(Twist(), 9 * 10**8)
+    assert refused == ["header: twist: TF frame 'tool' is not the scene's 'world'; extrapolation"]
+    table.is_static = True
+    say(Twist(linear=Vector3(x=2.0)), 9 * 10**8)
+    found = taken[1].twist[0].linear
+    assert (found.x, found.y) == pytest.approx((2.0 * np.cos(1.8), 2.0 * np.sin(1.8)))
 
 
 class Clockwork:

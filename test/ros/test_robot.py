@@ -2,6 +2,7 @@
 
 from importlib.util import find_spec
 import json
+from pathlib import Path
 import subprocess
 import sys
 
@@ -9,9 +10,11 @@ from geometry_msgs.msg import TransformStamped
 import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from support.logs import recorded_inputs
-from support.node import child_environment, Cloth, points, transform
+from support.node import child_environment, Cloth, LATCHED, points, transform
+from xpbd_ros.log.reader import LogReader
 from xpbd_ros.scene.urdf import Description
 from xpbd_ros.share import share_folder
 
@@ -87,3 +90,35 @@ def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path, foll
     numbers = json.loads(done.stdout)
     assert numbers['commands']['identical']
     assert any('arm_palm (palm)' in note for note in numbers['notes'])
+
+
+@pytest.mark.parametrize('sent', [True, False])
+def test_a_description_on_a_topic_is_read_once_and_kept_in_the_log(start, peer, tmp_path, sent):
+    """As robot_state_publisher latches it; without one the node says so and ends."""
+    text = (ROBOTS / 'two_finger.urdf').read_text()
+    scene, run = tmp_path / 'robot.yaml', tmp_path / 'run'
+    scene.write_text((ROBOTS / 'robot.yaml').read_text().replace(
+        'two_finger.urdf', '/arm/robot_description'))
+    publisher = peer.node.create_publisher(String, '/arm/robot_description', LATCHED)
+    if sent:
+        publisher.publish(String(data=text))
+    node = start(scene=scene, record__path=str(run))
+    try:
+        if not sent:
+            said = node.wait_for('[ERROR]')
+            assert f'{scene}: robots.arm.description: no description on ' in said
+            assert '/arm/robot_description (std_msgs/String, transient local) in 10 s' in said
+            assert node.process.wait(60) == 2
+            return
+        node.wait_for('waiting for /arm/robot_description')
+        cloth = Cloth(peer, node)
+        assert cloth.status()['colliders'] == '4'
+        assert cloth.set(effects__contact__thickness=0.005) == (True, '')
+        assert cloth.record(False)[0]
+        assert cloth.record(True)[0], 'also after a live key changed the scene'
+        second = Path(cloth.record(False)[1])
+    finally:
+        peer.node.destroy_publisher(publisher)
+    assert node.end() == 0
+    for log in (run, second if second.is_absolute() else node.output.parent / second):
+        assert LogReader(log).attachments['robots.arm.description.urdf'] == text.encode()

@@ -1,9 +1,14 @@
 """What the node publishes: layout, stamps, quality of service, topics where called for."""
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 import pytest
+import rclpy
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
 from shape_msgs.msg import Mesh
@@ -13,9 +18,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 from support.meshes import disc, obj_text
 from support.node import Cloth, LATCHED, pin, points, stamp_ns, time_ns, TOWEL
 from support.scenes import simulate
-from xpbd_ros.ros.messages import collider_markers, pin_markers
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.node_stress.node import TIMEOUT
+from xpbd_ros.ros.cloth_node import ClothNode
+from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
+from xpbd_ros.sim.commands import Release
 
 SHEET = """
 cloths:
@@ -317,13 +326,35 @@ def test_diagnostics_say_how_it_is_doing(use):
 
 def test_markers_of_pins_wipe_what_was_there_and_name_each_once():
     """RViz wipes one namespace at a time, and takes a name that stands twice for a mistake."""
-    frame = simulate((3, 3), pins={'hand': {'cloth': 'c', 'at': 'corner_00'}}).step()
-    markers = pin_markers(frame, 'world', 0).markers
+    simulation = simulate((3, 3), pins={'hand': {'cloth': 'c', 'at': 'corner_00'}})
+    outputs = Outputs(simulation, 'world', '')
+    frame = simulation.step()
+    markers = drawn_markers(outputs, frame)
     wiped = {marker.ns for marker in markers if marker.action == Marker.DELETEALL}
     drawn = {marker.ns for marker in markers if marker.action == Marker.ADD}
     assert wiped == drawn == {'pins', 'forces'}
     assert len({(marker.ns, marker.id) for marker in markers}) == len(markers)
-    assert {m.ns for m in pin_markers(simulate((3, 3)).step(), 'world', 0).markers} == wiped
+    hand = frame.pins['hand']
+    ball, arrow = (marker for marker in markers if marker.action == Marker.ADD)
+    assert place(ball.pose.position) == place(arrow.points[0]) == hand.pose.position
+    assert place(arrow.points[1]) == tuple(np.add(hand.pose.position, 0.1 * hand.force))
+    assert {(m.header.frame_id, stamp_ns(m)) for m in markers} == {('world', NOW)}
+    markers = drawn_markers(outputs, simulation.step([Release('hand')]))
+    assert [(m.ns, m.action) for m in markers] == [(ns, Marker.DELETEALL)
+                                                   for ns in ('pins', 'forces')]
+
+
+NOW = 1_234_567_890
+
+
+def drawn_markers(outputs: Outputs, frame) -> list[Marker]:
+    """Return the markers of pins, or else of colliders."""
+    return deserialize_message(outputs.markers(frame, NOW)[1], MarkerArray).markers
+
+
+def place(point) -> tuple[float, float, float]:
+    """Return the coordinates of a point."""
+    return point.x, point.y, point.z
 
 
 def test_an_arrow_shows_where_and_how_the_cloth_pushes_each_collider():
@@ -331,8 +362,47 @@ def test_an_arrow_shows_where_and_how_the_cloth_pushes_each_collider():
     simulation = simulate((1, 1), pose={'position': [0.3, 0.2, 0.01]}, substeps=2, colliders={
         'floor': {'plane': {}}, 'far': {'sphere': {'radius': 0.1}, 'position': [5.0, 0.0, 0.0]}},
         scene_effects={'contact': {'thickness': 0.01}, 'friction': {}})
-    wiped, arrow = collider_markers(simulation.step(), 'world', 0).markers
+    wiped, arrow = drawn_markers(Outputs(simulation, 'world', ''), simulation.step())
     assert (wiped.action, wiped.ns, arrow.ns) == (Marker.DELETEALL, *['collider_forces'] * 2)
     start, tip = ([p.x, p.y, p.z] for p in arrow.points)
     assert start == pytest.approx([0.3, 0.2, 0.0], abs=1e-9)
     assert tip == pytest.approx([0.3, 0.2, -0.980665], abs=1e-9)
+
+
+def test_only_topics_with_listeners_are_serialized(own_domain, towel, tmp_path):
+    """A frame without listeners costs nothing to publish; a log has all topics."""
+    rclpy.init(args=['--ros-args', '-p', f'scene:={towel}', '-p', 'mode:=lockstep',
+                     '-r', '__ns:=/alone'])
+    node, listener = ClothNode(), rclpy.create_node('listener')
+    try:
+        assert node.trigger_configure() == node.trigger_activate() == (
+            TransitionCallbackReturn.SUCCESS)
+        serialize, built = node.outputs.frame, []
+
+        def noted(*arguments, **options):
+            found = serialize(*arguments, **options)
+            built.append(set(found))
+            return found
+        node.outputs.frame = noted
+
+        def step() -> set[str]:
+            node.stepper.ask(node.step).result(TIMEOUT)
+            return built.pop()
+        assert step() == set()
+        listener.create_subscription(PointCloud2, '/alone/cloth/particles', built.append, 5)
+        deadline = time.monotonic() + TIMEOUT
+        while not node.topics.is_heard('particles'):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert step() == {'particles'}
+        node.stepper.ask(lambda: node.start_recording(tmp_path / 'log')).result(TIMEOUT)
+        built.clear()
+        assert step() == {'particles', 'pin_states', 'collider_wrenches'}
+    finally:
+        node.close()
+        node.destroy_node()
+        listener.destroy_node()
+        rclpy.try_shutdown()
+    hashed = [m.frame for m in LogReader(tmp_path / 'log').messages({
+        '/alone/cloth/state_hash'})]
+    assert hashed == [2, 3]

@@ -136,8 +136,8 @@ def test_matrices_become_poses_for_any_turn():
 
 @pytest.mark.parametrize(('keys', 'reason'), [
     ('description: no.urdf', 'scene.yaml: robots.arm.description: no such file: '),
-    ('description: /robot_description', 'a topic cannot be read while a scene is loaded, so save '
-     'it: ros2 topic echo --once --field data /robot_description > robot.urdf'),
+    ('description: /robot_description', 'only the node reads a topic, so save it: '
+     'ros2 topic echo --once --field data /robot_description > robot.urdf'),
     ('description: r.urdf, links: [amr]', "robots.arm.links[0]: unknown link; did you mean 'arm'? "
      '(known: base, arm, jaw-1)'),
     ('description: r.urdf, links: [arm, base]', "robots.arm.links[1]: 'base' has no collision "

@@ -364,3 +364,11 @@ def test_results_do_not_depend_on_place_rotation_or_units():
 
 def test_a_scale_of_two_to_the_power_of_n_changes_no_bit():
     np.testing.assert_array_equal(hung(length=2.0**10, mass=2.0**-7), hung())
+
+
+def test_times_of_frames_are_exact_and_round_to_even():
+    """At 60 Hz, and at rates whose periods end in half a nanosecond."""
+    for rate in (60.0, 29.97, 1024.0):
+        simulation = simulate((2, 2), rate=rate)
+        for frame in (*range(7), 10**6 + 1, 10**9 + 1):
+            assert simulation.time_ns(frame) == round(frame * 10**9 / simulation.frame_rate)

@@ -127,9 +127,9 @@ def test_a_state_that_is_set_is_at_rest_and_pinned_particles_stay(integrator):
     x = simulation.frame().x
     assert x[0] == pytest.approx([0.0, 0.0, 0.1]), 'held by the pin'
     assert (x[1:, 2] == 0.6).all()
-    assert simulation.has_pending
+    assert simulation.pending
     assert simulation.step().applied == (SetState('c', high),)
-    assert not simulation.has_pending
+    assert not simulation.pending
 
 
 def test_states_that_fit_no_cloth_are_refused():
@@ -145,7 +145,7 @@ def test_states_that_fit_no_cloth_are_refused():
         (_, reason), = simulation.apply([command])
         assert text in reason
     assert simulation.hash() == before
-    assert not simulation.has_pending
+    assert not simulation.pending
 
 
 def test_contacts_are_sought_again_where_a_state_puts_the_cloth():

@@ -62,7 +62,7 @@ def recorded(scene, folder: Path, commands: dict, *, begin: int = 0, frames: int
     for index in range(frames + 1):
         if index == begin:
             recorder = Recorder(folder, outputs, epoch_ns=10**18,
-                                files=as_attachments(loaded.raw))
+                                files=as_attachments(loaded))
         if index == frames:
             break
         frame = simulation.step(commands.get(index + 1, ()))

@@ -28,7 +28,7 @@ def new_log(folder: Path, scene, simulation, **settings: str):
     outputs = Outputs(simulation, scene.top.frame_id, scene_text(scene, simulation.solver))
     return Recorder(folder, outputs, epoch_ns=time.time_ns(),
                     settings={**settings, 'version': __version__},
-                    files=as_attachments(scene.raw))
+                    files=as_attachments(scene))
 
 
 def recording_of(verb: str, log: str):

@@ -73,6 +73,7 @@ from xpbd_ros.sim.contact.contacts import (
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
+from xpbd_ros.sim.contact.multistep_impulses import forget_multistep, spread_impulses
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
@@ -169,6 +170,7 @@ def push_out(contact, state, substep):
 def react(contact, state, substep):
     """Add the impulses of all contacts of this substep to the colliders' wrenches."""
     add_impulses(contact.contacts, state, substep)
+    spread_impulses(contact.contacts, state, substep)
 
 
 @stage(finish, Contact)
@@ -239,6 +241,7 @@ class BuiltContact(Built):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
         self.contacts.wrenches.impulse[:] = 0.0
+        forget_multistep(self.contacts.wrenches.multistep)
 
     def reset(self, state, now_ns):
         self.again()
@@ -294,6 +297,7 @@ class BuiltContact(Built):
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
         colliders.count[0] = len(self.placed)
         self.contacts.near.valid[0] = 0
+        forget_multistep(self.contacts.wrenches.multistep)
         self.changes += 1
 
     def _write_twist(self, c: int, placed: Placed) -> None:

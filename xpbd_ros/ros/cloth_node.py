@@ -106,7 +106,7 @@ class ClothNode(LifecycleNode):
         overrides = settings_overrides(self.value('settings')) if self.value('settings') else {}
         if self.value('frame_id'):
             overrides['frame_id'] = self.value('frame_id')
-        scene = load_scene(self.value('scene'), overrides)
+        scene = load_scene(self.value('scene'), overrides, self._description_on)
         simulation = compile_scene(scene)
         live = scene_parameters(scene, simulation.solver.substeps)
         changed = self.live_parameters.declare(live)
@@ -146,6 +146,12 @@ class ClothNode(LifecycleNode):
         self._substeps = simulation.solver.substeps
         for text in self.live_parameters.unknown():
             log.warning(text)
+
+    def _description_on(self, topic: str) -> str:
+        """Return the description of a robot on a topic."""
+        from xpbd_ros.ros.robots import description_on
+        self.get_logger().info(f'waiting for {self.resolve_topic_name(topic)}')
+        return description_on(self, topic)
 
     def _max_entries(self) -> int:
         """Return the most entries of an array message: delete all, then delete and add each."""
@@ -298,12 +304,16 @@ class ClothNode(LifecycleNode):
         for text in frame.news:
             self.get_logger().warning(text)
         stamp_ns = self._stamp(frame, late_ns)
+        encoded: dict[str, bytes] = {}
+        heard: set[str] = set()
         due = frame.index % self.publish_every == 0
-        encoded = self.outputs.frame(frame, stamp_ns) if due else {}
         if due:
+            heard.update(filter(self.topics.is_heard, self.outputs.of_frames))
+            encoded = self.outputs.frame(frame, stamp_ns, heard if self.recorder is None else None)
             self._publish(self.outputs.wrenches(frame, stamp_ns, self.topics.is_heard))
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
+            heard.add('scene')
             encoded['scene'] = self._changed(keys)
             frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
                                          self.simulation.solver.substeps)
@@ -312,7 +322,7 @@ class ClothNode(LifecycleNode):
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
             self.topics.publish('/clock', clock)
-        self._publish(encoded)
+        self._publish({topic: data for topic, data in encoded.items() if topic in heard})
         if self.recorder is not None:
             try:
                 self.recorder.frame(frame, encoded, stamp_ns)
@@ -333,8 +343,9 @@ class ClothNode(LifecycleNode):
         """
         assert self.simulation is not None
         solver = self.simulation.solver
-        self.scene = scene_from_mapping(self.scene.raw, where=self.scene.where,
-                                        name=self.scene.name, overrides=keys)
+        changed = scene_from_mapping(self.scene.raw, where=self.scene.where,
+                                     name=self.scene.name, overrides=keys)
+        self.scene = replace(changed, robots=self.scene.robots)
         if self.value('solver.substeps') != solver.substeps:
             self.set_parameters([Parameter('solver.substeps', value=solver.substeps)])
         self.get_logger().info(f'now: {solver.reason}')
@@ -361,7 +372,9 @@ class ClothNode(LifecycleNode):
             self.interaction.publish()
         if now >= self._next_diagnostics:
             self._next_diagnostics = now + 1.0
-            self.topics.publish('/diagnostics', self.status.message())
+            status = self.status.look(heard=self.topics.is_heard('/diagnostics'))
+            if status is not None:
+                self.topics.publish('/diagnostics', status)
 
     def _publish(self, encoded: dict[str, bytes]) -> None:
         assert self.topics is not None
@@ -388,7 +401,7 @@ class ClothNode(LifecycleNode):
             split_duration=round(1e9 * self.value('record.split_duration')),
             settings={'program': 'cloth_node', 'version': __version__,
                       'mode': self.value('mode')},
-            files=as_attachments(self.scene.raw))
+            files=as_attachments(self.scene))
         self._recorded.add(folder.absolute())
         self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')

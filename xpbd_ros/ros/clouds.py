@@ -1,5 +1,6 @@
 """Positions in point clouds: read from messages of any layout, and written as float64."""
 
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,6 +8,8 @@ from sensor_msgs.msg import PointCloud2, PointField
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.messages import set_stamp
+from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.geometry.quaternion import rotate
 
 KINDS = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 """types that coordinates may have"""
@@ -52,11 +55,25 @@ def positions_of(message: PointCloud2) -> np.ndarray:
 
 def cloud_of(positions: Sequence[float], frame_id: str, time_ns: int) -> PointCloud2:
     """Return a cloud of one row in float64; ``positions`` are x, y, z of each point [m]."""
-    message = PointCloud2(height=1, width=len(positions) // 3, is_dense=True)
+    message = PointCloud2(is_dense=True)
     message.header.frame_id = frame_id
     set_stamp(message.header.stamp, time_ns)
+    _write(message, np.reshape(positions, (1, -1, 3)))
+    return message
+
+
+def transform_points(message: PointCloud2, frame: Pose) -> None:
+    """Transform the positions in a cloud by the pose of its TF frame; keep no other fields."""
+    points = points_of(message)
+    turned = rotate.py_func(*frame.orientation, *np.moveaxis(points, -1, 0))
+    _write(message, np.stack(turned, axis=-1) + frame.position)
+
+
+def _write(message: PointCloud2, points: np.ndarray) -> None:
+    """Set the points of a cloud [m], float64, shape (height, width, 3)."""
+    message.height, message.width = points.shape[:2]
     message.fields = [PointField(name=name, offset=8 * k, datatype=PointField.FLOAT64, count=1)
                       for k, name in enumerate('xyz')]
+    message.is_bigendian = False
     message.point_step, message.row_step = 24, 24 * message.width
-    message.data.frombytes(np.array(positions, '<f8').tobytes())
-    return message
+    message.data = array('B', np.asarray(points, '<f8').tobytes())

@@ -64,15 +64,23 @@ class Status:
         """Count a jump of the clock [ns]."""
         self._jumps_ns.append(by_ns)
 
-    def message(self) -> DiagnosticArray:
-        """Return the status as a message."""
+    def look(self, *, heard: bool) -> DiagnosticArray | None:
+        """Log new errors and warnings; return the status as a message if it is heard."""
         node = self._node
-        simulation, stepper, timing = node.simulation, node.stepper, self.timing
+        dropped, stats = node.stepper.dropped if node.stepper else 0, node.simulation.stats()
+        level, summary = self._findings(dropped, stats['frames_taken_back'])
+        return message(
+            node.get_fully_qualified_name().lstrip('/'), level, summary,
+            self._values(dropped, stats),
+            node.stamps.last_ns if node.makes_clock else node.now_ns()) if heard else None
+
+    def _values(self, dropped: int, stats: dict[str, float]) -> dict:
+        """Return the values of the status."""
+        node = self._node
+        simulation, timing = node.simulation, self.timing
         accepted, refused = node.command_queue.arrived, node.command_queue.refused
         now = time.monotonic()
-        strain = measure.largest_strain(simulation)
-        dropped = stepper.dropped if stepper else 0
-        values = {
+        return {
             'frame': simulation.index,
             'epoch_ns': node.stamps.epoch_ns,
             'stamps_moved_s': 1e-9 * node.stamps.moved_ns,
@@ -82,7 +90,7 @@ class Status:
             'real_time_factor': timing.real_time_factor(simulation.frame_dt),
             'dropped_frames': dropped,
             'substeps': simulation.solver.substeps,
-            'strain_max': strain,
+            'strain_max': measure.largest_strain(simulation),
             **node.error_monitor.diagnostics(),
             'energy_j': measure.kinetic_energy(simulation.state)
             + measure.potential_energy(simulation.state),
@@ -90,13 +98,10 @@ class Status:
             **{f'rejected {topic}': count for topic, count in sorted(refused.items())},
             **{f'age_s {topic}': now - then for topic, then in sorted(accepted.items())},
             **node.following.diagnostics(),
-            **simulation.stats(),
+            **stats,
             **node.interaction.clouds.values,
             'bytes_recorded': node.recorder.log.bytes_written if node.recorder else 0,
         }
-        level, summary = self._findings(dropped, values['frames_taken_back'])
-        return message(node.get_fully_qualified_name().lstrip('/'), level, summary, values,
-                       node.stamps.last_ns if node.makes_clock else node.now_ns())
 
     def _findings(self, dropped: int, rolled_back: int) -> tuple[str, str]:
         """Log new errors and warnings; return the level of the status and its text."""

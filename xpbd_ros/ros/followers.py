@@ -8,7 +8,7 @@ from xpbd_ros.ros.frame_follower import FrameFollower, PoseSource
 from xpbd_ros.scene.frames import Follower, followers, topic_of_frame
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.robots import Robot
-from xpbd_ros.sim.commands import Reset
+from xpbd_ros.sim.commands import Grasp, Reset
 from xpbd_ros.sim.simulation import Simulation
 
 
@@ -47,6 +47,7 @@ class Followers:
 
     def __init__(self, simulation: Simulation, scene: Scene, sources: Sources, *,
                  now_ns: Callable[[], int], warn: Callable[[str], None]):
+        self._simulation = simulation
         self._topics, self._now_ns, self._warn = sources, now_ns, warn
         self._frame_id = scene.top.frame_id
         self._grippers: list = []
@@ -94,8 +95,14 @@ class Followers:
             raise InputError(f'{path}: {error}') from None
 
     def commands(self, groups: Sequence[tuple] = ()) -> list[tuple]:
-        """Return the commands before a frame, to act after the ``groups``."""
-        reset = any(isinstance(command, Reset) for group in groups for command in group)
+        """
+        Return the commands before a frame, to act after the ``groups``.
+
+        Commands that services have applied since the last frame count like those of the groups.
+        """
+        before = [*self._simulation.pending, *(each for group in groups for each in group)]
+        reset = any(isinstance(command, Reset) for command in before)
+        grasped = {command.pin for command in before if isinstance(command, Grasp)}
         found: list[tuple] = []
         acting: list[str] = []
         for pin, gripper in self._grippers:
@@ -105,7 +112,7 @@ class Followers:
                 acting.append(pin)
             if gripper.open:
                 self._follower.let_go(pin)
-        return found + self._follower.commands(reset=reset, without=acting)
+        return found + self._follower.commands(reset=reset, without=acting, grasped=grasped)
 
     @property
     def finding(self) -> str:

@@ -8,7 +8,8 @@ stream of targets (``sim.target_stream``), and a log repeats it without TF.
 A TF frame is silent while its latest transform stays the same; static ones never are. Silence
 for longer than ``frame_timeout`` is reported, colliders stay at their last pose, and pins release;
 once transforms arrive again, colliders follow, and a pin grasps within its radius. Until its TF
-frame is known, a collider is removed and a pin holds where it is.
+frame is known, a collider is removed and a pin holds where it is. A pin of the scene follows while
+it holds nothing too, so that it grasps where its TF frame is.
 """
 
 from collections.abc import Callable, Collection, Iterable
@@ -118,15 +119,17 @@ class FrameFollower:
         self._tracks = list(tracks.values())
         self._begun = False
 
-    def commands(self, *, reset: bool = False,
-                 without: Collection[str] = ()) -> list[tuple[Command, ...]]:
+    def commands(self, *, reset: bool = False, without: Collection[str] = (),
+                 grasped: Collection[str] = ()) -> list[tuple[Command, ...]]:
         """
         Return the commands before the next frame.
 
         Parameters
         ----------
         reset : whether the scene is reset before that frame
-        without : pins that are grasped or released before that frame
+        without : pins that a gripper grasps or releases before that frame
+        grasped : pins that other commands grasp before that frame; they follow from then on, also
+            if there is no new pose
 
         """
         if not self._tracks:
@@ -145,7 +148,8 @@ class FrameFollower:
                 act = self._pin if part.about.section == 'pins' else self._collider
                 if reset:
                     part.absent = part.lost = False
-                command = act(part, track, new or reset, first or reset, reset)
+                held = part.about.section == 'pins' and part.about.name in grasped
+                command = act(part, track, new or reset or held, first or reset, reset)
                 if command is not None and part.about.name not in without:
                     found.append((command,))
         self._report(**changes)
@@ -180,7 +184,8 @@ class FrameFollower:
             part.lost = False
             if not holds:
                 return Grasp(about.name, pose, about.radius)
-        return MovePin(about.name, pose, None, track.stamp_ns) if holds else None
+        can_move = holds or about.name in self._built('pin').entries
+        return MovePin(about.name, pose, None, track.stamp_ns) if can_move else None
 
     def let_go(self, pin: str) -> None:
         """Do not grasp again when a pin's frame is back: its gripper is open."""

@@ -4,8 +4,13 @@ Transform inputs that are stamped in a TF frame other than the scene's.
 The transform is that at the message's stamp (stamp 0: the latest). A message whose transform has
 not arrived waits for at most WAIT, without blocking, and keeps its place among the messages of its
 topic; then it is refused with the reason. tf2 is imported, and ``/tf`` subscribed, with the first
-such message, which waits up to FIRST_WAIT, for discovery. Velocities are rotated; the velocity of
-the frame itself is not added.
+such message, which waits up to FIRST_WAIT, for discovery. A twist gets the velocity of its TF
+frame added, the mean over the span before its stamp:
+
+    v = V + Ω × (p - P) + R v',   ω = Ω + R ω'
+
+with the frame's pose P, R and velocity V, Ω in the scene, and p the transformed position. Wind is
+rotated only.
 """
 
 from collections import deque
@@ -14,15 +19,18 @@ import time
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import Point, Quaternion, Vector3
+import numpy as np
 from rclpy.clock import Clock, ClockType
+from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import Marker
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.ros.clouds import transform_points
 from xpbd_ros.ros.inputs import nanoseconds
 from xpbd_ros.ros.tf import Transforms
-from xpbd_ros.sim.commands import Pose
+from xpbd_ros.sim.commands import Pose, Twist
 from xpbd_ros.sim.geometry.pose import compose
-from xpbd_ros.sim.geometry.quaternion import multiply, rotate
+from xpbd_ros.sim.geometry.quaternion import multiply, rotate, turns
 
 WAIT = 0.2
 """longest wait for a transform [s]"""
@@ -30,11 +38,15 @@ FIRST_WAIT = 2.0
 """longest wait in the time after ``/tf`` is subscribed [s]"""
 PERIOD = 0.005
 """period at which waiting messages are tried again [s]"""
+SPAN_NS = 10_000_000
+"""time over which the velocity of a TF frame is measured [ns]"""
 MAX_WAITING = 256
 """messages of one topic that wait for a transform, at most"""
 
 Lookup = Callable[[str, int, str], Pose]
 """(TF frame, stamp [ns], name for errors) -> its pose in the scene's frame"""
+Velocity = Callable[[str, int, str], Twist]
+"""(TF frame, stamp [ns], name for errors) -> its velocity in the scene's frame"""
 
 
 class NotYet(Exception):    # noqa: N818 – no error: the message is tried again
@@ -118,8 +130,11 @@ class FrameInputs:
         def lookup(frame: str, stamp_ns: int, what: str) -> Pose:
             return self._lookup(frame, stamp_ns, what, final=final)
 
+        def velocity(frame: str, stamp_ns: int, what: str) -> Twist:
+            return self._velocity(frame, stamp_ns, what, final=final)
+
         def read_here(message):
-            to_scene_frame(message, self._frame_id, lookup)
+            to_scene_frame(message, self._frame_id, lookup, velocity)
             return read(message)
         try:
             self._take(topic, raw, kind, read_here)
@@ -140,6 +155,16 @@ class FrameInputs:
                 raise InputError(f'{told}; {error}') from None
         raise NotYet
 
+    def _velocity(self, frame: str, stamp_ns: int, what: str, *, final: bool) -> Twist:
+        """Return the velocity of a TF frame, after ``_lookup`` of its pose; static ones rest."""
+        latest_ns = self.transforms().latest_ns(self._frame_id, frame)
+        if latest_ns == 0:
+            return Twist()
+        end_ns = stamp_ns or latest_ns
+        before, now = (self._lookup(frame, at_ns, f'{what}: twist', final=final)
+                       for at_ns in (end_ns - SPAN_NS, end_ns))
+        return twist_between(before, now, 1e-9 * SPAN_NS)
+
     def _is_past(self, transforms: Transforms, frame: str, stamp_ns: int) -> bool:
         """Return whether later transforms have arrived already, so that waiting is vain."""
         try:
@@ -157,35 +182,58 @@ class FrameInputs:
         self._timer = self._transforms = None
 
 
-def to_scene_frame(message, frame_id: str, lookup: Lookup) -> None:
+def twist_between(before: Pose, now: Pose, dt: float) -> Twist:
+    """Return the mean velocity from one pose to another in ``dt`` [s]."""
+    turn, = turns(np.array([before.orientation]), np.array([now.orientation]))
+    way = np.subtract(now.position, before.position)
+    return Twist(tuple((way / dt).tolist()), tuple((turn / dt).tolist()))
+
+
+def to_scene_frame(message, frame_id: str, lookup: Lookup, velocity: Velocity) -> None:
     """Transform a message to the scene's TF frame, in place; one without another is unchanged."""
     if hasattr(message, 'markers'):
         for marker in message.markers:
-            _transform(marker, marker.header, f'marker {marker.ns}/{marker.id}', frame_id,
-                       lookup if marker.action == Marker.ADD else None)
+            if marker.action == Marker.ADD:
+                _transform(marker, marker.header, f'marker {marker.ns}/{marker.id}', frame_id,
+                           lookup, velocity)
+            marker.header.frame_id = frame_id
     elif hasattr(message, 'header'):
-        _transform(message, message.header, 'header', frame_id, lookup)
+        _transform(message, message.header, 'header', frame_id, lookup, velocity)
 
 
-def _transform(message, header, what: str, frame_id: str, lookup: Lookup | None) -> None:
-    """Transform what a message holds below one header; without ``lookup`` it holds no place."""
+def _transform(message, header, what: str, frame_id: str, lookup: Lookup,
+               velocity: Velocity) -> None:
+    """Transform what a message holds below one header."""
     if header.frame_id in ('', frame_id):
         return
-    if lookup is not None:
-        stamp_ns = nanoseconds(header.stamp, f'{what}: stamp')
-        frame = lookup(header.frame_id, stamp_ns, what)
-        if hasattr(message, 'pose'):
-            _move(message.pose.position, message.pose.orientation, frame)
-        for each in getattr(message, 'transforms', ()):
-            _move(each.translation, each.rotation, frame)
-        for each in getattr(message, 'twist', ()):
-            _turn(each.linear, frame)
-            _turn(each.angular, frame)
-        if isinstance(getattr(message, 'vector', None), Vector3):
-            _turn(message.vector, frame)
-        if isinstance(getattr(message, 'point', None), Point):
-            _move(message.point, Quaternion(), frame)
+    stamp_ns = nanoseconds(header.stamp, f'{what}: stamp')
+    frame = lookup(header.frame_id, stamp_ns, what)
+    if hasattr(message, 'pose'):
+        _move(message.pose.position, message.pose.orientation, frame)
+    for each in getattr(message, 'transforms', ()):
+        _move(each.translation, each.rotation, frame)
+    if getattr(message, 'twist', ()):
+        moving = velocity(header.frame_id, stamp_ns, what)
+        for each, place in zip(message.twist, message.transforms):
+            _carry(each, place.translation, frame, moving)
+    if isinstance(getattr(message, 'vector', None), Vector3):
+        _turn(message.vector, frame)
+    if isinstance(getattr(message, 'point', None), Point):
+        _move(message.point, Quaternion(), frame)
+    if isinstance(message, PointCloud2):
+        transform_points(message, frame)
     header.frame_id = frame_id
+
+
+def _carry(twist, position, frame: Pose, moving: Twist) -> None:
+    """Rotate a twist in place, and add the velocity of its TF frame at a position in the scene."""
+    _turn(twist.linear, frame)
+    _turn(twist.angular, frame)
+    arm = np.subtract((position.x, position.y, position.z), frame.position)
+    for vector, added in ((twist.linear, np.add(moving.linear, np.cross(moving.angular, arm))),
+                          (twist.angular, moving.angular)):
+        x, y, z = map(float, added)
+        vector.x, vector.y, vector.z = vector.x + x, vector.y + y, vector.z + z
 
 
 def _move(position, orientation, frame: Pose) -> None:

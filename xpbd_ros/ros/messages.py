@@ -7,6 +7,7 @@ found in the bytes and overwritten each frame.
 """
 
 from collections.abc import Mapping
+import re
 import struct
 from types import MappingProxyType
 
@@ -23,18 +24,21 @@ import numpy as np
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
 from shape_msgs.msg import Mesh, MeshTriangle
-from std_msgs.msg import ColorRGBA, String, UInt64
+from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.sim.contact.collider import ColliderStates
 from xpbd_ros.sim.effect import Cloth
 from xpbd_ros.sim.pins.states import PinState, PinStates
-from xpbd_ros.sim.simulation import Frame
 
 COLOURS = ((0.85, 0.35, 0.28), (0.25, 0.5, 0.75), (0.45, 0.65, 0.35), (0.8, 0.65, 0.3))
 RAMP = (0.15, 0.3, 0.75), (0.95, 0.95, 0.95), (0.8, 0.1, 0.1)
 """blue, white, red"""
 MARK = b'\xa5\x5a\xc3\x3c'
+STAMP_MARK = 0x5ac33ca5, 0x3ca55ac3
+"""seconds and nanoseconds"""
+HEADER = b'\0\1\0\0'
+"""of a serialized message: little-endian CDR"""
 
 
 def set_stamp(stamp, time_ns: int) -> None:
@@ -124,11 +128,12 @@ class Surface:
         marker.points = [mark] * (3 * len(triangles))
         marker.colors = [hue] * (3 * len(triangles) * coloured)
         self._corners = triangles.ravel()
-        self._buffer = bytearray(serialize_message(MarkerArray(markers=[marker])))
-        at = self._buffer.find(struct.pack('<ddd', mark.x, mark.y, mark.z))
+        data = serialize_message(MarkerArray(markers=[marker]))
+        at = data.find(struct.pack('<ddd', mark.x, mark.y, mark.z))
         count = 3 * len(self._corners) if at >= 0 else 0
+        self._buffer = _aligned(data, max(at, 0))
         self._points = np.frombuffer(self._buffer, '<f8', count, max(at, 0)).reshape(-1, 3)
-        at = self._buffer.find(struct.pack('<ff', hue.r, hue.g))
+        at = data.find(struct.pack('<ff', hue.r, hue.g))
         count = 4 * len(self._corners) if at >= 0 else 0
         self._colours = np.frombuffer(self._buffer, '<f4', count, max(at, 0)).reshape(-1, 4)
 
@@ -143,12 +148,20 @@ class Surface:
         colours : r, g, b, a of all particles of the scene if coloured, shape (particles, 4)
 
         """
-        struct.pack_into('<iI', self._buffer, 8, *divmod(time_ns, 10**9))
+        struct.pack_into('<iI', self._buffer.data, 8, *divmod(time_ns, 10**9))
         if len(self._points):
-            self._points[:] = x[self._corners]
+            np.take(x, self._corners, axis=0, out=self._points, mode='clip')
         if colours is not None and len(self._colours):
-            self._colours[:] = colours[self._corners]
-        return bytes(self._buffer)
+            np.take(colours, self._corners, axis=0, out=self._colours, mode='clip')
+        return self._buffer.tobytes()
+
+
+def _aligned(data: bytes, at: int) -> np.ndarray:
+    """Return a copy of bytes whose offset ``at`` is at a multiple of 8 in memory."""
+    memory = np.empty(len(data) + 8, np.uint8)
+    first = -(memory.ctypes.data + at) % 8
+    memory[first:first + len(data)] = np.frombuffer(data, np.uint8)
+    return memory[first:first + len(data)]
 
 
 def colours(values: np.ndarray, least: float) -> np.ndarray:
@@ -172,46 +185,90 @@ def colours(values: np.ndarray, least: float) -> np.ndarray:
     return found
 
 
-def pin_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
-    """Return a sphere at each pin and an arrow for the cloth's force on it (10 cm per 1 N)."""
-    # RViz clears one namespace per DELETEALL, and accepts each (ns, id) once per message.
-    markers = [Marker(ns=each, id=-1, action=Marker.DELETEALL) for each in ('pins', 'forces')]
-    for number, pin in enumerate(frame.pins.values()):
-        ball = Marker(ns='pins', id=number, type=Marker.SPHERE, action=Marker.ADD)
-        ball.pose.position = vector(Point, pin.pose.position)
-        ball.scale = Vector3(x=0.025, y=0.025, z=0.025)
-        ball.color = ColorRGBA(r=0.95, g=0.75, b=0.1, a=1.0)
-        markers += [ball, force_arrow('forces', number, pin.pose.position, pin.force)]
-    return stamped(markers, frame_id, time_ns)
+class ForceMarkers:
+    """
+    An arrow for the cloth's force on each body (10 cm per 1 N), and a ball at each pin.
 
+    Parameters
+    ----------
+    frame_id : TF frame
+    arrows : namespace of the arrows
+    balls : namespace of the balls; '' for none
 
-def collider_markers(frame: Frame, frame_id: str, time_ns: int) -> MarkerArray:
-    """Return an arrow for the cloth's force on each collider that it touches (10 cm per 1 N)."""
-    markers = [Marker(ns='collider_forces', id=-1, action=Marker.DELETEALL)]
-    for number, collider in enumerate(frame.colliders.values()):
-        square = collider.force @ collider.force
-        if square > 0.0:
-            arm = np.cross(collider.force, collider.torque) / square    # to the force's line
-            markers.append(force_arrow('collider_forces', number,
-                                       arm + collider.pose.position, collider.force))
-    return stamped(markers, frame_id, time_ns)
+    """
 
+    def __init__(self, frame_id: str, arrows: str, balls: str = ''):
+        self._frame_id = frame_id
+        self._arrows, self._balls = arrows, balls
+        self._lay_out(())
 
-def force_arrow(namespace: str, number: int, place, force: np.ndarray) -> Marker:
-    """Return an arrow from a place [m] on, 10 cm long per 1 N of a force [N]."""
-    arrow = Marker(ns=namespace, id=number, type=Marker.ARROW, action=Marker.ADD)
-    arrow.points = [vector(Point, place), vector(Point, np.add(place, 0.1 * force))]
-    arrow.scale = Vector3(x=0.006, y=0.015, z=0.02)
-    arrow.color = ColorRGBA(r=0.1, g=0.1, b=0.1, a=0.9)
-    return arrow
+    def _lay_out(self, numbers: tuple[int, ...]) -> None:
+        # RViz clears one namespace per DELETEALL, and accepts each (ns, id) once per message.
+        markers = [Marker(ns=each, id=-1, action=Marker.DELETEALL)
+                   for each in (self._balls, self._arrows) if each]
+        tail, tip, centre = Point(x=1.25e300), Point(x=-1.25e300), Point(x=1.5e300)
+        for number in numbers:
+            if self._balls:
+                ball = Marker(ns=self._balls, id=number, type=Marker.SPHERE, action=Marker.ADD)
+                ball.pose.position = centre
+                ball.scale = Vector3(x=0.025, y=0.025, z=0.025)
+                ball.color = ColorRGBA(r=0.95, g=0.75, b=0.1, a=1.0)
+                markers.append(ball)
+            arrow = Marker(ns=self._arrows, id=number, type=Marker.ARROW, action=Marker.ADD)
+            arrow.points = [tail, tip]
+            arrow.scale = Vector3(x=0.006, y=0.015, z=0.02)
+            arrow.color = ColorRGBA(r=0.1, g=0.1, b=0.1, a=0.9)
+            markers.append(arrow)
+        for marker in markers:
+            marker.header.frame_id = self._frame_id
+            marker.header.stamp.sec, marker.header.stamp.nanosec = STAMP_MARK
+        self._numbers, self._buffer = numbers, bytearray(
+            serialize_message(MarkerArray(markers=markers)))
+        self._stamps = self._places('<iI', *STAMP_MARK)
+        self._tails, self._centres = (self._places('<d', mark.x) for mark in (tail, centre))
 
+    def _places(self, form: str, *values) -> list[int]:
+        """Return the offsets of all occurrences of values [bytes]."""
+        return [found.start() for found in re.finditer(re.escape(struct.pack(form, *values)),
+                                                       self._buffer)]
 
-def stamped(markers: list[Marker], frame_id: str, time_ns: int) -> MarkerArray:
-    """Return markers with a TF frame and a stamp."""
-    for marker in markers:
-        marker.header.frame_id = frame_id
-        set_stamp(marker.header.stamp, time_ns)
-    return MarkerArray(markers=markers)
+    def _filled(self, numbers: tuple[int, ...], places: np.ndarray, forces: np.ndarray,
+                time_ns: int) -> bytes:
+        """
+        Return a serialized MarkerArray.
+
+        Parameters
+        ----------
+        numbers : id of each body
+        places : where the forces act [m], shape (bodies, 3)
+        forces : [N], shape (bodies, 3)
+        time_ns : stamp [ns]
+
+        """
+        if numbers != self._numbers:
+            self._lay_out(numbers)
+        stamp = divmod(time_ns, 10**9)
+        for at in self._stamps:
+            struct.pack_into('<iI', self._buffer, at, *stamp)
+        for at, place in zip(self._centres, places.tolist()):
+            struct.pack_into('<3d', self._buffer, at, *place)
+        for at, ends in zip(self._tails, np.hstack([places, places + 0.1 * forces]).tolist()):
+            struct.pack_into('<6d', self._buffer, at, *ends)
+        return bytes(self._buffer)
+
+    def of_pins(self, pins: PinStates, time_ns: int) -> bytes:
+        """Return the serialized markers of all pins."""
+        return self._filled(tuple(range(len(pins))), pins.poses[:, :3], pins.wrenches[:, :3],
+                            time_ns)
+
+    def of_colliders(self, colliders: ColliderStates, time_ns: int) -> bytes:
+        """Return the serialized arrows of the colliders that the cloth touches."""
+        forces, torques = colliders.wrenches[:, :3], colliders.wrenches[:, 3:]
+        squares = (forces * forces).sum(axis=1)
+        touched = np.flatnonzero(squares)
+        arms = np.cross(forces, torques)[touched] / squares[touched, None]    # to the lines
+        return self._filled(tuple(touched.tolist()), arms + colliders.poses[touched, :3],
+                            forces[touched], time_ns)
 
 
 def mesh_message(cloth: Cloth, x: np.ndarray) -> Mesh:
@@ -270,6 +327,6 @@ def text(value: str) -> String:
     return String(data=value)
 
 
-def number(value: int) -> UInt64:
-    """Return a UInt64."""
-    return UInt64(data=value)
+def number(value: int) -> bytes:
+    """Return a serialized UInt64."""
+    return HEADER + value.to_bytes(8, 'little')

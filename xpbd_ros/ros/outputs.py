@@ -7,7 +7,7 @@ one cloth has the topics ``particles`` and ``mesh``; with several cloths they ar
 pin of the scene has a ``pin/<name>/wrench``; ``collider_wrenches`` exists only with ``contact``.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from geometry_msgs.msg import WrenchStamped
@@ -72,6 +72,8 @@ class Outputs:
         self._clouds, self._states, self._surfaces = {}, {}, []
         self._pins = messages.BodyArray(frame_id)
         self._colliders = messages.BodyArray(frame_id)
+        self._pin_markers = messages.ForceMarkers(frame_id, 'forces', 'pins')
+        self._collider_markers = messages.ForceMarkers(frame_id, 'collider_forces')
         self.notes: list[str] = []
         """notes on the parameters for the user"""
         if marker_color == 'force' and not has_tensions(simulation):
@@ -134,29 +136,46 @@ class Outputs:
         return {topic: cloud.bytes(table[cloud.cloth.particles], time_ns)
                 for topic, cloud in self._states.items()}
 
-    def frame(self, frame: Frame, time_ns: int) -> dict[str, bytes]:
-        """Return the messages of one frame by topic, serialized."""
+    def frame(self, frame: Frame, time_ns: int, only: Collection[str] | None = None) -> dict[
+            str, bytes]:
+        """
+        Return the messages of one frame by topic, serialized.
+
+        Parameters
+        ----------
+        frame : the frame
+        time_ns : stamp [ns]
+        only : topics to serialize; None for all
+
+        """
         found = {topic: cloud.bytes(
             particle_fields.table(self._fields, cloud.cloth, frame) if self._fields
             else frame.x[cloud.cloth.particles], time_ns)
-            for topic, cloud in self._clouds.items()}
-        if 'pin_states' in self.topics:
+            for topic, cloud in self._clouds.items() if only is None or topic in only}
+        if 'pin_states' in (self.topics if only is None else only):
             assert isinstance(frame.pins, PinStates)
             found['pin_states'] = self._pins.bytes(frame.pins, time_ns)
-        if 'collider_wrenches' in self.topics:
+        if 'collider_wrenches' in (self.topics if only is None else only):
             assert isinstance(frame.colliders, ColliderStates)
             found['collider_wrenches'] = self._colliders.bytes(frame.colliders, time_ns)
         return found
+
+    @property
+    def of_frames(self) -> list[str]:
+        """The topics of ``frame``."""
+        return [*self._clouds, *(topic for topic in ('pin_states', 'collider_wrenches')
+                                 if topic in self.topics)]
 
     def markers(self, frame: Frame, time_ns: int) -> list[bytes]:
         """Return the marker messages of one frame: the surfaces, then pins, then colliders."""
         colours = self._colours(frame)
         found = [surface.bytes(frame.x, time_ns, colours) for surface in self._surfaces]
         if 'pin_states' in self.topics:
-            found.append(serialize_message(messages.pin_markers(frame, self.frame_id, time_ns)))
+            assert isinstance(frame.pins, PinStates)
+            found.append(self._pin_markers.of_pins(frame.pins, time_ns))
         if 'collider_wrenches' in self.topics:
-            found.append(serialize_message(
-                messages.collider_markers(frame, self.frame_id, time_ns)))
+            assert isinstance(frame.colliders, ColliderStates)
+            found.append(self._collider_markers.of_colliders(frame.colliders, time_ns))
         return found
 
     def _colours(self, frame: Frame) -> np.ndarray | None:
@@ -183,4 +202,4 @@ class Outputs:
     def hash(self, frame: Frame) -> Callable[[], bytes]:
         """Return a function that returns the message with the hash of the present state."""
         found = self.simulation.hash_of(frame)
-        return lambda: serialize_message(messages.number(found()))
+        return lambda: messages.number(found())

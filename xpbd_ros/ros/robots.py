@@ -9,7 +9,10 @@ from collections.abc import Callable, Mapping
 from math import isfinite
 from pathlib import Path
 
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.wait_for_message import wait_for_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.frame_follower import PoseSource
@@ -18,6 +21,28 @@ from xpbd_ros.scene.robots import Robot
 from xpbd_ros.scene.urdf import Description
 from xpbd_ros.sim.commands import Command, Grasp, Pose, Release
 from xpbd_ros.sim.geometry.pose import compose
+
+DESCRIPTION_WAIT = 10.0
+"""longest wait for the description of a robot [s]"""
+
+
+def description_on(node, topic: str) -> str:
+    """
+    Return the URDF on a topic, latched by robot_state_publisher.
+
+    Raises
+    ------
+    InputError : none arrives within DESCRIPTION_WAIT
+
+    """
+    there, message = wait_for_message(
+        String, node, topic, time_to_wait=DESCRIPTION_WAIT,
+        qos_profile=QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    if not there:
+        raise InputError(f'no description on {node.resolve_topic_name(topic)} (std_msgs/String, '
+                         f'transient local) in {DESCRIPTION_WAIT:g} s; is robot_state_publisher '
+                         'running?')
+    return message.data
 
 
 class JointStates:
@@ -70,7 +95,7 @@ class Kinematics:
     def __init__(self, robot: Robot, states: JointStates):
         self._states, self._base = states, robot.pose
         self._prefix = robot.keys.frame_prefix or ''
-        self._description = Description(Path(robot.file))
+        self._description = Description(Path(robot.file), robot.text)
         self._computed_ns = 0
 
     def latest_ns(self, frame: str, source: str) -> int:

@@ -136,7 +136,7 @@ class Services:
                 raise InputError(f'already recording to {node.recorder.folder.absolute()}')
             path = node.value('record.path')
             folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
-            if node.simulation.has_pending:
+            if node.simulation.pending:
                 node.step()    # with inputs of the log in front of its first frame
             node.start_recording(folder)
             return folder.absolute()

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.model import Scene
 
 PLACES = (('cloths', 'mesh'), ('colliders', 'mesh'), ('colliders', 'heights'))
 """sections, and the keys of their entries that hold a ``file``"""
@@ -21,10 +22,11 @@ def _files(raw: Any) -> Iterator[tuple[str, Path]]:
                 yield f'{section}.{name}.{key}', Path(file)
 
 
-def as_attachments(raw: Any) -> dict[str, bytes]:
+def as_attachments(scene: Scene) -> dict[str, bytes]:
     """Return the content of a scene's files by name, such as ``cloths.shirt.mesh.obj``."""
-    found = {}
-    for key, path in _files(raw):
+    found = {f'robots.{name}.description.urdf': robot.text
+             for name, robot in scene.robots.items()}
+    for key, path in _files(scene.raw):
         try:
             found[key + path.suffix] = path.read_bytes()
         except OSError as error:

@@ -1,5 +1,6 @@
 """Find, read and check scene files: YAML to ``Scene``."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -54,7 +55,8 @@ def find_scene(name: str) -> Path:
     return shipped[name]
 
 
-def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
+def load_scene(name: str, overrides: dict[str, Any] | None = None,
+               topic_text: Callable[[str], str] | None = None) -> Scene:
     """
     Read and check a scene.
 
@@ -62,6 +64,8 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
     ----------
     name : path of a scene file, or name of a shipped scene
     overrides : values by dotted key, which replace those of the file
+    topic_text : returns the text on a topic, for descriptions of robots; None where topics cannot
+        be read
 
     Raises
     ------
@@ -79,7 +83,7 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None) -> Scene:
         raise InputError(f'{path}: not UTF-8 text ({error.reason} at byte '
                          f'{error.start})') from error
     return scene_from_text(text, where=str(path), name=path.stem, overrides=overrides,
-                           folder=path.parent)
+                           folder=path.parent, topic_text=topic_text)
 
 
 def parse_yaml(text: str, where: str) -> Any:
@@ -96,16 +100,16 @@ def parse_yaml(text: str, where: str) -> Any:
 
 
 def scene_from_text(text: str, *, where: str, name: str,
-                    overrides: dict[str, Any] | None = None,
-                    folder: Path | None = None) -> Scene:
+                    overrides: dict[str, Any] | None = None, folder: Path | None = None,
+                    topic_text: Callable[[str], str] | None = None) -> Scene:
     """Check a scene given as YAML text; ``where`` names it in errors."""
     return scene_from_mapping(parse_yaml(text, where), where=where, name=name,
-                              overrides=overrides, folder=folder)
+                              overrides=overrides, folder=folder, topic_text=topic_text)
 
 
 def scene_from_mapping(raw: Any, *, where: str, name: str,
-                       overrides: dict[str, Any] | None = None,
-                       folder: Path | None = None) -> Scene:
+                       overrides: dict[str, Any] | None = None, folder: Path | None = None,
+                       topic_text: Callable[[str], str] | None = None) -> Scene:
     """Check a scene given as plain values; paths in it are relative to ``folder`` (None: cwd)."""
     try:
         raw = mapping(raw, 'the scene')
@@ -115,7 +119,7 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
         robots: dict = {}
         if raw.get('robots') is not None:
             from xpbd_ros.scene.robots import with_robots
-            raw, robots = with_robots(raw, folder or Path())
+            raw, robots = with_robots(raw, folder or Path(), topic_text)
         inputs: dict = {}
         if raw.get('inputs') is not None:
             from xpbd_ros.scene.inputs import with_inputs

@@ -5,6 +5,8 @@ The colliders become entries of ``colliders`` that follow the TF frames of their
 holds for colliders holds for them. Their names are those of the robot and the link.
 """
 
+from collections.abc import Callable
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 import re
@@ -19,6 +21,8 @@ from xpbd_ros.sim.contact.collider_entries import Pad
 from xpbd_ros.sim.geometry.pose import compose
 from xpbd_ros.sim.parameters import quantity
 
+TopicText = Callable[[str], str]
+"""topic -> text on it; raises InputError if there is none"""
 HYSTERESIS = 0.2
 """a gripper opens this share of ``closed_below`` above it, unless ``open_above`` is given"""
 
@@ -51,7 +55,9 @@ class Gripper:
 class RobotKeys:
     """One entry of ``robots``."""
 
-    description: str = quantity(doc='URDF file, beside the scene file, or an absolute path')
+    description: str = quantity(doc=(
+        'URDF file, beside the scene file, or an absolute path; or a topic, such as '
+        '/robot_description, that the node reads'))
     links: tuple[str, ...] | None = quantity(None, doc=(
         'links that are colliders; all with collision geometry unless given'))
     friction: float = quantity(0.5, minimum=0.0, doc='coefficient μ')
@@ -76,7 +82,9 @@ class Robot:
     name: str
     keys: RobotKeys
     file: str
-    """path of its description"""
+    """path, or topic, of its description"""
+    text: bytes = dataclasses.field(repr=False)
+    """its description"""
     colliders: tuple[str, ...]
     """names of its colliders"""
 
@@ -100,15 +108,25 @@ class Robot:
                         self.keys.frame_timeout, gripper.radius)
 
 
-def with_robots(raw: dict, folder: Path) -> tuple[dict, dict[str, Robot]]:
-    """Return a scene's mapping with its robots as colliders, and the robots by name."""
+def with_robots(raw: dict, folder: Path, topic_text: TopicText | None = None) -> tuple[
+        dict, dict[str, Robot]]:
+    """
+    Return a scene's mapping with its robots as colliders, and the robots by name.
+
+    Parameters
+    ----------
+    raw : the scene's mapping
+    folder : of the scene file
+    topic_text : returns the text on a topic; None where topics cannot be read
+
+    """
     robots, colliders = {}, dict(mapping(raw.get('colliders'), 'colliders'))
     effects = dict(mapping(raw.get('effects'), 'effects'))
     for name, value in names(raw['robots'], 'robots').items():
         path = f'robots.{name}'
         keys = read(RobotKeys, value, path)
         try:
-            description = Description(_file(keys.description, folder))
+            description = _description(keys.description, folder, topic_text)
         except InputError as error:
             raise InputError(f'{path}.description: {error}') from None
         made = _colliders(name, keys, description)
@@ -117,7 +135,8 @@ def with_robots(raw: dict, folder: Path) -> tuple[dict, dict[str, Robot]]:
                 raise InputError(f"colliders.{collider}: is the name of a link's collider of "
                                  f'{path}; take another name')
         colliders.update(made)
-        robots[name] = robot = Robot(name, keys, str(description.file), tuple(made))
+        robots[name] = robot = Robot(name, keys, str(description.file), description.text,
+                                       tuple(made))
         if keys.gripper is not None:
             _check_gripper(robot, description)
             effects.setdefault('pin', {})
@@ -125,12 +144,15 @@ def with_robots(raw: dict, folder: Path) -> tuple[dict, dict[str, Robot]]:
     return {**raw, 'colliders': colliders, 'effects': effects}, robots
 
 
-def _file(name: str, folder: Path) -> Path:
+def _description(name: str, folder: Path, topic_text: TopicText | None) -> Description:
+    """Return the description of a file, or of a topic: an absolute name without a suffix."""
     file = (folder / name).absolute()
-    if not file.is_file() and name.startswith('/') and not Path(name).suffix:
-        raise InputError(f'no such file: {name}; a topic cannot be read while a scene is loaded, '
-                         f'so save it: ros2 topic echo --once --field data {name} > robot.urdf')
-    return file
+    if file.is_file() or not name.startswith('/') or Path(name).suffix:
+        return Description(file)
+    if topic_text is None:
+        raise InputError(f'no such file: {name}; only the node reads a topic, so save it: '
+                         f'ros2 topic echo --once --field data {name} > robot.urdf')
+    return Description(Path(name), topic_text(name).encode())
 
 
 def _colliders(name: str, keys: RobotKeys, description: Description) -> dict[str, dict]:

@@ -1,10 +1,11 @@
 """
-Robot descriptions: collision geometry and forward kinematics of a URDF file, by yourdfpy.
+Robot descriptions: collision geometry and forward kinematics of a URDF, by yourdfpy.
 
 yourdfpy is imported with the first description; a scene without robots does not need it.
 """
 
 from collections.abc import Mapping
+from io import BytesIO
 import logging
 from pathlib import Path
 from typing import Any
@@ -21,21 +22,24 @@ UNIFORM = 1e-9
 
 class Description:
     """
-    A robot of one URDF file.
+    A robot of one URDF.
 
     Parameters
     ----------
-    file : path of the file
+    file : path of the file, or the name of the topic that the text comes from; for errors, and
+        meshes are found beside it
+    text : content; None to read the file
 
     Raises
     ------
-    InputError : the file cannot be read as URDF, or yourdfpy is not installed
+    InputError : no URDF, or yourdfpy is not installed
 
     """
 
-    def __init__(self, file: Path):
+    def __init__(self, file: Path, text: bytes | None = None):
         self.file = file
-        self._urdf = _load(file)
+        self.text = _content(file) if text is None else text
+        self._urdf = _load(file, self.text)
         self.links: tuple[str, ...] = tuple(self._urdf.link_map)
         self.joints: tuple[str, ...] = tuple(self._urdf.actuated_joint_names)
         """joints that move, but for those that mimic others"""
@@ -95,17 +99,24 @@ def _as_list(scale) -> list:
     return [scale] if isinstance(scale, int | float) else list(scale)
 
 
-def _load(file: Path):
+def _content(file: Path) -> bytes:
+    if not file.is_file():
+        raise InputError(f'no such file: {file}')
+    try:
+        return file.read_bytes()
+    except OSError as error:
+        raise InputError(f'{file}: cannot be read: {error.strerror}') from None
+
+
+def _load(file: Path, text: bytes):
     try:
         import yourdfpy
     except ImportError as error:
         raise InputError("robots need yourdfpy: pip install 'xpbd_ros[robot]' "
                          f'({error})') from None
-    if not file.is_file():
-        raise InputError(f'no such file: {file}')
     try:
-        root = ElementTree.fromstring(file.read_bytes())
-    except (OSError, ElementTree.ParseError) as error:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
         raise InputError(f'{file}: is no URDF: {error}') from None
     if root.tag != 'robot' or 'name' not in root.attrib:
         raise InputError(f"{file}: is no URDF: its root is <{root.tag}>, and should be "
@@ -116,7 +127,7 @@ def _load(file: Path):
     logger = logging.getLogger('yourdfpy')
     logger.setLevel(logging.CRITICAL)
     try:
-        return yourdfpy.URDF.load(str(file), build_scene_graph=True, load_meshes=False,
+        return yourdfpy.URDF.load(BytesIO(text), build_scene_graph=True, load_meshes=False,
                                   build_collision_scene_graph=False)
     except Exception as error:
         raise InputError(f'{file}: cannot be read as URDF ({type(error).__name__}: '

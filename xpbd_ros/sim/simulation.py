@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping, Sequence
 import copy
 from dataclasses import dataclass
 from fractions import Fraction
-import hashlib
 from types import MappingProxyType
 from typing import Any, Protocol
 
@@ -16,6 +15,7 @@ from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
+from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
@@ -112,7 +112,10 @@ class Simulation:
 
     def time_ns(self, index: int) -> int:
         """Return the simulation time of a frame [ns]."""
-        return round(index * self._frame_ns)
+        frame_ns = self._frame_ns
+        whole, rest = divmod(index * frame_ns.numerator, frame_ns.denominator)
+        twice = 2 * rest - frame_ns.denominator
+        return whole + (twice > 0 or twice == 0 and whole % 2)    # as round(), 20 times faster
 
     def _collect(self) -> None:
         """Build the tuple of all effects' data that the kernels take."""
@@ -136,6 +139,7 @@ class Simulation:
             self._guard.compile()
         self._last.look()
         self.frame()
+        self.hash()
         for built in self.effects.values():
             built.compile(self.state)
 
@@ -189,9 +193,9 @@ class Simulation:
         return refused
 
     @property
-    def has_pending(self) -> bool:
-        """True if commands were applied since the last frame."""
-        return bool(self._pending)
+    def pending(self) -> tuple[Command, ...]:
+        """Commands that were applied since the last frame."""
+        return tuple(self._pending)
 
     def _clock(self) -> Clock:
         """Return the next frame as the effects see it: after a load, at the time of the save."""
@@ -358,28 +362,23 @@ class Simulation:
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
         state = self.state
-        return self._digest([state.x[..., self.slot], state.v[..., self.slot],
-                             state.inv_mass[self.slot]], self._history())
+        return hashed((array, self.slot) for array in (
+            state.x, state.v, state.inv_mass, *self._history()))
 
     def hash_of(self, frame: Frame) -> Callable[[], int]:
         """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
         history = [array.copy() for array in self._history()]
         kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
-        return lambda: self._digest(
-            [np.ascontiguousarray(array, kind) for array, kind in zip(
-                (frame.x.T, frame.v.T, frame.inv_mass), kinds)], history)
+        natural = np.arange(len(self.slot))
+        return lambda: hashed([
+            *((np.ascontiguousarray(array, kind), natural) for array, kind in zip(
+                (frame.x.T, frame.v.T, frame.inv_mass), kinds)),
+            *((array, self.slot) for array in history)])
 
     def _history(self) -> list[np.ndarray]:
         """Return the arrays besides x, v and inv_mass that determine the next substep."""
         history = self.state.history
         return [*history_arrays(self.state), *([] if history is None else [history.fresh])]
-
-    def _digest(self, natural: list[np.ndarray], history: list[np.ndarray]) -> int:
-        """Return the hash of arrays in natural order, and of others in slots."""
-        digest = hashlib.blake2b(digest_size=8)
-        for array in (*natural, *(each[..., self.slot] for each in history)):
-            digest.update(np.ascontiguousarray(array).data)
-        return int.from_bytes(digest.digest(), 'little')
 
     def stats(self) -> dict[str, float]:
         """Return the effects' statistics of the last frame, by name."""

@@ -138,7 +138,7 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                     numbers(), numbers(), numbers(), numbers(3), numbers(3),
                     zeros((room + WIDTH,), np.bool_), numbers(4), np.zeros(capacity + 1, np.int64),
                     new_near_blocks(colliders, slots), zeros((4, WIDTH), np.float64),
-                    new_wrenches(capacity), pads)
+                    new_wrenches(capacity, slots), pads)
 
 
 @jit(inline=True)

@@ -7,6 +7,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
+from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
 
 TURNED = 1e-4
 """change of a contact's normal in a substep up to which its push is one displacement"""
@@ -24,11 +25,14 @@ class Wrenches(NamedTuple):
     """partial sums of the collider at hand, shape (6, LANES)"""
     h: np.ndarray
     """length of the substep [s], shape (1,)"""
+    multistep: Multistep
+    """parts of forces that still act on velocities"""
 
 
-def new_wrenches(capacity: int) -> Wrenches:
+def new_wrenches(capacity: int, slots: int) -> Wrenches:
     """Return zero wrenches of ``capacity`` colliders."""
-    return Wrenches(np.zeros((capacity, 6)), np.zeros((6, LANES)), np.zeros(1))
+    return Wrenches(np.zeros((capacity, 6)), np.zeros((6, LANES)), np.zeros(1),
+                    new_multistep(capacity, slots))
 
 
 @jit
@@ -37,6 +41,9 @@ def begin_wrenches(wrenches, substep):
     if substep.begin == 0.0:
         wrenches.impulse[:] = 0.0
     wrenches.h[0] = substep.h
+    for c in range(len(wrenches.impulse)):
+        for k in range(6):
+            wrenches.multistep.before[c, k] = wrenches.impulse[c, k]
 
 
 @jit

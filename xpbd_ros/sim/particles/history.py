@@ -323,6 +323,12 @@ def usual_step(history, h):
 
 
 @jit
+def usual_weights(history):
+    """Return H / h, a, b of a particle with a history."""
+    return _weights_at(history.older_x, FULL)
+
+
+@jit
 def _weights_at(older, fresh):    # Numba prunes a branch on None where that is an argument
     if fresh > HALF:
         return 1.0, 0.0, 0.0
