@@ -119,8 +119,9 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
             yield client
         return
     with (distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
-                                   host='127.0.0.1', dashboard_address=None, memory_limit=0,
-                                   silence_logs=logging.CRITICAL, preload=[__name__]) as cluster,
+                                   host='127.0.0.1', dashboard_address='127.0.0.1:0',
+                                   memory_limit=0, silence_logs=logging.CRITICAL,
+                                   preload=[__name__]) as cluster,
           distributed.Client(cluster, set_as_default=False) as client):
         yield client
 
