@@ -126,6 +126,20 @@ def test_a_value_comes_back_within_a_tenth(what, tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize('organised', [True, False])
+@pytest.mark.parametrize('seed', [2, 3, 4])
+@pytest.mark.parametrize('what', KEYS)
+def test_a_value_comes_back_whatever_the_noise(what, seed, organised, tmp_path, capsys):
+    """A falling strip has local minima, out of which the profiles lead."""
+    text, key, expected = KEYS[what]
+    scene = record(text, tmp_path / what, seed=seed, organised=organised)
+    found = fit(scene, '--vary', key, '--set', f'{key}={2.0 * expected}', capsys=capsys)
+    value = found['values'][key]
+    assert value['value'] == pytest.approx(expected, rel=0.1)
+    assert value['low'] / 1.02 < expected < 1.02 * value['high']
+
+
+@pytest.mark.slow
 def test_two_values_come_back_from_one_recording(tmp_path, capsys):
     scene = record(STRETCH, tmp_path / 'stretch')
     keys = {f'cloths.c.effects.{name}': expected for name, expected in (

@@ -2,7 +2,9 @@
 Nonlinear least squares for the logarithms of a scene's values.
 
 The search begins at the best of some values over the range of each key. Then
-scipy.optimize.least_squares (trust region) minimises the sum of squared residuals. With the
+scipy.optimize.least_squares (trust region) minimises the sum of squared residuals. The sum is then
+computed along each key; where it is lower, the minimum was a local one, and the search starts from
+there. With the
 Jacobian J at its end, by central differences, the covariance of the logarithms is
 s² (JᵀJ)⁻¹, where s² is the mean squared residual. That holds for independent errors of the points;
 errors that points share, such as a camera's pose, come on top.
@@ -20,8 +22,10 @@ from xpbd_ros.fit.model import Model
 
 STEP = 0.02
 """of the central differences, in the logarithm"""
-SCAN = 9
+SCAN = 17
 """values over the range of a key at which the search looks for its start"""
+RESTARTS = 5
+"""searches, at most; another one starts where a profile is lower than the minimum found"""
 SIGMAS = 1.959964
 """half width of an interval of 95 %, in standard deviations"""
 WIDEST = 2.0
@@ -129,7 +133,12 @@ class Search:
 
     def variance(self, squares: float) -> float:
         """Return s² [m²] of a sum of squares."""
-        return squares / max(1, self._model.numbers - len(self._keys))
+        return squares / max(1, self.numbers - len(self._keys))
+
+    @property
+    def numbers(self) -> int:
+        """Number of measured numbers."""
+        return self._model.numbers
 
 
 def fit(model: Model, keys: Sequence[Key], start: Mapping[str, float] | None = None, *,
@@ -149,13 +158,19 @@ def fit(model: Model, keys: Sequence[Key], start: Mapping[str, float] | None = N
     """
     search = Search(model, keys, threads=threads, progress=progress)
     point = search.start() if start is None else np.log([start[key.name] for key in keys])
-    point, covariance = search.solve(point)
-    least = float(search.squares([point])[0])
-    values = {}
-    for k, key in enumerate(progress(keys, 'profiles')):
-        deviation = math.sqrt(covariance[k, k])
-        profile = _profile(search, point, k, key, deviation)
-        values[key.name] = _value(search, point, k, key, deviation, least, profile)
+    for _ in range(RESTARTS):
+        point, covariance = search.solve(point)
+        deviations = np.sqrt(np.diag(covariance))
+        least = float(search.squares([point])[0])
+        profiles = [_profile(search, point, k, key, deviations[k])
+                    for k, key in enumerate(progress(keys, 'profiles'))]
+        lowest, k, z = min((squares, k, z) for k, profile in enumerate(profiles)
+                           for z, squares in profile)
+        if lowest > least - search.variance(least):
+            break
+        point = _with(point, k, z)    # that was a local minimum
+    values = {key.name: _value(search, point[k], key, deviations[k], least, profiles[k])
+              for k, key in enumerate(keys)}
     return Fit(values, math.sqrt(least / model.numbers), search.runs)
 
 
@@ -170,12 +185,12 @@ def _profile(search: Search, point: np.ndarray, k: int, key: Key, deviation: flo
     return list(zip(these, search.squares([_with(point, k, z) for z in these])))
 
 
-def _value(search: Search, point: np.ndarray, k: int, key: Key, deviation: float, least: float,
+def _value(search: Search, z: float, key: Key, deviation: float, least: float,
            profile: list[tuple[float, float]]) -> Value:
     variance = search.variance(least)
-    aside = [squares for z, squares in profile if abs(z - point[k]) > 0.99 * math.log(2.0)]
+    aside = [squares for other, squares in profile if abs(other - z) > 0.99 * math.log(2.0)]
     wide = math.exp(min(SIGMAS * deviation, 300.0))
-    value = math.exp(point[k])
+    value = math.exp(z)
     if min(aside, default=0.0) < least + RISE * variance:
         why = 'the residual is flat: this motion does not depend on it'
     elif value <= key.low * (1.0 + STEP) or value >= key.high / (1.0 + STEP):
@@ -185,8 +200,8 @@ def _value(search: Search, point: np.ndarray, k: int, key: Key, deviation: float
     else:
         why = ''
     return Value(value, max(value / wide, key.low), min(value * wide, key.high), not why, why,
-                 tuple((math.exp(z), math.sqrt(squares / search._model.numbers))
-                       for z, squares in profile))
+                 tuple((math.exp(other), math.sqrt(squares / search.numbers))
+                       for other, squares in profile))
 
 
 def _with(point: np.ndarray, k: int, z: float) -> np.ndarray:
