@@ -17,6 +17,7 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.sim.measure import kinetic_energy, largest_strain
 from xpbd_ros.study import parallel
+from xpbd_ros.sweep import outcome
 from xpbd_ros.sweep.parameters import draw, Range
 
 parquet = pytest.importorskip('pyarrow.parquet',
@@ -164,6 +165,21 @@ def test_logs_are_those_of_the_runs(scene, tmp_path, capsys):
         *_, last = reader.messages(['/cloth/state_hash'])
         assert last.frame == row['frames'] == 15
         assert f'{int.from_bytes(last.data[4:12], "little"):016x}' == row['state_hash']
+
+
+def test_a_run_that_is_too_large_is_told_in_its_row(scene, tmp_path, monkeypatch, capsys):
+    def compiled(scene, run=outcome.compile_scene):
+        if scene.top.solver.substeps == 5:
+            raise MemoryError('8 TiB')
+        return run(scene)
+
+    monkeypatch.setattr(outcome, 'compile_scene', compiled)
+    (tmp_path / 'values.csv').write_text('solver.substeps\n4\n5\n6\n')
+    found = sweep(scene, tmp_path / 'out', '--table', tmp_path / 'values.csv', code=1,
+                  capsys=capsys)
+    assert found['failed'] == 1
+    assert [row['error'] for row in table(tmp_path / 'out').to_pylist()] == [
+        None, 'not enough memory (8 TiB); use fewer particles', None]
 
 
 def test_without_dask_several_workers_are_refused_with_the_remedy(

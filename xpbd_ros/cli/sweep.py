@@ -81,7 +81,8 @@ def run(arguments) -> int:
     table, wall = store.join(), time.perf_counter() - begin
     failed = [row for row in store.rows.values() if row['error']]
     numbers = {'runs': len(store.rows), 'failed': len(failed), 'table': table,
-               'workers': workers, 'wall_s': wall, 'resumed': resumed}
+               'workers': None if arguments.scheduler else workers, 'wall_s': wall,
+               'resumed': resumed}
     write_json(arguments.json, numbers)
     if arguments.json != '-':
         print('\n'.join(lines(numbers, store.rows.values(), failed)))
@@ -172,7 +173,8 @@ def compute(arguments, store, base: dict, values: list[dict], workers: int) -> N
 def lines(numbers: dict, rows, failed: list[dict]) -> list[str]:
     """Return the printed summary."""
     text = [f"{numbers['runs']} runs, {numbers['failed']} without an outcome, in "
-            f"{numbers['wall_s']:.1f} s with {numbers['workers']} workers"
+            f"{numbers['wall_s']:.1f} s"
+            + (f" with {numbers['workers']} workers" if numbers['workers'] else '')
             + (f" ({numbers['resumed']} from before)" if numbers['resumed'] else '')]
     for name in SHOWN:
         found = [row[name] for row in rows if row.get(name) is not None]

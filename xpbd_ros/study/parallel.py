@@ -15,6 +15,7 @@ import multiprocessing
 import signal
 from typing import Any
 
+from xpbd_ros import __version__
 from xpbd_ros.errors import brief, InputError
 
 PATIENCE = '10s'
@@ -53,18 +54,23 @@ def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple], *, processes
     pool = _dask if dask or scheduler is not None else _processes
     with pool(min(processes, len(tasks)), scheduler) as (submit, completed, killed):
         numbers = {submit(function, *task): k for k, task in enumerate(tasks)}
-        done = completed(list(numbers))
+        done, suspects = completed(list(numbers)), []
         for _ in progress(range(len(tasks)), what):
             future = next(done)
             number = numbers.pop(future)
             try:
-                result = future.result()
+                yield number, future.result()
             except killed as error:
                 if lost is None:
                     raise InputError(f'{what}: a worker process was killed; it may have run out '
                                      'of memory') from error
-                result = lost(number)
-            yield number, result
+                suspects.append(number)
+        for number in suspects:    # alone, as another task may have killed their workers
+            try:
+                yield number, submit(function, *tasks[number]).result()
+            except killed:
+                assert lost is not None
+                yield number, lost(number)
 
 
 @contextmanager
@@ -95,8 +101,9 @@ def _dask(count: int, scheduler: str | None) -> Iterator[tuple]:
         import distributed
         from distributed.scheduler import KilledWorker
     except ImportError:
-        raise InputError('several workers need Dask, which is not installed; pip install '
-                         "'xpbd_ros[cluster]', or take --workers 1") from None
+        raise InputError(('--scheduler needs' if scheduler else 'several workers need')
+                         + " Dask, which is not installed; pip install 'xpbd_ros[cluster]'"
+                         + ('' if scheduler else ', or take --workers 1')) from None
     with _quiet(), _client(distributed, count, scheduler) as client:
         def submit(function, *task):
             return client.submit(function, *task, pure=False)
@@ -116,6 +123,7 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
             if not client.nthreads():
                 raise InputError(f'--scheduler {scheduler}: has no workers; start some with '
                                  f"'dask worker {scheduler}'")
+            _check_versions(client, scheduler)
             yield client
         return
     with (distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
@@ -124,6 +132,23 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
                                    preload=[__name__]) as cluster,
           distributed.Client(cluster, set_as_default=False) as client):
         yield client
+
+
+def _check_versions(client, scheduler: str) -> None:
+    """Raise InputError if a worker has another version of the package, or none."""
+    try:
+        found = set(client.run(version).values())
+    except Exception as error:    # of any kind, from the worker
+        raise InputError(f'--scheduler {scheduler}: a worker cannot import xpbd_ros '
+                         f'({type(error).__name__}: {brief(str(error))})') from None
+    if found != {version()}:
+        raise InputError(f'--scheduler {scheduler}: a worker has another version of xpbd_ros: '
+                         f'{", ".join(sorted(found - {version()}))} instead of {version()}')
+
+
+def version() -> str:
+    """Return the version of the package."""
+    return __version__
 
 
 def dask_setup(worker) -> None:

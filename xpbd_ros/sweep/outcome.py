@@ -41,11 +41,12 @@ def outcome(scene: Scene, frames: int, log: Path | None = None,
     new_log : creates the recorder of a log, from its folder, the scene and the simulation
 
     """
-    begin = time.perf_counter()
     try:
         simulation = compile_scene(scene)
     except InputError as error:
         return {ERROR: str(error)}
+    except MemoryError as error:
+        return {ERROR: f'not enough memory ({error}); use fewer particles'}
     simulation.compile()
     monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                            most=scene.top.solver.max_substeps)
