@@ -126,7 +126,9 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
             _check_versions(client, scheduler)
             yield client
         return
-    with (distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
+    import dask
+    with (dask.config.set({'distributed.worker.profile.enabled': False}),
+          distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
                                    host='127.0.0.1', dashboard_address='127.0.0.1:0',
                                    memory_limit=0, silence_logs=logging.CRITICAL,
                                    preload=[__name__]) as cluster,
