@@ -48,6 +48,8 @@ setup(
         'ros': ['ros-jazzy-common-interfaces', 'ros-jazzy-rclpy[fastrtps]'],
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
+        # several workers of sweep, --scheduler, and the table of sweep
+        'cluster': ['dask>=2024.1', 'distributed>=2024.1', 'pyarrow>=14'],
         # logs as tables, mesh sequences and USD
         'export': ['meshio>=5.3', 'pyarrow>=14', 'usd-core>=24.5'],
         # the page of view; pictures of runs: run --picture, and the demo's. VTK has rendered by
@@ -59,9 +61,9 @@ setup(
         'bags': ['rosbags>=0.10'],
         # a rigid body and a cloth that move one another: doc/coupling.md
         'mujoco': ['mujoco>=3'],
-        'test': [*VIEW, 'hypothesis', 'mcap-ros2-support', 'meshio>=5.3', 'mypy>=2',
-                 'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags', 'ruff',
-                 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
+        'test': [*VIEW, 'dask>=2024.1', 'distributed>=2024.1', 'hypothesis', 'mcap-ros2-support',
+                 'meshio>=5.3', 'mypy>=2', 'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags',
+                 'ruff', 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
     },
     entry_points={
         'console_scripts': [

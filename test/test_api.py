@@ -83,6 +83,29 @@ def test_rollouts_are_in_order_and_leave_their_start_alone():
                              ) == [2]
 
 
+def test_rollouts_start_from_the_state_of_a_live_node(tmp_path):
+    """Its ``~/record`` writes the whole state, pins included; what follows has the same bits."""
+    pytest.importorskip('rclpy', reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
+    from support.logs import COMMANDS, recorded, SHEET, state_hashes
+    (tmp_path / 'sheet.yaml').write_text(SHEET)
+    log = recorded(tmp_path / 'sheet.yaml', tmp_path / 'log', COMMANDS, begin=6)
+    simulation = xpbd_ros.load(log)
+    assert simulation.index == 6
+    assert set(simulation.frame().pins) == {'left', 'hand'}
+    hashes = state_hashes(log)
+    assert simulation.hash() == hashes[6]
+    sequence = [COMMANDS.get(index, []) for index in range(7, 13)]
+    last = xpbd_ros.rollouts(simulation, [sequence, 6 * [[]]], lambda frames: [*frames][-1].x)
+    other = simulation.save().simulation()
+    for commands in sequence:
+        frame = other.step(commands)
+    assert other.hash() == hashes[12]
+    assert np.array_equal(last[0], frame.x)
+    assert not np.array_equal(last[1], frame.x)
+    with pytest.raises(InputError, match='the state of a log goes with the keys of its scene'):
+        xpbd_ros.load(log, gravity=[0.0, 0.0, 0.0])
+
+
 def test_bad_input_is_refused_with_the_way_out():
     with pytest.raises(InputError, match="did you mean 'towel'"):
         xpbd_ros.load('towl')

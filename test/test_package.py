@@ -33,9 +33,11 @@ BELOW = {
     'export': {'ros', 'log', 'scene', 'effects', 'sim'},
     'demo': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
     'node_stress': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
+    'fit': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
+    'sweep': {'ros', 'study', 'log', 'scene', 'effects', 'sim'},
     'view': {'export', 'ros', 'log', 'scene', 'effects', 'sim'},
-    'cli': {'view', 'export', 'node_stress', 'demo', 'ros', 'study', 'log', 'scene', 'effects',
-            'sim'},
+    'cli': {'view', 'export', 'node_stress', 'demo', 'fit', 'sweep', 'ros', 'study', 'log',
+            'scene', 'effects', 'sim'},
 }
 BESIDE = {'', 'errors', 'share'}    # at the top of the package, for all: __version__ and two files
 WITHOUT_ROS = ('sim', 'effects', 'scene', 'study')

@@ -42,20 +42,25 @@ __all__ = [
     'rollouts']
 
 Result = TypeVar('Result')
+_recordings: list[Any] = []    # keep the files that scenes of logs refer to
 
 
 def load(scene: str | Path | dict, **overrides: Any) -> Simulation:
     """
-    Return the simulation of a scene, at its start.
+    Return the simulation of a scene, at its start, or of a log, at its first frame.
+
+    A log that a node's ``~/record`` began in the middle of a run holds the state of that moment.
 
     Parameters
     ----------
-    scene : path of a scene file, name of a shipped scene, or the scene as a mapping
-    overrides : values of single keys, as in ``load('towel', **{'solver.substeps': 32})``
+    scene : path of a scene file, name of a shipped scene, or the scene as a mapping; or path of a
+        log, its folder or .mcap file, which needs ROS
+    overrides : values of single keys, as in ``load('towel', **{'solver.substeps': 32})``; none
+        for a log
 
     Raises
     ------
-    InputError : the scene is not valid; the message names file, key, value, unit and remedy
+    InputError : the scene or log is not valid; the message names file, key, value, unit and remedy
     TypeError : not a path, name or mapping
 
     """
@@ -64,7 +69,26 @@ def load(scene: str | Path | dict, **overrides: Any) -> Simulation:
                                                 overrides=overrides))
     if not isinstance(scene, (str, Path)):
         raise TypeError(f'{scene!r} is not a path of a scene file, a name or a mapping')
+    path = Path(scene)
+    if path.suffix == '.mcap' or path.is_dir() and any(path.glob('*.mcap')):
+        return _of_log(path, overrides)
     return compile_scene(load_scene(str(scene), overrides))
+
+
+def _of_log(path: Path, overrides: dict[str, Any]) -> Simulation:
+    """Return the simulation of a log, at its first frame."""
+    if overrides:
+        raise InputError(f'{path}: the state of a log goes with the keys of its scene; change '
+                         'live ones by SetKey')
+    try:
+        from xpbd_ros.ros.logged_commands import Recording
+    except ImportError as error:
+        raise InputError(f'{path}: reading a log needs ROS 2 ({error})') from None
+    recording = Recording(str(path))
+    simulation = compile_scene(recording.scene)
+    recording.begin(simulation)
+    _recordings.append(recording)
+    return simulation
 
 
 def rollouts(start: Simulation | State, sequences: Iterable[Sequence[Sequence[Command]]],

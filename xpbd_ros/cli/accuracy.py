@@ -19,7 +19,7 @@ import sys
 import yaml
 
 from xpbd_ros.cli.output import add_json_argument, check_output, STDOUT, write_json
-from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -56,6 +56,7 @@ def add_arguments(parser):
     parser.add_argument('--jobs', type=int, metavar='N',
                         help='parallel processes for the errors (default: all cores); timings '
                              'always use one')
+    add_scheduler_argument(parser)
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
                         help='override one key of the scene, such as gravity=[0,0,-1.62]')
     add_json_argument(parser)
@@ -90,7 +91,7 @@ def run(arguments) -> int:
     try:
         found = study(scene, frames, folder, times=times, commands=commands, methods=methods,
                       baselines=arguments.baselines, by=arguments.by, processes=jobs,
-                      progress=progress)
+                      scheduler=arguments.scheduler, progress=progress)
         return finish(arguments, found, folder, commands)
     except KeyboardInterrupt:
         print(f'xpbd_ros accuracy: interrupted; continue with the same command and -o {folder}',

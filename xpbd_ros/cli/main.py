@@ -24,6 +24,8 @@ VERBS = {
     'view': 'show a scene in a browser page, to look at and to touch',
     'run': 'simulate a scene as fast as possible, without DDS, and write the same log as the node',
     'replay': 'publish a log, as ros2 bag play does',
+    'sweep': 'run a scene with many values of its keys, and gather the outcomes in a table',
+    'fit': 'find the values of keys with which a scene explains a recorded point cloud',
     'resim': 'solve a recorded run again, from its log alone, and compare the states',
     'export': 'write the states of a log as arrays, tables or meshes',
     'info': 'list the content of a log, and check that it is whole',

@@ -1,5 +1,6 @@
-"""Progress bars on terminals."""
+"""Progress bars on terminals, and where parallel work runs."""
 
+import argparse
 from collections.abc import Iterable
 import sys
 
@@ -10,3 +11,11 @@ def progress(items: Iterable, what: str) -> Iterable:
         return items
     from tqdm import tqdm
     return tqdm(items, unit=f' {what}', leave=False)
+
+
+def add_scheduler_argument(parser: argparse.ArgumentParser) -> None:
+    """Add ``--scheduler ADDRESS`` to a verb."""
+    parser.add_argument(
+        '--scheduler', metavar='ADDRESS',
+        help='let the workers of this Dask scheduler do the work, such as tcp://10.0.0.1:8786; '
+             'they need the same version and the same folders; needs the extra cluster')

@@ -13,7 +13,7 @@ import subprocess
 import sys
 
 from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
-from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 
@@ -28,6 +28,7 @@ def add_arguments(parser):
     parser.add_argument('-o', '--output', metavar='DIR',
                         help='write a table and draw a map of cases and settings to this new '
                              'folder')
+    add_scheduler_argument(parser)
     add_json_argument(parser)
 
 
@@ -38,7 +39,8 @@ def run(arguments) -> int:
     with new_folder(arguments.output) as folder:
         results = live = live_cases(arguments.case) if not arguments.quick else []
         if arguments.case in (None, *known_ids()) or not live:
-            results = live + stress(arguments.case, quick=arguments.quick, progress=progress)
+            results = live + stress(arguments.case, quick=arguments.quick,
+                                    scheduler=arguments.scheduler, progress=progress)
     results = sorted(results, key=lambda one: int(one.id[1:]))
     rows = [(result, each) for result in results for each in result.outcomes]
     failed = sum(not each.good and not each.skipped for _, each in rows)

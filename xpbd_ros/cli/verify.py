@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
-from xpbd_ros.cli.progress import progress
+from xpbd_ros.cli.progress import add_scheduler_argument, progress
 
 EXAMPLE = 'xpbd_ros verify --case V6'
 
@@ -24,6 +24,7 @@ def add_arguments(parser):
     parser.add_argument('-o', '--output', metavar='DIR',
                         help='draw a picture per family of cases and write the table as Markdown '
                              'to this new folder')
+    add_scheduler_argument(parser)
     add_json_argument(parser)
 
 
@@ -33,7 +34,8 @@ def run(arguments) -> int:
     from xpbd_ros.study.verify.run import draw, verify
     check_output(arguments.json)
     with new_folder(arguments.output) as folder:
-        answers = verify(arguments.case, slow=not arguments.quick, progress=progress)
+        answers = verify(arguments.case, slow=not arguments.quick,
+                         scheduler=arguments.scheduler, progress=progress)
     wrong = [one for one in controls() if arguments.case in (None, one.id)]
     rows = [row for answer in answers for row in answer.rows]
     failed = sum(not row.good for row in rows) + sum(not one.fails for one in wrong)

@@ -20,6 +20,7 @@ from xpbd_ros.sim.commands import ReleaseAll, SetKey
 from xpbd_ros.study.accuracy import study
 from xpbd_ros.study.accuracy.baselines import Baseline, refusal
 from xpbd_ros.study.accuracy.choose import recommend, Row, SHAPE
+from xpbd_ros.study.accuracy.job import Job
 from xpbd_ros.study.accuracy.measure import remarks, without_solver
 from xpbd_ros.study.accuracy.picture import draw
 from xpbd_ros.study.accuracy.report import facts, settings_text, write_csv, write_page
@@ -27,7 +28,6 @@ from xpbd_ros.study.accuracy.results_store import FILE
 from xpbd_ros.study.accuracy.solver_setting import BASELINES, ladder, METHODS, Setting
 from xpbd_ros.study.accuracy.trajectory import play
 from xpbd_ros.study.accuracy.truth import extrapolated, independent, Truth
-from xpbd_ros.study.accuracy.worker_pool import Job
 
 FRAMES = 24
 SHEET = {'duration': 0.4, 'cloths': {'sheet': {

@@ -1,11 +1,13 @@
 """A study: compute the true solution, the errors of all settings, then their times."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 import hashlib
 import json
 from pathlib import Path
 import pickle
+from typing import Any
 
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
@@ -16,6 +18,7 @@ from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
 from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors, errors
+from xpbd_ros.study.accuracy.job import Job, run_method, TRUTH
 from xpbd_ros.study.accuracy.results_store import ResultsStore
 from xpbd_ros.study.accuracy.solver_setting import (
     BASELINES,
@@ -42,8 +45,8 @@ from xpbd_ros.study.accuracy.truth import (
     times_of,
     Truth,
 )
-from xpbd_ros.study.accuracy.worker_pool import Job, run_tasks, TRUTH
 from xpbd_ros.study.machine import machine
+from xpbd_ros.study.parallel import run_tasks
 
 LOADED = 0.1
 """part of the run's largest strain that must occur while trajectories are predictable; otherwise
@@ -93,6 +96,7 @@ class Study:
 def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
           commands: dict[int, list] | None = None, methods: Sequence[str] = METHODS,
           baselines: bool = False, by: str | None = None, processes: int = 1,
+          scheduler: str | None = None,
           progress: Callable[[Iterable, str], Iterable] = lambda items, _: items) -> Study:
     """
     Measure errors and times of solver settings for a scene; keep the results in a folder.
@@ -108,6 +112,7 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
     baselines : whether to run the baselines too
     by : POSITION or SHAPE; None chooses by LOADED
     processes : number of processes for the errors
+    scheduler : address of a Dask scheduler whose workers compute the errors instead
     progress : wraps lists of tasks to show progress
 
     Raises
@@ -123,18 +128,19 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
         'scene': _hash(scene.raw), 'duration': str(frames), 'times': str(list(times)),
         'inputs': hashlib.blake2b(pickle.dumps(commands), digest_size=8).hexdigest(),
         'version': f'{__version__} {FORMAT} {CACHE_FOLDER.name}', 'machine': here['name']})
-    job = Job(scene, frames, commands, folder)
+    job = Job(scene, frames, commands, folder.absolute())
+    run = partial(run_tasks, processes=processes, scheduler=scheduler, progress=progress)
     if (folder / TRUTH).exists():
         truth = job.truth
     else:
-        truth = find_truth(job, times, processes, progress)
+        truth = find_truth(job, times, run)
         truth.save(folder / TRUTH)
     if baselines:
         settings, left = _without_baselines(settings, scene, commands)
         refused += left
     missing = _in_order([one for one in settings if one.key not in store.errors])
-    tasks: list[tuple[str, tuple, dict]] = [('errors', (setting,), {}) for setting in missing]
-    for k, found in run_tasks(job, tasks, processes, 'settings', progress):
+    for k, found in run(partial(run_method, replace(job)),
+                        [('errors', (setting,)) for setting in missing], what='settings'):
         store.add_errors(missing[k].key, found)
     for setting in progress([one for one in settings if one.key not in store.timings
                              and store.errors[one.key].finite], 'timings'):
@@ -153,14 +159,19 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
                                         *remarks(scene, truth, frames, simulation.frame_dt)])
 
 
-def find_truth(job: Job, times: Sequence[int], processes: int, progress) -> Truth:
-    """Run the simulation's own ladder, the perturbed run and, if it can, the reference solver."""
+def find_truth(job: Job, times: Sequence[int],
+               run: Callable[..., Iterable[tuple[int, Any]]]) -> Truth:
+    """
+    Run the simulation's own ladder, the perturbed run and, if it can, the reference solver.
+
+    ``run`` is ``run_tasks``, with all arguments but ``function``, ``tasks`` and ``what``.
+    """
     rungs = own_rungs(job.scene)
-    tasks: list[tuple[str, tuple, dict]] = [
-        ('play', (setting, None), {}) for setting in reversed(rungs)]
-    tasks.append(('play', (rungs[0], None), {'pushed': True}))
-    tracks = dict(run_tasks(job, tasks, processes, 'runs towards the limit', progress))
-    for k, (_, (setting, _), _) in enumerate(tasks):
+    method = partial(run_method, replace(job))
+    tracks = dict(run(method, [*(('play', (setting, None)) for setting in reversed(rungs)),
+                               ('play', (rungs[0], None), {'pushed': True})],
+                      what='runs towards the limit'))
+    for k, setting in enumerate([*reversed(rungs), rungs[0]]):
         if tracks[k].ended is not None:
             raise InputError(f'{job.scene.where}: not finite at frame {tracks[k].ended} with '
                              f'{setting.substeps} substeps of {setting.method}; there is no '
@@ -176,9 +187,8 @@ def find_truth(job: Job, times: Sequence[int], processes: int, progress) -> Trut
     references = {}
     if why_not is None:
         wanted = [frame for frame in frames if frame <= horizon]
-        tasks = [('reference', (frame,), {}) for frame in wanted]
-        references = {wanted[k]: found for k, found in run_tasks(
-            job, tasks, processes, 'independent solutions', progress)}
+        references = {wanted[k]: found for k, found in run(
+            method, [('reference', (frame,)) for frame in wanted], what='independent solutions')}
     return make(simulation, tracks_up, pushed, frames, references, horizon, why_not)
 
 

@@ -7,6 +7,7 @@ import time
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.study.chart import INK, page, save
+from xpbd_ros.study.parallel import run_tasks
 from xpbd_ros.study.stress import all_hard
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.guards import GUARDS
@@ -35,7 +36,7 @@ def known_ids() -> list[str]:
     return [one.id for one in all_hard()]
 
 
-def stress(chosen: str | None = None, *, quick: bool = False,
+def stress(chosen: str | None = None, *, quick: bool = False, scheduler: str | None = None,
            progress: Callable[[Iterable, str], Iterable] = lambda items, _: items
            ) -> list[Result]:
     """
@@ -45,21 +46,25 @@ def stress(chosen: str | None = None, *, quick: bool = False,
     ----------
     chosen : id of a case, such as H13; None for all
     quick : run only the attempts of ``is_quick``
+    scheduler : address of a Dask scheduler whose workers run the cases instead
     progress : wraps the list of cases to show progress
 
     """
-    cases = [one for one in all_hard() if chosen in (None, one.id)]
-    if not cases:
+    tasks = [(k, quick) for k, one in enumerate(all_hard()) if chosen in (None, one.id)]
+    if not tasks:
         known = sorted([*known_ids(), *NODE_CASES], key=lambda one: int(one[1:]))
         raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
-    found = []
-    for one in progress(cases, 'cases'):
-        start = time.perf_counter()
-        attempts = [each for each in one.attempts() if not quick or is_quick(one, each)]
-        found.append(Result(one.id, one.title, one.family,
-                            tuple(each.outcome() for each in attempts),
-                            time.perf_counter() - start))
-    return found
+    found = dict(run_tasks(_result, tasks, processes=1, scheduler=scheduler, what='cases',
+                           progress=progress))
+    return [found[k] for k in sorted(found)]
+
+
+def _result(k: int, quick: bool) -> Result:
+    """Run one of ``all_hard``."""
+    one, start = all_hard()[k], time.perf_counter()
+    attempts = [each for each in one.attempts() if not quick or is_quick(one, each)]
+    return Result(one.id, one.title, one.family, tuple(each.outcome() for each in attempts),
+                  time.perf_counter() - start)
 
 
 def is_quick(case, attempt) -> bool:

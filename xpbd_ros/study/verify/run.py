@@ -7,7 +7,8 @@ import time
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.study.chart import COLOURS, INK, page, save
-from xpbd_ros.study.verify import all_cases, Row
+from xpbd_ros.study.parallel import run_tasks
+from xpbd_ros.study.verify import all_cases, Case, Row
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Answer:
     seconds: float
 
 
-def verify(chosen: str | None = None, *, slow: bool = True,
+def verify(chosen: str | None = None, *, slow: bool = True, scheduler: str | None = None,
            progress: Callable[[Iterable, str], Iterable] = lambda items, _: items
            ) -> list[Answer]:
     """
@@ -31,20 +32,30 @@ def verify(chosen: str | None = None, *, slow: bool = True,
     ----------
     chosen : id of a case, such as V6; None for all
     slow : whether to run the cases that take minutes
+    scheduler : address of a Dask scheduler whose workers run the cases instead
     progress : wraps the list of cases to show progress
 
     """
-    cases = [one for family in all_cases().values() for one in family
-             if (slow or not one.slow) and chosen in (None, one.id)]
+    cases = {k: one for k, one in enumerate(_cases())
+             if (slow or not one.slow) and chosen in (None, one.id)}
     if not cases:
-        known = sorted({one.id for family in all_cases().values() for one in family}, key=number)
+        known = sorted({one.id for one in _cases()}, key=number)
         raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
-    found = []
-    for one in progress(sorted(cases, key=lambda one: number(one.id)), 'cases'):
-        start = time.perf_counter()
-        rows = tuple(one.rows())
-        found.append(Answer(one.id, one.title, one.family, rows, time.perf_counter() - start))
-    return found
+    tasks = [(k,) for k in sorted(cases, key=lambda k: number(cases[k].id))]
+    found = dict(run_tasks(_answer, tasks, processes=1, scheduler=scheduler, what='cases',
+                           progress=progress))
+    return [found[k] for k in sorted(found)]
+
+
+def _cases() -> list[Case]:
+    return [one for family in all_cases().values() for one in family]
+
+
+def _answer(k: int) -> Answer:
+    """Run one of ``_cases``."""
+    one, start = _cases()[k], time.perf_counter()
+    rows = tuple(one.rows())
+    return Answer(one.id, one.title, one.family, rows, time.perf_counter() - start)
 
 
 def number(id_: str) -> int:

@@ -1,12 +1,9 @@
-"""Run a scene many times in parallel processes; one task is one run."""
+"""The tasks of a study, each of which runs the scene once."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-import multiprocessing
 from pathlib import Path
-import signal
 from typing import Any
 
 from xpbd_ros.errors import InputError
@@ -19,6 +16,8 @@ from xpbd_ros.study.accuracy.trajectory import Edges, play, Trajectory
 from xpbd_ros.study.accuracy.truth import push, size_of, Truth
 from xpbd_ros.study.reference import limit, problem_of, Reference
 
+TRUTH = 'truth.npz'
+"""file of the true solution, in the folder of the study"""
 LEVELS = 7
 """largest number of step sizes of the reference solver"""
 CERTAIN = 1e-7
@@ -77,46 +76,6 @@ class Job:
         return replace(found, x=found.x[:count], v=found.v[:count])
 
 
-TRUTH = 'truth.npz'
-_job: Job | None = None
-
-
-def _begin(job: Job) -> None:
-    """Initialize a worker process; the parent process handles interrupts."""
-    global _job
-    _job = job
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _do(name: str, arguments: tuple, options: dict) -> Any:
-    return getattr(_job, name)(*arguments, **options)
-
-
-def run_tasks(job: Job, tasks: Sequence[tuple[str, tuple, dict]], processes: int, what: str,
-              progress: Callable[[Iterable, str], Iterable]) -> Iterator[tuple[int, Any]]:
-    """
-    Run tasks in parallel processes, and yield (number of the task, its result) as they finish.
-
-    A task is the name of a method of ``Job``, its arguments and its options. If the caller stops
-    early, the processes are terminated.
-    """
-    if processes == 1:
-        for k in progress(range(len(tasks)), what):
-            name, arguments, options = tasks[k]
-            yield k, getattr(job, name)(*arguments, **options)
-        return
-    context = multiprocessing.get_context('spawn')
-    before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(min(processes, len(tasks)) or 1, context, _begin, (job,))
-    try:
-        numbers = {pool.submit(_do, *task): k for k, task in enumerate(tasks)}
-        done = as_completed(numbers)
-        for _ in progress(range(len(tasks)), what):
-            future = next(done)
-            yield numbers[future], future.result()
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - before:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+def run_method(job: Job, name: str, arguments: tuple = (), options: dict | None = None) -> Any:
+    """Run one task: a method of the job, by its name, with its arguments and options."""
+    return getattr(job, name)(*arguments, **(options or {}))
