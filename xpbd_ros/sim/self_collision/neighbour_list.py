@@ -72,11 +72,11 @@ class NeighbourList(NamedTuple):
     loaded: np.ndarray
     """``precise_move`` before pair contacts changed it"""
     origin: np.ndarray
-    """[m], shape (3,)"""
+    """moves along with the common displacement [m], shape (3,)"""
     unit: float
     """mean mass of a particle [kg]"""
     seen: np.ndarray
-    """y: positions at the build [m], shape (particles, 3)"""
+    """y: positions when a particle's pairs were sought, less U then [m], shape (particles, 3)"""
     drift: np.ndarray
     """U: common displacement since the build [m], shape (3,)"""
     step: np.ndarray
@@ -85,19 +85,25 @@ class NeighbourList(NamedTuple):
     margin: np.ndarray
     """motion of each particle for which the list is complete [m], shape (particles,)"""
     count: np.ndarray
-    """in this frame: builds; pairs beyond the capacity; particles held back; particles and pairs
-    that penetrate nevertheless; shape (4,)"""
+    """
+    in this frame: searches; pairs beyond the capacity; particles held back; particles and pairs
+    that penetrate nevertheless; searches for all particles; shape (5,)
+    """
     kind_begin: np.ndarray
     """begin of the pairs of each kind in the list, a multiple of PACK, shape (3,)"""
     kind_end: np.ndarray
     """end of the pairs of each kind, shape (3,)"""
+    kind_room: np.ndarray
+    """end of the capacity for each kind, a multiple of PACK, shape (3,)"""
     corners: np.ndarray
     """
     particles of each pair, one side first, unused ones the dummy, shape (4, capacity
-    + CANDIDATES): candidates of the search are behind the end
+    + CANDIDATES): candidates of the search are behind the capacity
     """
     keep: np.ndarray
     """distance to be kept [m], or UNKNOWN; shape (capacity + CANDIDATES,)"""
+    renewed: np.ndarray
+    """True for particles whose pairs the last search has sought, shape (particles + 1,)"""
     points: BoxTree
     """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
@@ -142,9 +148,10 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
-        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64),
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + CANDIDATES), np.int32),
-        np.zeros(room + CANDIDATES, np.float32), tree(points[:, None]), trees, kin)
+        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(5, np.int64),
+        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
+        np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
+        np.zeros(count + 1, np.bool_), tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
