@@ -176,6 +176,13 @@ def are_welded(kin, a, b):
 
 
 @jit(inline=True)
+def has_marked(marks, corners, k):
+    """Return True if pair k has a particle that is marked; unsigned, an index is not negative."""
+    return (marks[np.uint32(corners[0, k])] | marks[np.uint32(corners[1, k])]
+            | marks[np.uint32(corners[2, k])] | marks[np.uint32(corners[3, k])])
+
+
+@jit(inline=True)
 def length(v):
     """Return |v|."""
     return sqrt(dot(v, v))

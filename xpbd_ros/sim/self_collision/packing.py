@@ -30,6 +30,7 @@ from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     gone_since,
+    has_marked,
     load_starts,
     POINTS,
     TRAVEL,
@@ -85,7 +86,7 @@ def pack_some(near, pairs, thickness, spare):
             start[i, a] = pairs.seen[i, a] + pairs.drift[a] - origin[a]
         start[i, TRAVEL] = UP * pairs.allowed[i]
     for k in range(pairs.end[0]):
-        if is_renewed(pairs, pairs.particles, k):
+        if has_marked(pairs.renewed, pairs.particles, k):
             pairs.keep[k] = 0.0
             for p in range(4):
                 pairs.particles[p, k] = dummy
@@ -94,14 +95,6 @@ def pack_some(near, pairs, thickness, spare):
         lost += fill_kind(near, pairs, kind, thickness, True)
     load_starts(near)
     return lost == 0
-
-
-@jit(inline=True)
-def is_renewed(pairs, particles, k):
-    """Return True if pair k has a particle whose pairs are packed again."""
-    renewed = pairs.renewed
-    return (renewed[particles[0, k]] | renewed[particles[1, k]] | renewed[particles[2, k]]
-            | renewed[particles[3, k]])
 
 
 @jit(inline=True)
@@ -190,7 +183,7 @@ def renewed_pairs(near, pairs, begin):
     """Return bits of the PACK listed pairs from ``begin`` on that have a renewed particle."""
     found = 0
     for k in range(PACK):
-        found |= int(is_renewed(pairs, near.corners, begin + k)) << k
+        found |= int(has_marked(pairs.renewed, near.corners, begin + k)) << k
     return found
 
 

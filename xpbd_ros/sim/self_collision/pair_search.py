@@ -15,6 +15,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     CANDIDATES,
     EDGES,
     gone_since,
+    has_marked,
     POINTS,
     room_of,
     TRAVEL,
@@ -95,8 +96,7 @@ def drop_renewed(near, kind):
     """Drop a kind's pairs of renewed particles from the list; return the end of the others."""
     corners, renewed, end = near.corners, near.renewed, near.kind_begin[kind]
     for k in range(near.kind_begin[kind], near.kind_end[kind]):
-        if not (renewed[corners[0, k]] | renewed[corners[1, k]] | renewed[corners[2, k]]
-                | renewed[corners[3, k]]):
+        if not has_marked(renewed, corners, k):
             if end < k:
                 near.keep[end] = near.keep[k]
                 for p in range(4):
