@@ -10,11 +10,12 @@ from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRAVEL, TRIANGLES
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}
@@ -68,6 +69,33 @@ def listed(near, kind):
     return sorted(map(tuple, pairs.tolist()))
 
 
+def brute_force(near, x, moves):
+    """Return the pairs of triangles, and of edges, closer than THICKNESS + ``moves``, sorted."""
+    faces, edges = near.surface.triangles.corners.T, np.array(
+        sorted(near.surface.edges.corners.T.tolist()))
+    return [sorted((v, *corners) for corners in faces for v in range(len(x))
+                   if v not in corners and to_triangle(x[v], *x[corners])
+                   < THICKNESS + moves[v] + moves[corners].max()),
+            [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
+             if not set(edges[e]) & set(edges[f])
+             and of_edges(*x[edges[e]], *x[edges[f]])
+             < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]]
+
+
+def packed(pairs, count):
+    """Return the particles of the packed pairs, those of a pack without a common one."""
+    found = []
+    for begin in range(0, pairs.end[0], PACK):
+        pack = pairs.particles[:, begin:begin + PACK].T
+        pack = pack[pack[:, 0] < count]
+        assert len(np.unique(pack)) == pack.size
+        if pairs.kind[begin // PACK] == EDGES:
+            pack = [(*min(one, other), *max(one, other))
+                    for one, other in zip(pack[:, :2].tolist(), pack[:, 2:].tolist())]
+        found += map(tuple, pack)
+    return found
+
+
 def crumpled(mode):
     """Return two cloths that lie through one another anyhow, and where they are."""
     simulation = scene({'a': square(0.0), 'b': square(0.01, x=0.02)}, mode=mode, gravity=0.0,
@@ -97,18 +125,39 @@ def test_brute_force_finds_the_same_particles():
 def test_brute_force_finds_the_same_triangles_and_edges():
     simulation, x = crumpled('surface')
     near = stay(simulation)
-    margin, surface = near.margin, near.surface
-    expected = [(v, *corners) for corners in surface.triangles.corners.T for v in range(len(x))
-                if v not in corners and to_triangle(x[v], *x[corners])
-                < THICKNESS + margin[v] + margin[corners].max()]
-    assert listed(near, TRIANGLES) == sorted(expected)
-    edges = np.array(sorted(surface.edges.corners.T.tolist()))
-    expected = [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
-                if not set(edges[e]) & set(edges[f])
-                and of_edges(*x[edges[e]], *x[edges[f]])
-                < THICKNESS + margin[edges[e]].max() + margin[edges[f]].max()]
-    assert listed(near, EDGES) == expected
+    assert [listed(near, TRIANGLES), listed(near, EDGES)] == brute_force(near, x, near.margin)
+    edges = near.surface.edges.corners.T
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
+
+
+def test_pairs_sought_and_packed_again_are_those_of_brute_force():
+    """Few particles move: only their pairs are sought, and packed, again."""
+    simulation = scene({'a': square(0.0), 'b': square(0.013, x=0.02)}, gravity=0.0, room=100,
+                       substeps=1, rate=1e4)
+    state, slot = simulation.state, simulation.slot
+    random = np.random.default_rng(3)
+    state.x[:, slot] += random.normal(0.0, 5e-4, (3, len(slot)))
+    near, pairs = stay(simulation), simulation.effects['self_collision'].data.pairs
+    begun, filled = listed(near, EDGES), pairs.end[1]
+    searches, some = np.zeros(2, int), slot[[43, 44, 50, 64]]
+    speed = [[15.0], [-10.0], [15.0]] + random.normal(0.0, 5.0, (3, 4))
+    for frame in range(12):
+        state.v[:] = 0.0
+        state.v[:, some] = speed
+        simulation.step()
+        searches += near.count[[0, 4]]
+        for kind, count in ((TRIANGLES, 4), (EDGES, 4)):
+            assert len(set(listed(near, kind))) == len(listed(near, kind)) > count
+        places = packed(pairs, len(slot))
+        assert len(set(places)) == len(places)
+        if frame % 3 == 2:
+            assert [listed(near, TRIANGLES), listed(near, EDGES)] == brute_force(
+                near, near.seen, near.margin)
+            faces, edges = brute_force(near, near.x[:-1, :3], near.x[:-1, TRAVEL])
+            assert len(faces) > 10 and set(faces + edges) <= set(places)
+    assert searches[0] >= 2 and searches[1] == 0
+    assert listed(near, EDGES) != begun
+    assert pairs.end[1] == filled < pairs.end[0]
 
 
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])
