@@ -143,7 +143,7 @@ def test_pairs_sought_and_packed_again_are_those_of_brute_force():
     speed = [[15.0], [-10.0], [15.0]] + random.normal(0.0, 5.0, (3, 4))
     for frame in range(12):
         state.v[:] = 0.0
-        state.v[:, some] = speed
+        state.v[:, some] = speed if frame < 9 else -np.array(speed)
         simulation.step()
         searches += near.count[[0, 4]]
         for kind, count in ((TRIANGLES, 4), (EDGES, 4)):

@@ -7,7 +7,7 @@ With ``mode: surface`` these are the closest points of a particle and a triangle
 without a common particle; with ``particles`` they are the particles themselves. n points from one
 to the other and is fixed through the substep (``self_collision.narrow_phase``); r is the
 thickness, but at most half of the pair's distance at rest, so that the rest shape has no contacts.
-``self_collision.neighbour_list`` finds the pairs once per frame, and again after large motions.
+``self_collision.neighbour_list`` finds the pairs, and those of some particles again after motions.
 ``self_collision.pair_contacts`` projects them as unilateral constraints with friction; an overlap
 from before the substep separates at no more than DEPENETRATION, which leaves no velocity.
 

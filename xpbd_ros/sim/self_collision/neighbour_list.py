@@ -1,10 +1,11 @@
 """
 Neighbour list (Verlet list): pairs of particles, or of triangles and edges, that may come close.
 
-A pair is listed if it is closer than thickness + margins at the positions y of the build, with the
-largest margin of each side. Later, with the common displacement U and s_i = |x_i - y_i - U|, its
-distance has decreased by at most the sum of the largest s of both sides; so while no s exceeds the
-particle's margin, pairs that are not listed are further apart than the thickness.
+A pair is listed if it is closer than thickness + margins at the positions y, with the largest
+margin of each side. Later, with the common displacement U and s_i = |x_i - y_i - U|, its distance
+has decreased by at most the sum of the largest s of both sides; so while no s exceeds the
+particle's margin, pairs that are not listed are further apart than the thickness. Particles that
+leave their margins get new y and margins, and only their pairs are sought.
 ``self_collision.pair_search`` lists pairs in an order that only the rest shape and the positions
 determine, so that memory layout does not affect the bits.
 """
@@ -78,7 +79,7 @@ class NeighbourList(NamedTuple):
     seen: np.ndarray
     """y: positions when a particle's pairs were sought, less U then [m], shape (particles, 3)"""
     drift: np.ndarray
-    """U: common displacement since the build [m], shape (3,)"""
+    """U: common displacement since all pairs were sought [m], shape (3,)"""
     step: np.ndarray
     """common displacement in this substep: mean of the pinned particles, or of all without pinned
     ones [m], shape (3,)"""
@@ -89,6 +90,8 @@ class NeighbourList(NamedTuple):
     in this frame: searches; pairs beyond the capacity; particles held back; particles and pairs
     that penetrate nevertheless; searches for all particles; shape (5,)
     """
+    complete: np.ndarray
+    """False if the last search for all pairs found no room for some, shape (1,)"""
     kind_begin: np.ndarray
     """begin of the pairs of each kind in the list, a multiple of PACK, shape (3,)"""
     kind_end: np.ndarray
@@ -149,7 +152,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(5, np.int64),
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
+        np.zeros(1, np.bool_), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
         np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
         np.zeros(count + 1, np.bool_), tree(points[:, None]), trees, kin)
 

@@ -7,8 +7,9 @@ share particles; pairs of particles in its order, with which an overlap comes ap
 
 A pair is packed if it is closer than it has to keep plus what both sides are allowed to move. The
 packs are complete while each particle's motion since its pairs were packed, plus its travel, is
-less than it is allowed to. Where few particles exceed it, or their pairs were sought again, only
-the pairs of these are packed again, in further packs.
+less than it is allowed to. Where few particles exceed it, only the pairs of these are packed
+again, in further packs. A search leaves the packs complete: particles are allowed to move only
+where the list is complete (``stay_within_margin``), so pairs that are listed later are apart.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -31,6 +32,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     gone_since,
     has_marked,
+    length,
     load_starts,
     POINTS,
     TRAVEL,
@@ -64,6 +66,7 @@ def complete_packs(near, pairs, thickness, slack):
     spare, count, leaves = AT_REST * thickness - (AHEAD - 1.0) * slack, 0, False
     if pairs.count[2] == COMPLETE:
         for i in range(len(near.slot)):
+            stay_within_margin(near, pairs, i)
             left = pairs.allowed[i] - near.x[i, TRAVEL]
             moved = gone_since(near.x, pairs.seen, pairs.drift, i)
             leaves |= moved > left
@@ -99,11 +102,20 @@ def pack_some(near, pairs, thickness, spare):
 
 @jit(inline=True)
 def allow(near, pairs, i, ahead, spare):
-    """Allow a particle to move by ``ahead`` travel + spare, but not beyond its margin."""
-    pairs.allowed[i] = min(ahead * near.x[i, TRAVEL] + spare, near.margin[i] - gone_since(
-        near.x, near.seen, near.drift, i))
+    """Allow a particle to move by ``ahead`` travel + spare from its present position."""
+    pairs.allowed[i] = ahead * near.x[i, TRAVEL] + spare
     for a in range(3):
         pairs.seen[i, a] = near.x[i, a] - pairs.drift[a]
+    stay_within_margin(near, pairs, i)
+
+
+@jit(inline=True)
+def stay_within_margin(near, pairs, i):
+    """Bound the motion that is allowed so that the list is complete for it: pairs not listed."""
+    y, z, u, w = near.seen, pairs.seen, near.drift, pairs.drift
+    apart = length((y[i, 0] + u[0] - z[i, 0] - w[0], y[i, 1] + u[1] - z[i, 1] - w[1],
+                    y[i, 2] + u[2] - z[i, 2] - w[2]))
+    pairs.allowed[i] = min(pairs.allowed[i], near.margin[i] - apart)
 
 
 @jit

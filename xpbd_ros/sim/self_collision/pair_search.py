@@ -1,8 +1,10 @@
 """
 Search for the pairs of the neighbour list, over trees of bounding boxes (``geometry.box_tree``).
 
-It happens when a particle's motion since the last search exceeds its margin. Boxes are compared by
-lanes, and so are the closest points of the candidates.
+It happens when a particle's motion since the search for its pairs exceeds its margin. While these
+are few, only pairs of such particles are sought; the list is then that of a search for all pairs
+with the same y and margins, in another order. Boxes are compared by lanes, and so are the closest
+points of the candidates.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -48,7 +50,7 @@ def seek(near, thickness, left):
     Where few particles are about to leave their margins, only the pairs of these are sought.
     """
     near.count[0] += 1
-    if not seek_some(near, near.surface, thickness, left):
+    if not near.complete[0] or not seek_some(near, near.surface, thickness, left):
         seek_all(near, thickness, left)
 
 
@@ -173,6 +175,7 @@ def seek_all(near, thickness, left):
             near.margin[i] *= 0.5
         lost = list_pairs(near, near.surface, thickness, halving == HALVINGS - 1)
     near.count[1] += lost
+    near.complete[0] = lost == 0
     for i in range(len(near.slot)):
         near.x[i, TRAVEL] = min(near.x[i, TRAVEL], near.margin[i])
 
