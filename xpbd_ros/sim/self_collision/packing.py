@@ -38,7 +38,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     TRAVEL,
     UP,
 )
-from xpbd_ros.sim.self_collision.pair_contacts import load_corners, OPEN
+from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER, OPEN
 
 CLOTH = 3
 """last column of the records at rest"""
@@ -53,7 +53,7 @@ FEW = 0.25
 SOON = 0.7
 """part of what is allowed beyond the travel, from which on a particle's pairs are packed again"""
 MORE = 1.25
-"""largest number of packs by such particles, relative to that after all were filled"""
+"""largest growth of the packs, relative to all when they were filled, before all are again"""
 COMPLETE, INCOMPLETE = 1, 2
 """state of the packs; 0: to be filled"""
 AT_REST = 0.125
@@ -90,9 +90,7 @@ def pack_some(near, pairs, thickness, spare):
         start[i, TRAVEL] = UP * pairs.allowed[i]
     for k in range(pairs.end[0]):
         if has_marked(pairs.renewed, pairs.particles, k):
-            pairs.keep[k] = 0.0
-            for p in range(4):
-                pairs.particles[p, k] = dummy
+            clear_place(pairs, k, dummy)
     lost = 0
     for kind in range(3):
         lost += fill_kind(near, pairs, kind, thickness, True)
@@ -111,7 +109,7 @@ def allow(near, pairs, i, ahead, spare):
 
 @jit(inline=True)
 def stay_within_margin(near, pairs, i):
-    """Bound the motion that is allowed so that the list is complete for it: pairs not listed."""
+    """Bound the motion that is allowed to that for which the list is complete."""
     y, z, u, w = near.seen, pairs.seen, near.drift, pairs.drift
     apart = length((y[i, 0] + u[0] - z[i, 0] - w[0], y[i, 1] + u[1] - z[i, 1] - w[1],
                     y[i, 2] + u[2] - z[i, 2] - w[2]))
@@ -201,7 +199,7 @@ def renewed_pairs(near, pairs, begin):
 
 @jit(inline=True)
 def close_pairs(near, kind, begin, thickness):
-    """Return bits of the PACK pairs from ``begin`` on closer than they keep + may move."""
+    """Return bits of the PACK pairs from ``begin`` on closer than they have to keep + may move."""
     found = 0
     for q in range(begin, begin + PACK, lanes(near.start)):
         a, b, c, d = load_corners(near.start, near.corners, q)
@@ -290,6 +288,14 @@ def set_friction(friction, place, one, other):
 
 
 @jit(inline=True)
+def clear_place(pairs, k, dummy):
+    """Leave place k of the packs empty."""
+    pairs.keep[k] = NEVER
+    for p in range(4):
+        pairs.particles[p, k] = dummy
+
+
+@jit(inline=True)
 def close_pack(near, pairs, o):
     """Fill up the open pack o with pairs of the dummy particle."""
     place, dummy = pairs.open[0, o], len(near.slot)
@@ -298,8 +304,6 @@ def close_pack(near, pairs, o):
             for p in range(4):
                 pairs.busy[pairs.particles[p, k]] &= ~(1 << o)
         for k in range(place + pairs.open[1, o], place + PACK):
-            pairs.keep[k] = 0.0
-            for p in range(4):
-                pairs.particles[p, k] = dummy
+            clear_place(pairs, k, dummy)
         pairs.open[0, o] = -1
         pairs.open[1, o] = 0

@@ -78,7 +78,7 @@ class PairContacts(NamedTuple):
     particles: np.ndarray
     """particles in natural order, one side first, unused ones a dummy, shape (4, capacity)"""
     keep: np.ndarray
-    """distance to be kept by surfaces [m], shape (capacity,)"""
+    """distance to be kept by surfaces [m], or NEVER in empty places; shape (capacity,)"""
     weight: np.ndarray
     """b, shape (4, capacity)"""
     normal: np.ndarray
