@@ -69,30 +69,42 @@ def listed(near, kind):
     return sorted(map(tuple, pairs.tolist()))
 
 
+def all_listed(near):
+    """Return the particles of the listed pairs by kind, sorted."""
+    return {kind: listed(near, kind) for kind in (
+        [POINTS] if near.surface is None else [TRIANGLES, EDGES])}
+
+
 def brute_force(near, x, moves):
-    """Return the pairs of triangles, and of edges, closer than THICKNESS + ``moves``, sorted."""
+    """Return the same of the pairs closer than THICKNESS + ``moves``, which may touch."""
+    count = len(x)
+    if near.surface is None:
+        return {POINTS: [(i, j, count, count) for i, j in zip(*np.triu_indices(count, 1))
+                         if np.linalg.norm(x[i] - x[j]) < THICKNESS + moves[i] + moves[j]]}
     faces, edges = near.surface.triangles.corners.T, np.array(
         sorted(near.surface.edges.corners.T.tolist()))
-    return [sorted((v, *corners) for corners in faces for v in range(len(x))
-                   if v not in corners and to_triangle(x[v], *x[corners])
-                   < THICKNESS + moves[v] + moves[corners].max()),
-            [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
-             if not set(edges[e]) & set(edges[f])
-             and of_edges(*x[edges[e]], *x[edges[f]])
-             < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]]
+    return {
+        TRIANGLES: sorted((v, *corners) for corners in faces for v in range(count)
+                          if v not in corners and to_triangle(x[v], *x[corners])
+                          < THICKNESS + moves[v] + moves[corners].max()),
+        EDGES: [(*edges[e], *edges[f]) for e in range(len(edges))
+                for f in range(e + 1, len(edges)) if not set(edges[e]) & set(edges[f])
+                and of_edges(*x[edges[e]], *x[edges[f]])
+                < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]}
 
 
-def packed(pairs, count):
-    """Return the particles of the packed pairs, those of a pack without a common one."""
-    found = []
+def all_packed(near, pairs):
+    """Return the same of the packed pairs; no two of a pack have a common particle."""
+    found = {kind: [] for kind in all_listed(near)}
     for begin in range(0, pairs.end[0], PACK):
-        pack = pairs.particles[:, begin:begin + PACK].T
-        pack = pack[pack[:, 0] < count]
-        assert len(np.unique(pack)) == pack.size
-        if pairs.kind[begin // PACK] == EDGES:
+        kind, pack = pairs.kind[begin // PACK], pairs.particles[:, begin:begin + PACK].T
+        pack = pack[pack[:, 0] < len(near.slot)]
+        own = pack[pack < len(near.slot)]
+        assert len(np.unique(own)) == len(own)
+        if kind == EDGES:
             pack = [(*min(one, other), *max(one, other))
                     for one, other in zip(pack[:, :2].tolist(), pack[:, 2:].tolist())]
-        found += map(tuple, pack)
+        found[kind] += map(tuple, pack)
     return found
 
 
@@ -125,39 +137,41 @@ def test_brute_force_finds_the_same_particles():
 def test_brute_force_finds_the_same_triangles_and_edges():
     simulation, x = crumpled('surface')
     near = stay(simulation)
-    assert [listed(near, TRIANGLES), listed(near, EDGES)] == brute_force(near, x, near.margin)
+    assert all_listed(near) == brute_force(near, x, near.margin)
     edges = near.surface.edges.corners.T
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
 
 
-def test_pairs_sought_and_packed_again_are_those_of_brute_force():
-    """Few particles move: only their pairs are sought, and packed, again."""
-    simulation = scene({'a': square(0.0), 'b': square(0.013, x=0.02)}, gravity=0.0, room=100,
-                       substeps=1, rate=1e4)
+@pytest.mark.parametrize('mode', ['surface', slow('particles')])
+def test_pairs_sought_and_packed_again_are_those_of_brute_force(mode):
+    """Four particles move to and fro: only their pairs are sought, and packed, again."""
+    simulation = scene({'a': square(0.0), 'b': square(0.013, x=0.02)}, mode=mode, gravity=0.0,
+                       room=100, substeps=1, rate=1e4)
     state, slot = simulation.state, simulation.slot
     random = np.random.default_rng(3)
     state.x[:, slot] += random.normal(0.0, 5e-4, (3, len(slot)))
     near, pairs = stay(simulation), simulation.effects['self_collision'].data.pairs
-    begun, filled = listed(near, EDGES), pairs.end[1]
-    searches, some = np.zeros(2, int), slot[[43, 44, 50, 64]]
-    speed = [[15.0], [-10.0], [15.0]] + random.normal(0.0, 5.0, (3, 4))
+    before, searches, added = all_listed(near), np.zeros(2, int), 0
+    speed = np.array([[15.0], [-10.0], [15.0]]) + random.normal(0.0, 5.0, (3, 4))
     for frame in range(12):
         state.v[:] = 0.0
-        state.v[:, some] = speed if frame < 9 else -np.array(speed)
+        state.v[:, slot[[43, 44, 50, 64]]] = speed if frame < 9 else -speed
         simulation.step()
         searches += near.count[[0, 4]]
-        for kind, count in ((TRIANGLES, 4), (EDGES, 4)):
-            assert len(set(listed(near, kind))) == len(listed(near, kind)) > count
-        places = packed(pairs, len(slot))
-        assert len(set(places)) == len(places)
+        added += pairs.end[0] > pairs.end[1]
+        packed = all_packed(near, pairs)
+        for kinds in (packed, all_listed(near)):
+            for found in kinds.values():
+                assert len(set(found)) == len(found)
         if frame % 3 == 2:
-            assert [listed(near, TRIANGLES), listed(near, EDGES)] == brute_force(
-                near, near.seen, near.margin)
-            faces, edges = brute_force(near, near.x[:-1, :3], near.x[:-1, TRAVEL])
-            assert len(faces) > 10 and set(faces + edges) <= set(places)
+            assert all_listed(near) == brute_force(near, near.seen, near.margin)
+            touching = brute_force(near, near.x[:-1, :3], near.x[:-1, TRAVEL])
+            for kind, found in touching.items():
+                assert set(found) <= set(packed[kind])
+    assert sum(map(len, touching.values())) > 10 or mode == 'particles'
     assert searches[0] >= 2 and searches[1] == 0
-    assert listed(near, EDGES) != begun
-    assert pairs.end[1] == filled < pairs.end[0]
+    assert all_listed(near) != before
+    assert added > 0
 
 
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])
