@@ -83,14 +83,21 @@ def brute_force(near, x, moves):
                          if np.linalg.norm(x[i] - x[j]) < THICKNESS + moves[i] + moves[j]]}
     faces, edges = near.surface.triangles.corners.T, np.array(
         sorted(near.surface.edges.corners.T.tolist()))
+    most = THICKNESS + 2.0 * moves.max()
     return {
-        TRIANGLES: sorted((v, *corners) for corners in faces for v in range(count)
-                          if v not in corners and to_triangle(x[v], *x[corners])
-                          < THICKNESS + moves[v] + moves[corners].max()),
-        EDGES: [(*edges[e], *edges[f]) for e in range(len(edges))
-                for f in range(e + 1, len(edges)) if not set(edges[e]) & set(edges[f])
+        TRIANGLES: sorted((v, *faces[f]) for v, f in zip(*boxes_within(
+            x[:, None], x[faces], most)) if v not in faces[f] and to_triangle(
+                x[v], *x[faces[f]]) < THICKNESS + moves[v] + moves[faces[f]].max()),
+        EDGES: [(*edges[e], *edges[f]) for e, f in zip(*boxes_within(x[edges], x[edges], most))
+                if e < f and not set(edges[e]) & set(edges[f])
                 and of_edges(*x[edges[e]], *x[edges[f]])
                 < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]}
+
+
+def boxes_within(one, other, reach):
+    """Return the indices of items whose bounding boxes are within a distance of each other."""
+    return np.nonzero(((one.min(1)[:, None] - reach <= other.max(1))
+                       & (one.max(1)[:, None] + reach >= other.min(1))).all(2))
 
 
 def all_packed(near, pairs):
