@@ -76,7 +76,7 @@ def seek_some(near, surface, thickness, left):
     for i in range(len(near.slot)):
         if renewed[i]:
             set_margin(near, i, left)
-    rounding = begin_search(near)
+    rounding = begin_search(near, surface)
     size = thickness + rounding
     if surface is None:
         first = drop_renewed(near, POINTS)
@@ -187,7 +187,7 @@ def list_pairs(near, surface, thickness, to_the_end):
 
     Unless ``to_the_end``, the search ends soon after the first pair beyond the capacity.
     """
-    rounding = begin_search(near)
+    rounding = begin_search(near, surface)
     size = thickness + rounding
     near.kind_begin[:] = near.kind_end[:] = 0
     if surface is None:
@@ -205,7 +205,7 @@ def list_pairs(near, surface, thickness, to_the_end):
 
 
 @jit
-def begin_search(near):
+def begin_search(near, surface):
     """Load y and the margins, and compute the boxes; return a bound of rounding errors [m]."""
     start, y = near.start, near.seen
     for i in range(len(near.slot)):
@@ -213,9 +213,9 @@ def begin_search(near):
             start[i, a] = y[i, a] + near.drift[a] - near.origin[a]
         start[i, MARGIN] = UP * near.margin[i]
     update_boxes(near.points, start)
-    if near.surface is not None:
-        update_boxes(near.surface.triangles, start)
-        update_boxes(near.surface.edges, start)
+    if surface is not None:    # Numba prunes the branch that is not taken
+        update_boxes(surface.triangles, start)
+        update_boxes(surface.edges, start)
     return ROUNDING * extent(near)
 
 
