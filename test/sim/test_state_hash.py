@@ -28,7 +28,8 @@ def test_the_hash_is_its_formula_whatever_the_layout(dtype):
     expected = formula(arrays, slots)
     assert hashed((each, slots) for each in arrays) == expected
     moved = [array[..., slots].copy() for array in arrays]
-    assert hashed((each, np.arange(33)) for each in moved) == expected, 'the same numbers in other slots'
+    other = np.arange(33)
+    assert hashed((each, other) for each in moved) == expected, 'the same numbers in other slots'
     padding = np.setdiff1d(np.arange(40), slots)
     for array in arrays:
         array[..., padding] = 7.0
