@@ -42,7 +42,7 @@ from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.commands import Command, SetKey
-from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.simulation import Simulation, Solver
 
 POLL = 0.002
 """period at which a node that follows /clock reads it [s]"""
@@ -143,7 +143,7 @@ class ClothNode(LifecycleNode):
                              read_cloud=self.interaction.clouds.read)
         self.topics.open()
         self.node_services = Services(self)
-        self._substeps = simulation.solver.substeps
+        self._substeps = chosen_substeps(simulation.solver)
         for text in self.live_parameters.unknown():
             log.warning(text)
 
@@ -305,9 +305,9 @@ class ClothNode(LifecycleNode):
         keys = {c.key: c.value for c in frame.applied if isinstance(c, SetKey)}
         if keys:
             encoded['scene'] = self._changed(keys)
-            frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
-                                         self.simulation.solver.substeps)
-            self._substeps = self.simulation.solver.substeps
+            frame = with_chosen_substeps(frame, {**self._substeps, **keys},
+                                         chosen_substeps(self.simulation.solver))
+            self._substeps = chosen_substeps(self.simulation.solver)
         if self.makes_clock:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
@@ -418,15 +418,22 @@ class ClothNode(LifecycleNode):
             print(f'[{level.upper()}] [{self.get_name()}]: {text}', file=sys.stderr)
 
 
-def with_chosen_substeps(frame, asked: int, chosen: int):
+def chosen_substeps(solver: Solver) -> dict[str, int]:
+    """Return the numbers of substeps that ``auto`` may have chosen, by key."""
+    found = {'solver.substeps': solver.substeps}
+    if solver.mixes:
+        found['solver.rough_substeps'] = solver.rough_substeps
+    return found
+
+
+def with_chosen_substeps(frame, asked: dict[str, int], chosen: dict[str, int]):
     """
     Return a frame that also records the substeps that ``auto`` chose after a key changed.
 
     The log's scene has ``auto`` resolved, so a repeated run does not choose again.
     """
-    if chosen == asked:
-        return frame
-    return replace(frame, applied=(*frame.applied, SetKey('solver.substeps', chosen)))
+    others = tuple(SetKey(key, count) for key, count in chosen.items() if count != asked.get(key))
+    return replace(frame, applied=(*frame.applied, *others)) if others else frame
 
 
 def main(args: list[str] | None = None) -> int:

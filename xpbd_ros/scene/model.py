@@ -29,6 +29,13 @@ class SolverKeys:
     max_substeps: int = quantity(64, minimum=1, maximum=10_000,
                                  doc='largest number of substeps for error_target')
     compliance_scale: float = quantity(1.0, above=0.0, live=True, doc='multiplies all compliances')
+    rough_frames: int | None = quantity(
+        None, minimum=0, maximum=10_000, doc='calm frames of line after an unstable one of '
+        'explicit; chosen by auto, else 0')
+    rough_integrator: str | None = quantity(
+        None, choices=('backward_euler', 'bdf2', 'ndf2'), doc='of these frames')
+    rough_substeps: int | None = quantity(None, minimum=1, maximum=10_000,
+                                          doc='of these frames; chosen unless given')
 
 
 @dataclass(frozen=True)

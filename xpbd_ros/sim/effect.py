@@ -178,6 +178,22 @@ class Built:
         """Return what ``auto`` gives at least, whatever the constraints want."""
         return 1.0
 
+    def load(self, state: State) -> tuple[float, float]:
+        """
+        Return bounds of a force whose work ``explicit_guard`` must account for, besides ``force``.
+
+        Of its sum over the particles [N], and of the acceleration of one of them [m/s²].
+        """
+        return 0.0, 0.0
+
+    def work(self, state: State, dt: float) -> float:
+        """
+        Return a bound of the work of a moving body in the frame just done [J].
+
+        It hides no instability, in which particles move by far more than the body.
+        """
+        return 0.0
+
     def compile(self, state: State) -> None:
         """Compile what a frame calls besides its step; nothing moves."""
 

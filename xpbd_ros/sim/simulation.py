@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 import hashlib
 from types import MappingProxyType
@@ -35,8 +35,24 @@ class Solver:
     threads: int = 1
     reason: str = ''
     """reason of the choice by ``auto``; empty without ``auto``"""
-    rough_substeps: int = 0
-    """substeps of ``line`` in frames where ``explicit`` is unstable"""
+    rough_frames: int | None = None
+    """calm frames of ``line`` after an unstable one of ``explicit``; None without ``explicit``"""
+    rough_integrator: str | None = None
+    """of these frames"""
+    rough_substeps: int | None = None
+    """of these frames"""
+
+    @property
+    def mixes(self) -> bool:
+        """True if calm frames take ``explicit`` and rough ones ``line``, with hysteresis."""
+        return bool(self.rough_frames)
+
+    @property
+    def rough(self) -> 'Solver':
+        """Setting of the frames where ``explicit`` is unstable."""
+        assert self.rough_integrator is not None and self.rough_substeps is not None
+        return replace(self, method='line', integrator=self.rough_integrator,
+                       substeps=self.rough_substeps)
 
 
 @dataclass(frozen=True)
@@ -104,7 +120,7 @@ class Simulation:
         self._step = step.compiled(tuple(effects))
         self._crew = ThreadPool(solver.threads)
         self._tuple: tuple[Any, ...] = ()
-        self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
+        self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
         for built in effects.values():
             built.reset(state, 0)
@@ -197,18 +213,33 @@ class Simulation:
         """Return the next frame as the effects see it: after a load, at the time of the save."""
         index = self.index - self._lag
         return Clock(index + 1, self.time_ns(index), self.time_ns(index + 1), self.frame_dt,
-                     self.solver.substeps)
+                     self.setting.substeps)
 
-    def _advance(self, substeps: int) -> None:
-        self._crew.run(self._step, self._tuple, self.state, self._method(), self.frame_dt,
-                       substeps)
+    @property
+    def setting(self) -> Solver:
+        """Setting of the next frame: the solver's, or that of rough frames."""
+        return self.solver if self._guard is None else self._guard.setting
+
+    def _advance(self, substeps: int, setting: Solver | None = None) -> None:
+        """Advance by a frame with the solver's setting or another one."""
+        setting = setting or self.solver
+        self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
+                       self.frame_dt, substeps)
 
     def _kept(self) -> Start:
-        return Start(self._tuple, self.state, self._step, self._method(), self.frame_dt,
-                     self.solver.substeps).copy()
+        setting = self.setting
+        return Start(self._tuple, self._view(setting), self._step, self._method(setting),
+                     self.frame_dt, setting.substeps).copy()
 
-    def _method(self):
-        return METHODS[self.solver.method](self.solver.iterations)
+    def _view(self, setting: Solver) -> State:
+        """Return the state with the storage that a setting uses."""
+        if setting.method == 'explicit':
+            return self.state._replace(history=None, gap=None)
+        return self.state if self._guard is None else self.state._replace(apart=None)
+
+    def _method(self, setting: Solver | None = None):
+        setting = setting or self.solver
+        return METHODS[setting.method](setting.iterations)
 
     def frame(self, applied=(), refused=(), news=()) -> Frame:
         """Return the present frame."""
@@ -255,6 +286,8 @@ class Simulation:
         self.state.v[:] = 0.0
         self.state.inv_mass[self.slot] = 1.0 / self.state.mass[self.slot]
         forget(self.state)
+        if self._guard is not None:
+            self._guard.reset()
         for built in self.effects.values():
             built.reset(self.state, self._clock().begin_ns)
 
@@ -303,7 +336,7 @@ class Simulation:
         except ValueError as error:
             return str(error)
         self.effects.update(change.effects)
-        if change.solver is not None and change.solver.substeps != self.solver.substeps:
+        if change.solver is not None and _lengths(change.solver) != _lengths(self.solver):
             forget(self.state)    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
@@ -370,8 +403,13 @@ class Simulation:
                  for key, value in built.stats().items()}
         found['frames_taken_back'] = self._last.taken_back
         if self._guard is not None:
-            found['explicit_redone'] = self._guard.redone
+            found.update(self._guard.stats())
         return found
+
+
+def _lengths(solver: Solver) -> tuple:
+    """Return all that a history's steps depend on."""
+    return solver.method, solver.substeps, solver.rough_substeps
 
 
 class SavedState:
