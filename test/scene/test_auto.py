@@ -5,8 +5,9 @@ from math import ceil, sqrt
 import pytest
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import largest_rate, MIN_SUBSTEPS, NS, SINGLE
+from xpbd_ros.scene.auto import largest_rate, MIN_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.prediction.stiffness import stiffness
 
@@ -28,15 +29,15 @@ def lines(solver):
 def cost(simulation):
     """Return the cost of a frame by the table [ns]."""
     solver = simulation.solver
-    table = NS[solver.method]
+    table = SHIPPED.methods[solver.method]
     projected = sum(
-        len(built.constraints.particles)
-        * table['edge' if built.constraints.particles.shape[1] == 2 else 'hinge']
-        for built in simulation.effects.values() if built.constraints is not None)
+        len(built.constraints.particles) * table.get(
+            name, table['edge' if built.constraints.particles.shape[1] == 2 else 'hinge'])
+        for name, built in simulation.effects.items() if built.constraints is not None)
     particles = len(simulation.slot)
     besides = sum(built.ns_per_particle * particles for built in simulation.effects.values())
-    return solver.substeps * (table['slot'] * simulation.state.x.shape[1] + besides
-                              + solver.iterations * projected)
+    moved = table['substep'] + table['slot'] * simulation.state.x.shape[1]
+    return solver.substeps * (moved + besides + solver.iterations * projected)
 
 
 def test_it_is_a_function_of_the_scene_alone():
@@ -70,7 +71,7 @@ def test_float32_gets_more_for_the_same_budget():
     rigid = {'compliance': 0.0}
     substeps = {precision: resolved(rigid, n=96, solver={'precision': precision}).substeps
                 for precision in ('float64', 'float32')}
-    assert substeps['float32'] == pytest.approx(substeps['float64'] / SINGLE, rel=0.1)
+    assert substeps['float32'] == pytest.approx(substeps['float64'] / SHIPPED.single, rel=0.1)
 
 
 def test_stiff_gas_raises_the_substeps():

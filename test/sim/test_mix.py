@@ -212,6 +212,14 @@ def test_rigid_edges_leave_auto_with_line():
     assert sheet(effects={**EFFECTS, 'stretch': {'compliance': 0.0}}).solver.method == 'line'
 
 
+@pytest.mark.parametrize('options', [
+    {'effects': {**EFFECTS, 'strain_limit': {'max': 0.1}}},
+    {'scene_effects': {'wind': {'velocity': [0.0, 3.0, 0.0]}, 'drag': {}}},
+    {'effects': {**EFFECTS, 'tether': {'slack': 0.1}}}])
+def test_effects_whose_force_velocities_lag_behind_leave_auto_with_line(options):
+    assert sheet(**options).solver.method == 'line'
+
+
 @pytest.mark.parametrize('solver, text', [
     ({'method': 'line', 'rough_frames': 3}, 'solver.rough_frames: goes with method explicit '
                                             r'\(got line\)'),

@@ -202,6 +202,7 @@ class BuiltDrag(Built):
     """The triangles of all cloths."""
 
     ns_per_particle = 80.0
+    explicit_velocity_lags = True
 
     def __init__(self, parameters, world):
         super().__init__()

@@ -7,22 +7,13 @@ from typing import Any
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
 from xpbd_ros.sim.simulation import Solver
 
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
               'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
 """default integrator of each method: BDF2 needs a symmetric sweep"""
-NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 2.4},
-      'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 4.6},
-      'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 4.6},
-      'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 3.2},
-      'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 2.5}}
-"""cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
-MESH = {'edge': 2.5, 'hinge': 3.8}
-"""cost of a constraint of a mesh over that of one of a grid"""
-SINGLE = 0.6
-"""cost in float32 over that in float64; less on large grids"""
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps of method ``line`` over those that an explicit solver needs for all edges, by
 integrator; constraints that are in no line of a grid need all of theirs"""
@@ -91,7 +82,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
     asked, also for the constraints that are in no line. An effect may need a number of substeps
     of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
-    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.
+    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table.
     """
     barred = {method: name for name, built in effects.items()
               for method in built.incompatible_with}
@@ -102,7 +93,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
                          'jacobi')
-    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
+    table = table_of(keys)
+    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state,
+                                                        table)))
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
     if integrator in barred:
@@ -132,7 +125,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
             'bdf2' if keys.rough_frames else 'backward_euler')
         chosen['rough_substeps'] = keys.rough_substeps or _bounded(
             LINE['backward_euler'] * needed, max(1, int(
-                keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state))))
+                keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state, table))))
     if keys.substeps is not None:
         reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
         if method == 'explicit' and keys.substeps < needed:
@@ -157,7 +150,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
         reason += f' fill the budget of {keys.budget_ms:g} ms; no number resolves rigid edges'
-    took = substeps * cost(method, keys.iterations, effects, state) * 1e-6
+    took = substeps * cost(method, keys.iterations, effects, state, table) * 1e-6
     return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
 
 
@@ -166,15 +159,18 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     """
     Return a mix of ``explicit`` and ``line`` where its substeps fit the budget, else ``line``.
 
-    A simulation that began with a mix keeps its storage, and returns to ``explicit`` when it can.
+    Effects whose force is not in the velocities at a frame's ends have no mix, as a change of
+    method would change momentum. A simulation that began with a mix keeps its storage, and returns
+    to ``explicit`` when it can.
     """
     barred = {method for built in effects.values() for method in built.incompatible_with}
-    if (lines.method != 'line' or 'explicit' in barred or keys.integrator is not None
+    lags = any(built.explicit_velocity_lags for built in effects.values())
+    if (lines.method != 'line' or 'explicit' in barred or lags or keys.integrator is not None
             or keys.error_target is not None or keys.substeps is not None and not live):
         return lines
     rough = lines if keys.substeps is None else _choose(replace(keys, substeps=None), effects,
                                                         state, frame_dt)
-    per = cost('explicit', 1, effects, state)
+    per = cost('explicit', 1, effects, state, table_of(keys))
     wanted = _stable_substeps(effects, state, frame_dt)
     substeps = keys.substeps or _bounded(wanted, max(1, int(keys.budget_ms * 1e6 / per)))
     fits = (keys.iterations == 1 and MAX_SUBSTEPS >= substeps >= wanted
@@ -226,23 +222,14 @@ def _bounded(wanted: float, affordable: int) -> int:
     return int(max(min(ceil(min(wanted, 1e9)), affordable), min(MIN_SUBSTEPS, affordable)))
 
 
-def cost(method: str, iterations: int, effects, state) -> float:
-    """Return the time of one substep according to the table NS [ns]."""
-    table = NS[method]
-    found, particles = table['slot'] * len(state.mass), np.count_nonzero(state.mass)
-    for built in effects.values():
-        found += built.ns_per_particle * particles
-        if built.constraints is not None:
-            kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
-            on_meshes = sum(hasattr(part, 'particles') * part.particles.shape[1]
-                            for part in map(_batch, built.parts) if hasattr(part, 'particles'))
-            found += iterations * table[kind] * (len(built.constraints.particles)
-                                                 + (MESH[kind] - 1.0) * on_meshes)
-    return found * (SINGLE if state.x.dtype == np.float32 else 1.0)
+def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED) -> float:
+    """Return the time of one substep according to a table [ns]."""
+    return table.substep_ns(method, iterations, effects, state)
 
 
-def _batch(part):
-    return getattr(part, 'edges', part)
+def table_of(keys: SolverKeys) -> CostTable:
+    """Return the cost table of a scene: the shipped one unless it names a file."""
+    return SHIPPED if keys.cost_table is None else read_table(keys.cost_table)
 
 
 def stability_limit(effects, state) -> float:

@@ -23,6 +23,9 @@ class SolverKeys:
     precision: str = quantity('float64', choices=('float64', 'float32'))
     threads: int = quantity(1, minimum=1, maximum=64)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
+    cost_table: str | None = quantity(
+        None, doc='file of xpbd_ros cost --calibrate, for budget_ms; the shipped table unless '
+        'given')
     error_target: float | None = quantity(
         None, unit='m', above=0.0, doc='error of a frame (estimated, RMS over the particles) to '
         'hold by changing substeps')

@@ -50,7 +50,7 @@ def chosen_keys(solver: Solver) -> dict[str, Any]:
     A mix of methods is ``explicit`` with ``rough_frames``, also where its substeps are too few for
     ``explicit`` and all its frames are of ``line``.
     """
-    found = {key: getattr(solver, key) for key in CHOSEN}
+    found = {**{key: getattr(solver, key) for key in CHOSEN}, 'cost_table': None}
     return {**found, 'method': 'explicit', 'integrator': 'leapfrog'} if solver.mixes else found
 
 

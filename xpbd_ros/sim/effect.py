@@ -136,7 +136,10 @@ class Built:
     """methods and integrators that do without it"""
     also: Sequence[Any] = ()
     ns_per_particle: float = 0.0
-    """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
+    """time in a substep besides its constraints [ns], for ``auto`` (``scene.cost_table``)"""
+    explicit_velocity_lags: bool = False
+    """True if ``explicit`` leaves half a substep of its force out of the velocities at a frame's
+    ends, so that ``auto`` must not switch methods"""
     pulls_taut: bool = False
     """True if it may pull cloth taut or keep particles in steps of backward Euler: lines then need
     more substeps to straighten (``scene.auto.TAUT``)"""

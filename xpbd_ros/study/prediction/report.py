@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.scene.auto import cost, INTEGRATOR
+from xpbd_ros.scene.auto import cost, INTEGRATOR, table_of
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import CostTable, SHIPPED
 from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.model import Scene
@@ -37,7 +38,7 @@ class Report:
     substeps_for: dict[str, int | None]
     """substeps by relative error of the stretch; None if out of reach"""
     frame_ms: float
-    """expected time of a frame on the CPU of ``scene.auto``'s table [ms]"""
+    """expected time of a frame on the CPU of the cost table [ms]"""
     frame_dt_ms: float
     """frame period [ms]"""
     warnings: list[str]
@@ -56,7 +57,7 @@ def check(scene: Scene) -> Report:
     solver = simulation.solver
     rows = stiffness(scene, simulation, solver)
     counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS}
-    expected = frame_ms(simulation, solver)
+    expected = frame_ms(simulation, solver, table_of(scene.top.solver))
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
@@ -88,10 +89,10 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
     return found
 
 
-def frame_ms(simulation: Simulation, solver: Solver) -> float:
-    """Return the expected time of a frame according to the table of ``scene.auto`` [ms]."""
+def frame_ms(simulation: Simulation, solver: Solver, table: CostTable = SHIPPED) -> float:
+    """Return the expected time of a frame according to a cost table [ms]."""
     return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
-                                         simulation.state)
+                                         simulation.state, table)
 
 
 def _count(simulation: Simulation) -> int:
