@@ -30,12 +30,13 @@ def cost(simulation):
     """Return the cost of a frame by the table [ns]."""
     solver = simulation.solver
     table = SHIPPED.methods[solver.method]
-    projected = sum(
-        len(built.constraints.particles) * table.get(
-            name, table['edge' if built.constraints.particles.shape[1] == 2 else 'hinge'])
-        for name, built in simulation.effects.items() if built.constraints is not None)
+    projected = besides = 0.0
     particles = len(simulation.slot)
-    besides = sum(built.ns_per_particle * particles for built in simulation.effects.values())
+    for name, built in simulation.effects.items():
+        besides += built.ns_per_substep + built.ns_per_particle * particles
+        if built.constraints is not None:
+            count, size = built.constraints.particles.shape
+            projected += count * table.get(name, table['edge' if size == 2 else 'hinge'])
     moved = table['substep'] + table['slot'] * simulation.state.x.shape[1]
     return solver.substeps * (moved + besides + solver.iterations * projected)
 

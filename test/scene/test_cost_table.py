@@ -16,7 +16,7 @@ RIGID = {'cloths.sheet.effects.stretch': {'compliance': 0.0}, 'solver.budget_ms'
 def scaled(factor):
     """Return the shipped table with all times multiplied."""
     return CostTable({name: {key: factor * value for key, value in entries.items()}
-                      for name, entries in SHIPPED.methods.items()}, SHIPPED.mesh, SHIPPED.single,
+                      for name, entries in SHIPPED.methods.items()}, SHIPPED.single,
                      {'contact': 7.0})
 
 
@@ -49,8 +49,7 @@ def test_an_effect_of_the_table_replaces_that_of_the_code():
     simulation = compile_scene(load_scene('drape'))
     contact, particles = simulation.effects['contact'], len(simulation.slot)
     parts = [cost('line', 1, simulation.effects, simulation.state, table)
-             for table in (SHIPPED, CostTable(SHIPPED.methods, SHIPPED.mesh, SHIPPED.single,
-                                              {'contact': 7.0}))]
+             for table in (SHIPPED, CostTable(SHIPPED.methods, SHIPPED.single, {'contact': 7.0}))]
     assert parts[0] - parts[1] == pytest.approx((contact.ns_per_particle - 7.0) * particles)
 
 
@@ -69,8 +68,8 @@ def broken(change):
     (broken(lambda raw: raw['methods'].update(lines={})), 'methods.lines: unknown key'),
     (broken(lambda raw: raw['methods']['line'].pop('edge')), 'methods.line.edge: is missing'),
     (broken(lambda raw: raw['methods'].update(line=3)), 'methods.line: must be a mapping'),
-    (broken(lambda raw: raw['mesh'].update(edge='much')),
-     r'mesh.edge: must be a number of at least 0 \(got much\)'),
+    (broken(lambda raw: raw['methods']['line'].update(mesh_edge='much')),
+     r'line.mesh_edge: must be a number of at least 0 \(got much\)'),
     (broken(lambda raw: raw['methods']['line'].update(slot=float('nan'))), 'line.slot: must be a'),
     (broken(lambda raw: raw['methods']['line'].update(slot=0.0)), 'slot: must be .* least 0.001'),
     (broken(lambda raw: raw['effects'].update(contct=1.0)), 'effects.contct: unknown key'),

@@ -105,8 +105,7 @@ def calibrate(arguments) -> int:
     table = measured(progress)
     file.write_text(table_text(table, describe(here)))
     write_json(arguments.json, {'machine': here, 'table': str(file.absolute()),
-                                'methods': table.methods, 'mesh': table.mesh,
-                                'effects': table.effects})
+                                'methods': table.methods, 'effects': table.effects})
     if arguments.json != '-':
         print(f'{file.absolute()}: take it with solver.cost_table')
     return 0

@@ -201,7 +201,7 @@ def shares(mesh) -> np.ndarray:
 class BuiltDrag(Built):
     """The triangles of all cloths."""
 
-    ns_per_particle = 80.0
+    ns_per_particle = 56.0
     explicit_velocity_lags = True
 
     def __init__(self, parameters, world):

@@ -161,9 +161,8 @@ def test_a_calibrated_table_is_one_that_auto_takes(tmp_path, monkeypatch):
     assert set(table.methods) == {'line', 'explicit'}
     for entries in table.methods.values():
         assert all(value > 0.0 for name, value in entries.items() if name != 'substep')
-    assert table.effects['drag'] > 0.0 and table.mesh['edge'] > 0.0
-    whole = CostTable({**SHIPPED.methods, **table.methods}, table.mesh, table.single,
-                      table.effects)
+    assert table.effects['drag'] > 0.0
+    whole = CostTable({**SHIPPED.methods, **table.methods}, table.single, table.effects)
     (tmp_path / 'table.yaml').write_text(table_text(whole, 'this CPU'))
     simulation = compile_scene(load_scene('drape', {
         'solver.cost_table': str(tmp_path / 'table.yaml')}))

@@ -9,6 +9,8 @@ such as integration and pins, is counted by slot. Single precision is as in the 
 
 from collections.abc import Callable, Iterable
 
+from xpbd_ros.effects.contact import BuiltContact
+from xpbd_ros.effects.drag import BuiltDrag
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.cost_table import CostTable, METHODS, SHIPPED
 from xpbd_ros.scene.load import load_scene
@@ -21,6 +23,8 @@ FRAMES, ROUNDS = 20, 3
 SUBSTEPS = {'explicit': 80}
 """substeps of each run, where they are not FEW"""
 FEW = 16
+OWN_NS = {'contact': BuiltContact.ns_per_substep, 'drag': BuiltDrag.ns_per_substep}
+"""times of effects whatever the particles, which stay as they are [ns]"""
 
 
 def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: items,
@@ -36,29 +40,22 @@ def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: i
     frames, rounds : of each measurement
 
     """
-    methods, mesh = {}, dict(SHIPPED.mesh)
+    methods = {}
     effects: dict[str, list[float]] = {}
     for method in progress(METHODS, 'methods'):
         grid, irregular = (_measured(name, method, frames, rounds) for name in scenes[:2])
-        rows = {row.name: row for row in grid.effects if row.present}
-        entries = {'substep': 0.0, 'slot': _by_slot(grid, rows),
-                   'edge': _ns(rows, 'stretch'), 'hinge': _ns(rows, 'bend')}
-        if 'shear' in rows:
-            entries['shear'] = _ns(rows, 'shear')
-        methods[method] = entries
-        others = {row.name: row for row in irregular.effects if row.present}
-        if method == 'line':
-            mesh = {'edge': _ns(others, 'stretch') / entries['edge'],
-                    'hinge': _ns(others, 'hinge') / entries['hinge']}
-        if 'contact' in rows:
-            effects.setdefault('contact', []).append(_by_particle(grid, rows, 'contact'))
+        rows, others = ({row.name: row for row in found.effects if row.present}
+                        for found in (grid, irregular))
+        methods[method] = {
+            'substep': SHIPPED.methods[method]['substep'], 'slot': _by_slot(grid, rows),
+            'edge': _ns(rows, 'stretch'), 'hinge': _ns(rows, 'bend'), 'shear': _ns(rows, 'shear'),
+            'mesh_edge': _ns(others, 'stretch'), 'mesh_hinge': _ns(others, 'hinge')}
+        effects.setdefault('contact', []).append(_by_particle(grid, rows, 'contact'))
     air = _measured(scenes[2], 'line', frames, rounds)
     rows = {row.name: row for row in air.effects if row.present}
-    if 'drag' in rows:
-        effects['drag'] = [_by_particle(air, rows, 'drag')]
+    effects['drag'] = [_by_particle(air, rows, 'drag')]
     return CostTable({name: {key: round(value, 3) for key, value in entries.items()}
-                      for name, entries in methods.items()},
-                     {key: round(value, 3) for key, value in mesh.items()}, SHIPPED.single,
+                      for name, entries in methods.items()}, SHIPPED.single,
                      {name: round(sum(found) / len(found), 3) for name, found in effects.items()})
 
 
@@ -77,8 +74,8 @@ def _ns(rows: dict, name: str) -> float:
 
 
 def _by_particle(found: Cost, rows: dict, name: str) -> float:
-    """Return the time of an effect for each particle [ns]."""
-    return max(1e3 * rows[name].us_per_substep / found.particles, 0.0)
+    """Return the time of an effect for each particle, besides its time per substep [ns]."""
+    return max((1e3 * rows[name].us_per_substep - OWN_NS[name]) / found.particles, 0.0)
 
 
 def _by_slot(found: Cost, rows: dict) -> float:
