@@ -160,12 +160,14 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     Return a mix of ``explicit`` and ``line`` where its substeps fit the budget, else ``line``.
 
     Effects whose force is not in the velocities at a frame's ends have no mix, as a change of
-    method would change momentum. A simulation that began with a mix keeps its storage, and returns
-    to ``explicit`` when it can.
+    method would change momentum; nor have those that stretch without edges, as the check of
+    ``explicit`` frames looks at the strain of edges. A simulation that began with a mix keeps its
+    storage, and returns to ``explicit`` when it can.
     """
     barred = {method for built in effects.values() for method in built.incompatible_with}
-    lags = any(built.explicit_velocity_lags for built in effects.values())
-    if (lines.method != 'line' or 'explicit' in barred or lags or keys.integrator is not None
+    unfit = any(built.explicit_velocity_lags or _is_swept_stretch(name, built)
+                for name, built in effects.items())
+    if (lines.method != 'line' or 'explicit' in barred or unfit or keys.integrator is not None
             or keys.error_target is not None or keys.substeps is not None and not live):
         return lines
     rough = lines if keys.substeps is None else _choose(replace(keys, substeps=None), effects,
@@ -268,11 +270,19 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
                     on_lines += rate
                 else:
                     swept += rate
-        elif size < 4 or hasattr(built.constraints, 'stretch'):
+        elif _is_swept_stretch(name, built):
             swept += stability_limit({name: built}, state)**2
     for_all, for_swept = (frame_dt * sqrt(rate) if rate < 1e20 else inf
                           for rate in (on_lines + swept, swept))
     return for_all, for_swept
+
+
+def _is_swept_stretch(name: str, built) -> bool:
+    """Return True for effects that stretch without edges: membranes, areas, bodies, gas."""
+    if built.constraints is None or name == 'shear':
+        return False
+    size = built.constraints.particles.shape[1]
+    return size != 2 and (size < 4 or hasattr(built.constraints, 'stretch'))
 
 
 def largest_rate(edges, mass) -> float:

@@ -217,13 +217,15 @@ class ExplicitGuard:
         simulation, state = self._simulation, self._simulation.state
         gravity = float(np.linalg.norm(state.gravity))
         load, acceleration = self._mass * gravity + self._load, gravity + self._acceleration
-        for built in simulation.effects.values():
-            force, largest = built.load(state)
-            load, acceleration = load + force, acceleration + largest
+        with np.errstate(all='ignore'):
+            for built in simulation.effects.values():
+                force, largest = built.load(state)
+                load, acceleration = load + force, acceleration + largest
         return load, acceleration
 
     def _is_stable(self, before, loads) -> bool:
-        return is_stable(before, self._look(), mass=self._mass, dt=self._simulation.frame_dt,
-                         load=loads[0], acceleration=loads[1],
-                         work=sum(built.work(self._simulation.state, self._simulation.frame_dt)
-                                  for built in self._simulation.effects.values()))
+        simulation, dt = self._simulation, self._simulation.frame_dt
+        with np.errstate(all='ignore'):    # not a number is not stable
+            work = sum(built.work(simulation.state, dt) for built in simulation.effects.values())
+            return is_stable(before, self._look(), mass=self._mass, dt=dt, load=loads[0],
+                             acceleration=loads[1], work=work)
