@@ -79,6 +79,8 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
              for name, entry in scene.sections.get('colliders', {}).items()
              if entry.pad is not None]
     solver = simulation.solver
+    if solver.mixes and solver.method == 'explicit':
+        solver = solver.rough    # whose frames carry less
     for cloth in simulation.cloths if found and solver.method != 'explicit' else ():
         density = scene.cloths[cloth.name].density
         if density is not None and not len(cloth.mesh.tetrahedra):

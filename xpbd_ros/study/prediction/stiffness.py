@@ -248,5 +248,6 @@ def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float
             each = asked * wanted / given
     each = np.where(sign * given > 0.0, each, np.inf)
     mean = mean if mean > 0.0 else np.inf    # rigid up to rounding errors
-    return Row(cloth, effect, direction, unit, float(asked), float(mean), float(each.min()),
-               float(each.max()))
+    least, most = each.min(), each.max()
+    return Row(cloth, effect, direction, unit, float(asked), float(np.clip(mean, least, most)),
+               float(least), float(most))
