@@ -8,6 +8,9 @@ the scene does not name are listed as absent: they have no arrays and no machine
 Next to the time per constraint the table has a lower bound, its memory traffic at this machine's
 cache bandwidth, and the floating-point operations that this machine could do in the measured time.
 All on one thread.
+
+With --calibrate it measures shipped scenes with every method instead, which takes some minutes,
+and writes the cost table of this machine for solver.cost_table, by which auto keeps budget_ms.
 """
 
 from pathlib import Path
@@ -15,13 +18,18 @@ from pathlib import Path
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
+from xpbd_ros.errors import InputError
+from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros cost towel --duration 2'
 
 
 def add_arguments(parser):
     """Add the verb's arguments to a parser."""
-    parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
+    parser.add_argument('scene', nargs='?', help='a scene file, or the name of a shipped scene')
+    parser.add_argument('--calibrate', nargs='?', const='', metavar='FILE',
+                        help='write the cost table of this machine to this new file, by default '
+                        'cost_table.yaml in a new folder')
     parser.add_argument('--duration', type=float, metavar='S',
                         help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--commands', metavar='LOG',
@@ -34,7 +42,11 @@ def add_arguments(parser):
 
 
 def run(arguments) -> int:
-    """Measure the scene and print the table."""
+    """Measure the scene and print the table, or write the cost table of this machine."""
+    if arguments.calibrate is not None:
+        return calibrate(arguments)
+    if arguments.scene is None:
+        raise InputError('cost: needs a scene, or --calibrate')
     from xpbd_ros.cli.run import count_frames, parse_keys
     from xpbd_ros.scene.load import load_scene
     overrides = parse_keys(arguments.keys)
@@ -68,6 +80,34 @@ def run(arguments) -> int:
     write_json(arguments.json, numbers)
     if arguments.json != '-':
         print('\n'.join(lines(scene.name, found, describe(here), most)))
+    return 0
+
+
+def calibrate(arguments) -> int:
+    """Measure the cost table of this machine and write it."""
+    for name in ('scene', 'duration', 'commands', 'picture'):
+        if getattr(arguments, name) is not None:
+            raise InputError(f'cost --calibrate: does not go with {name}; it runs scenes of its '
+                             'own')
+    if arguments.keys:
+        raise InputError('cost --calibrate: does not go with --set; it runs scenes of its own')
+    file = Path(arguments.calibrate) if arguments.calibrate else None
+    for output in (arguments.json, file):
+        check_output(output)
+    if file is None:
+        folder = fresh_folder('cost')
+        folder.mkdir()
+        file = folder / 'cost_table.yaml'
+    from xpbd_ros.scene.cost_table import table_text
+    from xpbd_ros.study.cost.calibrate import calibrate as measured
+    from xpbd_ros.study.machine import describe, machine
+    here = machine()
+    table = measured(progress)
+    file.write_text(table_text(table, describe(here)))
+    write_json(arguments.json, {'machine': here, 'table': str(file.absolute()),
+                                'methods': table.methods, 'effects': table.effects})
+    if arguments.json != '-':
+        print(f'{file.absolute()}: take it with solver.cost_table')
     return 0
 
 

@@ -382,6 +382,11 @@ class BuiltPin(Built):
         for pin in self._lists:
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
+    def work(self, state, dt):
+        count = self.data.count[0]
+        power = (self.data.force[:count] * state.v.T[self.data.particle[:count]]).sum(1)
+        return float(dt * np.abs(power).sum())
+
     def compile(self, state):
         self._v_before = state.v.take(self.data.particle[:self.data.count[0]], axis=1)
         self._weigh(state, 1.0)

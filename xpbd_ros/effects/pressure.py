@@ -232,15 +232,21 @@ class Gas:
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return |∇i| Σ |∇j| / α at each particle [N/m], shape (slots, 3, 3)."""
         total = np.zeros(x.shape[1])
-        for triangles, alpha in zip(self.triangles, self.compliance):
+        for slopes, alpha in zip(self.slopes(x), self.compliance):
+            total += slopes * slopes.sum() / alpha
+        return total[:, None, None] * np.eye(3)
+
+    def slopes(self, x: np.ndarray) -> list[np.ndarray]:
+        """Return |∇i| of each surface [m²], each of shape (slots,)."""
+        found = []
+        for triangles in self.triangles:
             gradient = np.zeros((x.shape[1], 3))
             for k in range(3):
                 j, l = x.T[triangles[:, k - 2]], x.T[triangles[:, k - 1]]
                 np.add.at(gradient, triangles[:, k], cross(j - x.T[triangles[0, 0]],
                                                            l - x.T[triangles[0, 0]]) / 6.0)
-            slopes = np.sqrt(dot(gradient, gradient))
-            total += slopes * slopes.sum() / alpha
-        return total[:, None, None] * np.eye(3)
+            found.append(np.sqrt(dot(gradient, gradient)))
+        return found
 
 
 def rest_volume(name: str, mesh) -> float:
@@ -301,6 +307,15 @@ class BuiltPressure(Built):
         self._names = [cloth.name for cloth in parameters]
         self.constraints = Gas(particles, np.zeros(len(parts), np.int64), listed,
                                np.array(volumes), np.array(compliance))
+
+    def load(self, state):
+        """Return bounds of the force of the gas."""
+        force, acceleration, there = 0.0, 0.0, state.mass > 0.0
+        pressure = np.abs(self.constraints.residual(state.x) / self.constraints.compliance)
+        for p, slopes in zip(pressure, self.constraints.slopes(state.x)):
+            force += float(p * slopes.sum())
+            acceleration = max(acceleration, float(p * (slopes[there] / state.mass[there]).max()))
+        return force, acceleration
 
     def stats(self):
         return {f'overpressure_{name}_pa': float(part.force[0])

@@ -303,6 +303,7 @@ class BuiltStrainLimit(Built):
 
     incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
     ns_per_particle = 100.0
+    explicit_velocity_lags = True
 
     def __init__(self, parameters, world):
         super().__init__()

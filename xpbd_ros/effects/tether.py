@@ -159,6 +159,7 @@ class Ways:
 class BuiltTether(Built):
     """The tethers of all cloths with this effect, while particles are pinned."""
 
+    explicit_velocity_lags = True
     incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
 
     def __init__(self, parameters, world):

@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.ros.chosen_substeps import chosen_substeps, with_chosen_substeps
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
@@ -143,7 +144,7 @@ class ClothNode(LifecycleNode):
                              read_cloud=self.interaction.clouds.read)
         self.topics.open()
         self.node_services = Services(self)
-        self._substeps = simulation.solver.substeps
+        self._substeps = chosen_substeps(simulation.solver)
         for text in self.live_parameters.unknown():
             log.warning(text)
 
@@ -315,9 +316,9 @@ class ClothNode(LifecycleNode):
         if keys:
             heard.add('scene')
             encoded['scene'] = self._changed(keys)
-            frame = with_chosen_substeps(frame, keys.get('solver.substeps', self._substeps),
-                                         self.simulation.solver.substeps)
-            self._substeps = self.simulation.solver.substeps
+            frame = with_chosen_substeps(frame, {**self._substeps, **keys},
+                                         chosen_substeps(self.simulation.solver))
+            self._substeps = chosen_substeps(self.simulation.solver)
         if self.makes_clock:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
@@ -429,17 +430,6 @@ class ClothNode(LifecycleNode):
             getattr(self.get_logger(), level)(text)
         else:
             print(f'[{level.upper()}] [{self.get_name()}]: {text}', file=sys.stderr)
-
-
-def with_chosen_substeps(frame, asked: int, chosen: int):
-    """
-    Return a frame that also records the substeps that ``auto`` chose after a key changed.
-
-    The log's scene has ``auto`` resolved, so a repeated run does not choose again.
-    """
-    if chosen == asked:
-        return frame
-    return replace(frame, applied=(*frame.applied, SetKey('solver.substeps', chosen)))
 
 
 def main(args: list[str] | None = None) -> int:

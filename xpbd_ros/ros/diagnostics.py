@@ -89,7 +89,8 @@ class Status:
             'step_ms_max': max(timing.step_ms, default=0.0),
             'real_time_factor': timing.real_time_factor(simulation.frame_dt),
             'dropped_frames': dropped,
-            'substeps': simulation.solver.substeps,
+            'method': simulation.setting.method,
+            'substeps': simulation.setting.substeps,
             'strain_max': measure.largest_strain(simulation),
             **node.error_monitor.diagnostics(),
             'energy_j': measure.kinetic_energy(simulation.state)

@@ -15,7 +15,8 @@ import time
 
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import largest_strain, stiffness_given
-from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.solver import Solver
 from xpbd_ros.sim.stepping.error_estimate import Estimate, estimate
 
 FIRST = 10

@@ -34,7 +34,9 @@ CHECKPOINT = 'checkpoint'
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
-"""counters of the simulation that go into the log, in ``/diagnostics``"""
+"""counters of the simulation that go into the log, in ``/diagnostics``, as warnings"""
+EVENTS = {'method_switches'}
+"""counters that go into the log too, and are no warnings"""
 
 
 class Recorder:
@@ -161,7 +163,7 @@ class Recorder:
     def _write_guards(self, frame: Frame, stamp_ns: int) -> None:
         """Write the counters of GUARDS and the shift of the stamps, where they changed."""
         stats = self.outputs.simulation.stats()
-        counts = {name: stats[name] for name in GUARDS if stats.get(name)}
+        counts = {name: stats[name] for name in (*GUARDS, *EVENTS) if stats.get(name)}
         moved_ns = stamp_ns - self.epoch_ns - frame.time_ns
         tell = (abs(moved_ns - self._moved_ns) > self.outputs.simulation.time_ns(1)
                 and frame.time_ns - self._told_ns >= SECOND)
@@ -170,7 +172,7 @@ class Recorder:
         self._counts, self._moved_ns, self._told_ns = counts, moved_ns, frame.time_ns
         time_ns = self.epoch_ns + frame.time_ns
         self._write_one('/diagnostics', DiagnosticArray, diagnostics.message(
-            self._name.lstrip('/'), 'WARN' if counts else 'OK', 'guards',
+            self._name.lstrip('/'), 'WARN' if counts.keys() - EVENTS else 'OK', 'guards',
             {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
     def value(self, topic: str, value: float, frame: Frame) -> None:

@@ -1,27 +1,19 @@
 """Resolve ``solver.method: auto``: a pure function of the scene, which reads no clock."""
 
+from dataclasses import replace
 from math import ceil, inf, sqrt
 from typing import Any
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
-from xpbd_ros.sim.simulation import Solver
+from xpbd_ros.sim.solver import Solver
 
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
               'jacobi': 'backward_euler', 'explicit': 'leapfrog'}
 """default integrator of each method: BDF2 needs a symmetric sweep"""
-NS = {'gauss_seidel': {'slot': 3.0, 'edge': 1.8, 'hinge': 2.4},
-      'gauss_seidel_symmetric': {'slot': 3.5, 'edge': 3.6, 'hinge': 4.6},
-      'line': {'slot': 3.5, 'edge': 5.0, 'hinge': 4.6},
-      'jacobi': {'slot': 4.0, 'edge': 2.5, 'hinge': 3.2},
-      'explicit': {'slot': 4.0, 'edge': 2.5, 'hinge': 2.5}}
-"""cost of one substep on one core of a 2.6 GHz server CPU, per slot, edge and hinge [ns]"""
-MESH = {'edge': 2.5, 'hinge': 3.8}
-"""cost of a constraint of a mesh over that of one of a grid"""
-SINGLE = 0.6
-"""cost in float32 over that in float64; less on large grids"""
 LINE = {'backward_euler': 0.25, 'bdf2': 0.25, 'ndf2': 0.2}
 """substeps of method ``line`` over those that an explicit solver needs for all edges, by
 integrator; constraints that are in no line of a grid need all of theirs"""
@@ -33,6 +25,12 @@ backward Euler, with which lines that zigzag are stable up to a strain of about 
 square, that is 1/12"""
 MIN_SUBSTEPS = 4
 """substeps that ``auto`` chooses at least, if the budget allows"""
+ROUGH = ('rough_frames', 'rough_integrator', 'rough_substeps')
+"""keys of the frames where ``explicit`` is unstable"""
+MAX_SUBSTEPS = 10_000
+"""substeps of ``explicit`` that ``auto`` chooses at most, as ``solver.substeps`` allows"""
+CALM_FRAMES = 30
+"""calm frames of ``line`` after an unstable one of ``explicit``, in a mix"""
 
 
 def substep_ratio(method: str, integrator: str) -> float:
@@ -40,7 +38,7 @@ def substep_ratio(method: str, integrator: str) -> float:
     return LINE[integrator] if method == 'line' else 1.0
 
 
-def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
+def resolve(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = False) -> Solver:
     """
     Return the solver setting of a scene, with all that it leaves open chosen.
 
@@ -50,6 +48,7 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     effects : built effects by name
     state : particles
     frame_dt : frame period [s]
+    live : True if a simulation runs, whose storage and kernels cannot change
 
     Raises
     ------
@@ -57,7 +56,16 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         ``max_substeps`` allows
 
     """
-    solver = _choose(keys, effects, state, frame_dt)
+    given = next((name for name in ROUGH if getattr(keys, name) is not None), None)
+    if given and keys.method != 'explicit':
+        raise InputError(f'solver.{given}: goes with method explicit (got {keys.method})')
+    if keys.method == 'explicit' and keys.rough_frames and not _is_stable(
+            keys, effects, state, frame_dt):
+        solver = _lines_as_given(keys)
+    else:
+        solver = _choose(keys, effects, state, frame_dt)
+        if keys.method == 'auto' and (not live or state.apart is not None):
+            solver = _with_explicit(solver, keys, effects, state, frame_dt, live=live)
     if keys.error_target is not None and solver.substeps > keys.max_substeps:
         raise InputError(f'solver.max_substeps: must be at least {solver.substeps}, the substeps '
                          f'that the run starts with (got {keys.max_substeps})')
@@ -74,7 +82,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
     asked, also for the constraints that are in no line. An effect may need a number of substeps
     of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
-    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table above.
+    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table.
     """
     barred = {method: name for name, built in effects.items()
               for method in built.incompatible_with}
@@ -85,7 +93,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
                          'jacobi')
-    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state)))
+    table = table_of(keys)
+    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state,
+                                                        table)))
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
     if integrator in barred:
@@ -98,6 +108,10 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         fitting = 'leapfrog' if method == 'explicit' else 'backward_euler, bdf2 or ndf2'
         raise InputError(f"solver.integrator: method '{method}' goes with {fitting} "
                          f"(got '{integrator}')")
+    if keys.rough_integrator in barred:
+        raise InputError(f"solver.rough_integrator: '{keys.rough_integrator}' is unstable with "
+                         f'{barred[keys.rough_integrator]}, which the scene has; take bdf2 or '
+                         'backward_euler')
     if method == 'explicit' and keys.iterations > 1:
         raise InputError('solver.iterations: must be 1 with method explicit (got '
                          f'{keys.iterations}); increase substeps instead')
@@ -106,8 +120,12 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         'precision': keys.precision, 'threads': keys.threads}
     if method == 'explicit':
         needed = frame_dt * stability_limit(effects, state)
-        chosen['rough_substeps'] = _bounded(LINE['backward_euler'] * needed, max(1, int(
-            keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state))))
+        chosen['rough_frames'] = keys.rough_frames or 0
+        chosen['rough_integrator'] = keys.rough_integrator or (
+            'bdf2' if keys.rough_frames else 'backward_euler')
+        chosen['rough_substeps'] = keys.rough_substeps or _bounded(
+            LINE['backward_euler'] * needed, max(1, int(
+                keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state, table))))
     if keys.substeps is not None:
         reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
         if method == 'explicit' and keys.substeps < needed:
@@ -132,31 +150,88 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
         reason += f' fill the budget of {keys.budget_ms:g} ms; no number resolves rigid edges'
-    took = substeps * cost(method, keys.iterations, effects, state) * 1e-6
+    took = substeps * cost(method, keys.iterations, effects, state, table) * 1e-6
     return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
+
+
+def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: float, *,
+                   live: bool) -> Solver:
+    """
+    Return a mix of ``explicit`` and ``line`` where its substeps fit the budget, else ``line``.
+
+    Effects whose force is not in the velocities at a frame's ends have no mix, as a change of
+    method would change momentum; nor have those that stretch without edges, as the check of
+    ``explicit`` frames looks at the strain of edges. A simulation that began with a mix keeps its
+    storage, and returns to ``explicit`` when it can.
+    """
+    barred = {method for built in effects.values() for method in built.incompatible_with}
+    unfit = any(built.explicit_velocity_lags or _is_swept_stretch(name, built)
+                for name, built in effects.items())
+    if (lines.method != 'line' or 'explicit' in barred or unfit or keys.integrator is not None
+            or keys.error_target is not None or keys.substeps is not None and not live):
+        return lines
+    rough = lines if keys.substeps is None else _choose(replace(keys, substeps=None), effects,
+                                                        state, frame_dt)
+    per = cost('explicit', 1, effects, state, table_of(keys))
+    wanted = _stable_substeps(effects, state, frame_dt)
+    substeps = keys.substeps or _bounded(wanted, max(1, int(keys.budget_ms * 1e6 / per)))
+    fits = (keys.iterations == 1 and MAX_SUBSTEPS >= substeps >= wanted
+            and not rounds_away(state, frame_dt / substeps))
+    if not fits and not live:
+        return lines
+    mixed = replace(lines, rough_frames=CALM_FRAMES, rough_integrator=rough.integrator,
+                    rough_substeps=rough.substeps)
+    if not fits:
+        return mixed
+    return replace(
+        mixed, method='explicit', integrator='leapfrog', substeps=substeps,
+        reason=f'auto: explicit, leapfrog, {substeps} substeps, about {1e-6 * substeps * per:.2g} '
+        f'ms per frame; rough frames: {rough.reason.removeprefix("auto: ")}')
+
+
+def _is_stable(keys: SolverKeys, effects, state, frame_dt: float) -> bool:
+    """Return True if ``explicit`` is stable with the given substeps, or they are left open."""
+    return keys.substeps is None or keys.iterations == 1 and (
+        keys.substeps >= _stable_substeps(effects, state, frame_dt))
+
+
+def _lines_as_given(keys: SolverKeys) -> Solver:
+    """Return ``line`` with the substeps given for a mix, which are too few for ``explicit``."""
+    assert keys.substeps is not None
+    integrator = keys.rough_integrator or INTEGRATOR['line']
+    return Solver('line', integrator, keys.substeps, keys.iterations, keys.precision, keys.threads,
+                  f'line, {integrator}, {keys.substeps} substeps as given', keys.rough_frames,
+                  integrator, keys.rough_substeps or keys.substeps)
+
+
+def _stable_substeps(effects, state, frame_dt: float) -> float:
+    """Return the substeps that ``explicit`` needs; infinite with rigid constraints."""
+    if any((built.constraints.compliance == 0.0).any() for built in effects.values()
+           if built.constraints is not None):
+        return inf
+    return max([frame_dt * stability_limit(effects, state),
+                *(built.least_substeps(frame_dt) for built in effects.values())])
+
+
+def rounds_away(state, h: float) -> bool:
+    """Return True if float32 rounds away the distance of a fall in a substep of h [s]."""
+    fall = float(np.linalg.norm(state.gravity)) * h * h
+    far = np.abs(state.x).max(initial=0.0)
+    return bool(state.x.dtype == np.float32 and 0.0 < fall < 0.5 * np.spacing(far))
 
 
 def _bounded(wanted: float, affordable: int) -> int:
     return int(max(min(ceil(min(wanted, 1e9)), affordable), min(MIN_SUBSTEPS, affordable)))
 
 
-def cost(method: str, iterations: int, effects, state) -> float:
-    """Return the time of one substep according to the table NS [ns]."""
-    table = NS[method]
-    found, particles = table['slot'] * len(state.mass), np.count_nonzero(state.mass)
-    for built in effects.values():
-        found += built.ns_per_particle * particles
-        if built.constraints is not None:
-            kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
-            on_meshes = sum(hasattr(part, 'particles') * part.particles.shape[1]
-                            for part in map(_batch, built.parts) if hasattr(part, 'particles'))
-            found += iterations * table[kind] * (len(built.constraints.particles)
-                                                 + (MESH[kind] - 1.0) * on_meshes)
-    return found * (SINGLE if state.x.dtype == np.float32 else 1.0)
+def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED) -> float:
+    """Return the time of one substep according to a table [ns]."""
+    return table.substep_ns(method, iterations, effects, state)
 
 
-def _batch(part):
-    return getattr(part, 'edges', part)
+def table_of(keys: SolverKeys) -> CostTable:
+    """Return the cost table of a scene: the shipped one unless it names a file."""
+    return SHIPPED if keys.cost_table is None else read_table(keys.cost_table)
 
 
 def stability_limit(effects, state) -> float:
@@ -195,11 +270,19 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
                     on_lines += rate
                 else:
                     swept += rate
-        elif size < 4 or hasattr(built.constraints, 'stretch'):
+        elif _is_swept_stretch(name, built):
             swept += stability_limit({name: built}, state)**2
     for_all, for_swept = (frame_dt * sqrt(rate) if rate < 1e20 else inf
                           for rate in (on_lines + swept, swept))
     return for_all, for_swept
+
+
+def _is_swept_stretch(name: str, built) -> bool:
+    """Return True for effects that stretch without edges: membranes, areas, bodies, gas."""
+    if built.constraints is None or name == 'shear':
+        return False
+    size = built.constraints.particles.shape[1]
+    return size != 2 and (size < 4 or hasattr(built.constraints, 'stretch'))
 
 
 def largest_rate(edges, mass) -> float:

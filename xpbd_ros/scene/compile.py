@@ -8,7 +8,7 @@ import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
-from xpbd_ros.scene.auto import resolve
+from xpbd_ros.scene.auto import resolve, rounds_away
 from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
@@ -28,6 +28,8 @@ LINES = ('line', 'auto')
 """methods that may solve whole lines"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
+CHOSEN_SUBSTEPS = ('solver.substeps', 'solver.rough_substeps')
+"""live keys that ``auto`` chooses unless they are given"""
 COARSE = 1e-3
 """rounding error over the distance of neighbours above which there is a warning about float32"""
 
@@ -64,11 +66,12 @@ def compile_scene(scene: Scene) -> Simulation:
     try:
         effects = _build(scene, tuple(cloths), state)
         solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
-        state = with_solver_storage(state, integrator=solver.integrator,
-                          apart=APART.get(solver.method),
+        state = with_solver_storage(state, integrator=solver.rough_integrator or solver.integrator,
+                          apart=Explicit if solver.mixes else APART.get(solver.method),
                           constraints=[these.particles for built in effects.values()
                                        for these in built.by_part],
                           gap=gap, h=float(1 / frame_rate(scene)) / solver.substeps)
+        rough = solver.rough if solver.mixes and solver.method == 'explicit' else solver
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
             retune=Retune(scene, tuple(cloths), state, effects),
@@ -76,7 +79,7 @@ def compile_scene(scene: Scene) -> Simulation:
                      for text in cloth.mesh.notes),
                    *(text for built in effects.values() for text in built.notes),
                    *_too_coarse(cloths, state),
-                   *weak_grips(scene, cloths, solver.method, solver.substeps),
+                   *weak_grips(scene, cloths, rough.method, rough.substeps),
                    *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:
         raise InputError(f'{scene.where}: sizes, stiffnesses or densities are too large or too '
@@ -121,9 +124,9 @@ def _too_coarse(cloths, state: State) -> list[str]:
 
 def _too_short(state: State, h: float) -> list[str]:
     """Return a warning if float32 rounds away what gravity moves positions by in a substep."""
-    fall, far = float(np.linalg.norm(state.gravity)) * h * h, np.abs(state.x).max(initial=0.0)
-    if state.x.dtype != np.float32 or fall == 0.0 or 0.5 * np.spacing(far) <= fall:
+    if not rounds_away(state, h):
         return []
+    fall, far = float(np.linalg.norm(state.gravity)) * h * h, np.abs(state.x).max(initial=0.0)
     return [f'solver.precision: float32 rounds positions {far:.3g} m from the origin by up to '
             f'{0.5 * np.spacing(far):.2g} m, and gravity moves them by {fall:.2g} m in a substep: '
             'forces get lost; take float64, or fewer substeps']
@@ -178,11 +181,12 @@ class Retune:
                                static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
         effects = self.effects
-        if key != 'solver.substeps':    # on which no effect depends
+        if key not in CHOSEN_SUBSTEPS:    # on which no effect depends
             effects = _build(scene, cloths, self.state, self.effects)
             for name, built in effects.items():
                 built.adopt(self.effects[name])
-        solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)))
+        solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)),
+                         live=True)
         self.scene, self.cloths, self.effects = scene, cloths, effects
         return Change(effects, solver, scene.top.gravity)
 
@@ -195,7 +199,7 @@ class Retune:
         known = live_keys(self.scene)
         raw = self.scene.raw
         for key, value in changes.items():
-            if key not in known and key != 'solver.substeps':
+            if key not in known and key not in CHOSEN_SUBSTEPS:
                 raise InputError(f'{key}: cannot change while running (these can: '
                                  f'{", ".join(known)})')
             raw = with_key(raw, key, value)

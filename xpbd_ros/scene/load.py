@@ -173,6 +173,10 @@ def _resolved(raw: dict, folder: Path) -> dict:
             cloth, f'cloths.{name}', square=_square_cells(cloth, f'cloths.{name}.grid')),
             'mesh', folder)
     raw = {**raw, 'cloths': cloths} if cloths else raw
+    solver = raw.get('solver')
+    if isinstance(solver, dict) and isinstance(solver.get('cost_table'), str):
+        file = str((folder / solver['cost_table']).absolute())
+        raw = {**raw, 'solver': {**solver, 'cost_table': file}}
     colliders = raw.get('colliders')
     if not isinstance(colliders, dict):
         return raw

@@ -23,12 +23,22 @@ class SolverKeys:
     precision: str = quantity('float64', choices=('float64', 'float32'))
     threads: int = quantity(1, minimum=1, maximum=64)
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
+    cost_table: str | None = quantity(
+        None, doc='file of xpbd_ros cost --calibrate, for budget_ms; the shipped table unless '
+        'given')
     error_target: float | None = quantity(
         None, unit='m', above=0.0, doc='error of a frame (estimated, RMS over the particles) to '
         'hold by changing substeps')
     max_substeps: int = quantity(64, minimum=1, maximum=10_000,
                                  doc='largest number of substeps for error_target')
     compliance_scale: float = quantity(1.0, above=0.0, live=True, doc='multiplies all compliances')
+    rough_frames: int | None = quantity(
+        None, minimum=0, maximum=10_000, doc='calm frames of line after an unstable one of '
+        'explicit; chosen by auto, else 0')
+    rough_integrator: str | None = quantity(
+        None, choices=('backward_euler', 'bdf2', 'ndf2'), doc='of these frames')
+    rough_substeps: int | None = quantity(None, minimum=1, maximum=10_000,
+                                          doc='of these frames; chosen unless given')
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,13 @@ from typing import Any
 import yaml
 
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.simulation import Solver
+from xpbd_ros.sim.solver import Solver
 
 DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 """the C implementation if PyYAML has it, as a node writes the scene between two frames"""
 
-CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision')
+CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision', 'rough_frames',
+          'rough_integrator', 'rough_substeps')
 """keys of ``solver`` that ``auto`` resolves"""
 
 
@@ -28,7 +29,7 @@ def scene_text(scene: Scene, solver: Solver) -> str:
 
 def explicit(scene: Scene, solver: Solver) -> dict:
     """Return a scene as plain values, with ``auto`` resolved and every default written out."""
-    raw, chosen = scene.raw, {key: getattr(solver, key) for key in CHOSEN}
+    raw, chosen = scene.raw, chosen_keys(solver)
     top = replace(scene.top, solver=replace(scene.top.solver, **chosen))
     found = _stated(top, {**raw, 'solver': {**(raw.get('solver') or {}), **chosen}})
     found['cloths'] = {
@@ -40,6 +41,17 @@ def explicit(scene: Scene, solver: Solver) -> dict:
         found[section] = _all_stated(entries, raw[section])
     found['effects'] = _all_stated(scene.effects, raw.get('effects'))
     return found
+
+
+def chosen_keys(solver: Solver) -> dict[str, Any]:
+    """
+    Return the resolved keys of ``solver``.
+
+    A mix of methods is ``explicit`` with ``rough_frames``, also where its substeps are too few for
+    ``explicit`` and all its frames are of ``line``.
+    """
+    found = {**{key: getattr(solver, key) for key in CHOSEN}, 'cost_table': None}
+    return {**found, 'method': 'explicit', 'integrator': 'leapfrog'} if solver.mixes else found
 
 
 def _all_stated(values: dict[str, Any], given: dict | None) -> dict:

@@ -136,7 +136,12 @@ class Built:
     """methods and integrators that do without it"""
     also: Sequence[Any] = ()
     ns_per_particle: float = 0.0
-    """what it takes in a substep besides its constraints [ns], for ``auto`` (``scene.auto.NS``)"""
+    """time in a substep besides its constraints [ns], for ``auto`` (``scene.cost_table``)"""
+    ns_per_substep: float = 0.0
+    """time in a substep whatever the particles [ns], for ``auto``"""
+    explicit_velocity_lags: bool = False
+    """True if ``explicit`` leaves half a substep of its force out of the velocities at a frame's
+    ends, so that ``auto`` must not switch methods"""
     pulls_taut: bool = False
     """True if it may pull cloth taut or keep particles in steps of backward Euler: lines then need
     more substeps to straighten (``scene.auto.TAUT``)"""
@@ -177,6 +182,22 @@ class Built:
     def least_substeps(self, frame_dt: float) -> float:
         """Return what ``auto`` gives at least, whatever the constraints want."""
         return 1.0
+
+    def load(self, state: State) -> tuple[float, float]:
+        """
+        Return bounds of a force whose work ``explicit_guard`` must account for, besides ``force``.
+
+        Of its sum over the particles [N], and of the acceleration of one of them [m/s²].
+        """
+        return 0.0, 0.0
+
+    def work(self, state: State, dt: float) -> float:
+        """
+        Return a bound of the work of a moving body in the frame just done [J].
+
+        It hides no instability, in which particles move by far more than the body.
+        """
+        return 0.0
 
     def compile(self, state: State) -> None:
         """Compile what a frame calls besides its step; nothing moves."""

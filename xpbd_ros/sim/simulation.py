@@ -14,29 +14,14 @@ from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
-from xpbd_ros.sim.particles.state import forget, gather, history_arrays, places, State
+from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
+from xpbd_ros.sim.solver import Solver
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.sim.stepping.rollback import FrameRollback
-
-
-@dataclass(frozen=True)
-class Solver:
-    """Solver settings, with ``auto`` resolved."""
-
-    method: str
-    integrator: str
-    substeps: int
-    iterations: int
-    precision: str = 'float64'
-    threads: int = 1
-    reason: str = ''
-    """reason of the choice by ``auto``; empty without ``auto``"""
-    rough_substeps: int = 0
-    """substeps of ``line`` in frames where ``explicit`` is unstable"""
 
 
 @dataclass(frozen=True)
@@ -104,7 +89,7 @@ class Simulation:
         self._step = step.compiled(tuple(effects))
         self._crew = ThreadPool(solver.threads)
         self._tuple: tuple[Any, ...] = ()
-        self._guard = ExplicitGuard(self) if solver.method == 'explicit' else None
+        self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
         for built in effects.values():
             built.reset(state, 0)
@@ -201,18 +186,33 @@ class Simulation:
         """Return the next frame as the effects see it: after a load, at the time of the save."""
         index = self.index - self._lag
         return Clock(index + 1, self.time_ns(index), self.time_ns(index + 1), self.frame_dt,
-                     self.solver.substeps)
+                     self.setting.substeps)
 
-    def _advance(self, substeps: int) -> None:
-        self._crew.run(self._step, self._tuple, self.state, self._method(), self.frame_dt,
-                       substeps)
+    @property
+    def setting(self) -> Solver:
+        """Setting of the next frame: the solver's, or that of rough frames."""
+        return self.solver if self._guard is None else self._guard.setting
+
+    def _advance(self, substeps: int, setting: Solver | None = None) -> None:
+        """Advance by a frame with the solver's setting or another one."""
+        setting = setting or self.solver
+        self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
+                       self.frame_dt, substeps)
 
     def _kept(self) -> Start:
-        return Start(self._tuple, self.state, self._step, self._method(), self.frame_dt,
-                     self.solver.substeps).copy()
+        setting = self.setting
+        return Start(self._tuple, self._view(setting), self._step, self._method(setting),
+                     self.frame_dt, setting.substeps).copy()
 
-    def _method(self):
-        return METHODS[self.solver.method](self.solver.iterations)
+    def _view(self, setting: Solver) -> State:
+        """Return the state with the storage that a setting uses."""
+        if setting.method == 'explicit':
+            return self.state._replace(history=None, gap=None)
+        return self.state if self._guard is None else self.state._replace(apart=None)
+
+    def _method(self, setting: Solver | None = None):
+        setting = setting or self.solver
+        return METHODS[setting.method](setting.iterations)
 
     def frame(self, applied=(), refused=(), news=()) -> Frame:
         """Return the present frame."""
@@ -259,6 +259,8 @@ class Simulation:
         self.state.v[:] = 0.0
         self.state.inv_mass[self.slot] = 1.0 / self.state.mass[self.slot]
         forget(self.state)
+        if self._guard is not None:
+            self._guard.reset()
         for built in self.effects.values():
             built.reset(self.state, self._clock().begin_ns)
 
@@ -307,7 +309,7 @@ class Simulation:
         except ValueError as error:
             return str(error)
         self.effects.update(change.effects)
-        if change.solver is not None and change.solver.substeps != self.solver.substeps:
+        if change.solver is not None and _lengths(change.solver) != _lengths(self.solver):
             forget(self.state)    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
@@ -363,22 +365,16 @@ class Simulation:
         """Return 64 bits that change with any bit of the state."""
         state = self.state
         return hashed((array, self.slot) for array in (
-            state.x, state.v, state.inv_mass, *self._history()))
+            state.x, state.v, state.inv_mass, *full_history(state)))
 
     def hash_of(self, frame: Frame) -> Callable[[], int]:
         """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
-        history = [array.copy() for array in self._history()]
+        history, natural = [each.copy() for each in full_history(self.state)], np.arange(len(self.slot))
         kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
-        natural = np.arange(len(self.slot))
         return lambda: hashed([
-            *((np.ascontiguousarray(array, kind), natural) for array, kind in zip(
-                (frame.x.T, frame.v.T, frame.inv_mass), kinds)),
-            *((array, self.slot) for array in history)])
-
-    def _history(self) -> list[np.ndarray]:
-        """Return the arrays besides x, v and inv_mass that determine the next substep."""
-        history = self.state.history
-        return [*history_arrays(self.state), *([] if history is None else [history.fresh])]
+            *((np.ascontiguousarray(each, kind), natural)
+              for each, kind in zip((frame.x.T, frame.v.T, frame.inv_mass), kinds)),
+            *((each, self.slot) for each in history)])
 
     def stats(self) -> dict[str, float]:
         """Return the effects' statistics of the last frame, by name."""
@@ -386,8 +382,13 @@ class Simulation:
                  for key, value in built.stats().items()}
         found['frames_taken_back'] = self._last.taken_back
         if self._guard is not None:
-            found['explicit_redone'] = self._guard.redone
+            found.update(self._guard.stats())
         return found
+
+
+def _lengths(solver: Solver) -> tuple:
+    """Return all that a history's steps depend on."""
+    return solver.method, solver.substeps, solver.rough_substeps
 
 
 class SavedState:

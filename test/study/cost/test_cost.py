@@ -10,9 +10,10 @@ from support.shipped_scenes import NAMES
 from xpbd_ros.cli.main import main
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import CostTable, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_text
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.study.cost import cost, measure
+from xpbd_ros.study.cost import calibrate, cost, measure
 from xpbd_ros.study.cost.clock import add_lap, lap_ns, new_clock, start
 from xpbd_ros.study.cost.limits import limits
 
@@ -150,3 +151,32 @@ def test_the_verb_prints_what_it_writes(tmp_path, monkeypatch, capsys):
         line = next(line for line in said.splitlines() if line.split()[:1] == [row['name']])
         assert ('absent' in line) == (not row['present'])
     assert numbers['machine']['name'] in said
+
+
+@pytest.mark.slow
+def test_a_calibrated_table_is_one_that_auto_takes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(calibrate, 'METHODS', ('line', 'explicit'))
+    table = calibrate.calibrate(frames=2, rounds=1)
+    assert set(table.methods) == {'line', 'explicit'}
+    for entries in table.methods.values():
+        assert all(value > 0.0 for name, value in entries.items() if name != 'substep')
+    assert table.effects['drag'] > 0.0
+    whole = CostTable({**SHIPPED.methods, **table.methods}, table.single, table.effects)
+    (tmp_path / 'table.yaml').write_text(table_text(whole, 'this CPU'))
+    simulation = compile_scene(load_scene('drape', {
+        'solver.cost_table': str(tmp_path / 'table.yaml')}))
+    assert simulation.solver.substeps >= 4
+
+
+@pytest.mark.parametrize('arguments, why', [
+    ([], 'needs a scene, or --calibrate'),
+    (['swing', '--calibrate', 'table.yaml'], 'does not go with scene'),
+    (['--calibrate', 'table.yaml', '--set', 'solver.substeps=3'], 'does not go with --set'),
+    (['--calibrate', 'there.yaml'], 'there.yaml')])
+def test_arguments_that_do_not_go_together_are_refused(arguments, why, tmp_path, monkeypatch,
+                                                       capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'there.yaml').write_text('')
+    assert main(['cost', *arguments]) == 2
+    assert why in capsys.readouterr().err

@@ -174,6 +174,12 @@ def history_arrays(state: State) -> list[np.ndarray]:
     return [*last, state.history.x, state.history.older_v]
 
 
+def full_history(state: State) -> list[np.ndarray]:
+    """Return all arrays besides x, v and inv_mass that determine the next substep."""
+    fresh = [] if state.history is None else [state.history.fresh]
+    return [*history_arrays(state), *fresh]
+
+
 def forget(state: State, particles=slice(None)) -> None:
     """Clear the history of particles: their next substep is a backward Euler step."""
     if state.history is not None:

@@ -11,13 +11,14 @@ compressed while warp and weft keep their length.
 """
 
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.stepping.methods import METHODS
+from xpbd_ros.sim.particles.state import forget
 
 STRAIN = 0.25
 """largest increase of an edge's strain in a frame"""
@@ -99,30 +100,47 @@ def look(calm, x, v, mass, inv_mass):
     return strain, energy, pinned
 
 
-def is_stable(before, after, *, mass: float, load: float, acceleration: float,
-              dt: float) -> bool:
+def is_stable(before, after, *, mass: float, load: float, acceleration: float, dt: float,
+              work: float = 0.0) -> bool:
     """
     Tell whether a frame is stable, by ``look`` before and after it.
 
     ``load`` is the sum of all external forces [N], ``acceleration`` the largest of a particle by
-    them [m/s²].
+    them [m/s²], ``work`` that of the pins [J].
     """
     speed = np.sqrt(2.0 * before[1] / mass) + acceleration * dt
-    given = load * dt * speed + max(before[2], after[2])
+    given = load * dt * speed + max(before[2], after[2]) + work
     return bool(after[0] <= min(before[0] + STRAIN, LARGEST)
                 and after[1] <= GROWTH * (before[1] + given))
 
 
 class ExplicitGuard:
-    """Checks each frame of ``explicit``, and computes unstable ones again with ``line``."""
+    """
+    Checks each frame of ``explicit``, and computes unstable ones again with ``line``.
+
+    With ``rough_frames`` of the solver the frames after an unstable one are of ``line`` too, until
+    so many in a row are calm, so that a rough stretch costs no frame twice.
+    """
 
     def __init__(self, simulation):
         self.redone = 0
         """frames computed again"""
+        self.switches = 0
+        """changes of the method from one frame to the next"""
+        self.line_frames = 0
+        """frames of ``line``"""
+        self._left = 0
+        """calm frames of ``line`` before the next one of ``explicit``"""
         self._simulation = simulation
         state = simulation.state
         self._x, self._v = state.x.copy(), state.v.copy()
         self._mass = float(state.mass.sum())
+
+    @property
+    def setting(self):
+        """Setting of the next frame."""
+        solver = self._simulation.solver
+        return solver.rough if self._left and solver.method == 'explicit' else solver
 
     def _look(self) -> tuple[float, float, float]:
         state = self._simulation.state
@@ -131,7 +149,9 @@ class ExplicitGuard:
     def compile(self) -> None:
         """Compile the check and ``line``."""
         self._look()
-        self.redo(0)
+        solver = self._simulation.solver
+        if solver.method == 'explicit':
+            self._simulation._advance(0, solver.rough)
 
     def collect(self) -> None:
         """Read edges, cells and external forces from the effects."""
@@ -145,35 +165,67 @@ class ExplicitGuard:
              if these.particles.shape[1] == 2],
             [these for built in effects.values() for these in built.cells])
 
+    def reset(self) -> None:
+        """Go to the scene's start."""
+        self._left = 0
+
+    def stats(self) -> dict[str, float]:
+        """Return the counters of the run."""
+        if self._simulation.solver.mixes:
+            return {'method_switches': self.switches, 'line_frames': self.line_frames}
+        return {'explicit_redone': self.redone}
+
     def advance(self) -> None:
         """Compute one frame."""
-        simulation, state = self._simulation, self._simulation.state
+        simulation, state, setting = self._simulation, self._simulation.state, self.setting
+        solver = simulation.solver
+        if solver.method != 'explicit':
+            simulation._advance(solver.substeps)
+            self.line_frames += 1
+            return
+        before, more = self._look(), self._loads()
+        if self._left:
+            simulation._advance(setting.substeps, setting)
+            self._left = self._left - 1 if self._is_stable(before, more) else solver.rough_frames
+            self.switches += not self._left
+            self.line_frames += 1
+            return
         self._x[:], self._v[:] = state.x, state.v
-        before = self._look()
-        simulation._advance(simulation.solver.substeps)
-        gravity = float(np.linalg.norm(state.gravity))
-        if is_stable(before, self._look(), mass=self._mass, dt=simulation.frame_dt,
-                     load=self._mass * gravity + self._load,
-                     acceleration=gravity + self._acceleration):
+        simulation._advance(solver.substeps)
+        if self._is_stable(before, more):
             return
         state.x[:], state.v[:] = self._x, self._v
         if state.reaction is not None:
             state.reaction[:] = 0.0
         for built in simulation.effects.values():
             built.again()
-        self.redo(simulation.solver.rough_substeps)
+        forget(state)
+        self._left = solver.rough_frames
         self.redone += 1
-        if simulation.start is not None:
+        self.line_frames += 1
+        self.switches += bool(self._left)
+        start, rough = simulation.start, solver.rough
+        if start is not None:
             simulation.start = replace(
-                simulation.start, state=simulation.start.state._replace(apart=None),
-                method=self._rough(), substeps=simulation.solver.rough_substeps)
+                start, method=simulation._method(rough), substeps=rough.substeps,
+                state=start.state._replace(apart=None, history=deepcopy(state.history),
+                                           gap=state.gap))
+        simulation._advance(rough.substeps, rough)
 
-    def _rough(self):
-        return METHODS['line'](self._simulation.solver.iterations)
+    def _loads(self) -> tuple[float, float]:
+        """Return external forces in total [N], and the largest acceleration by them [m/s²]."""
+        simulation, state = self._simulation, self._simulation.state
+        gravity = float(np.linalg.norm(state.gravity))
+        load, acceleration = self._mass * gravity + self._load, gravity + self._acceleration
+        with np.errstate(all='ignore'):
+            for built in simulation.effects.values():
+                force, largest = built.load(state)
+                load, acceleration = load + force, acceleration + largest
+        return load, acceleration
 
-    def redo(self, substeps: int) -> None:
-        """Compute the frame with ``line``; it has no history, so with backward Euler."""
-        simulation = self._simulation
-        simulation._crew.run(simulation._step, simulation._tuple,
-                             simulation.state._replace(apart=None), self._rough(),
-                             simulation.frame_dt, substeps)
+    def _is_stable(self, before, loads) -> bool:
+        simulation, dt = self._simulation, self._simulation.frame_dt
+        with np.errstate(all='ignore'):    # not a number is not stable
+            work = sum(built.work(simulation.state, dt) for built in simulation.effects.values())
+            return is_stable(before, self._look(), mass=self._mass, dt=dt, load=loads[0],
+                             acceleration=loads[1], work=work)

@@ -68,7 +68,7 @@ def errors(track: Trajectory, truth: Truth, edges: Edges, dt: float) -> Errors:
         off = differences(settled(track), (truth.heights, truth.strain, truth.mean_energy))
         means = (float(off[0]), float(off[1]), float(off[2] / kinetic))
     if track.redone:
-        note = f'{track.redone} of {len(track.kinetic) - 1} frames computed again with line'
+        note = f'{track.redone} of {len(track.kinetic) - 1} frames computed with line'
     residual = track.residual.get(int(truth.frames[-1])) if len(truth.frames) else None
     rms_m, max_m, strains, energies = (tuple(column) for column in found)
     return Errors(rms_m, max_m, strains, energies, residual, *means, note)

@@ -39,7 +39,7 @@ def numbers_of(row: Row, by: str) -> dict:
     def last(values):
         return values[-1] if values and errors.finite else math.nan
     return {
-        **row.setting.block(),
+        **vars(row.setting),
         'ms_p50': timing.ms_p50 if timing else None, 'ms_p95': timing.ms_p95 if timing else None,
         'real_time_factor': timing.real_time_factor if timing else None,
         'bytes': timing.bytes if timing else None,
@@ -99,6 +99,8 @@ def heads(by: str) -> list[str]:
 def name_of(setting: Setting) -> str:
     """Return a setting as text, such as 'line bdf2 8×1'."""
     name = f'{setting.method} {setting.integrator} {setting.substeps}×{setting.iterations}'
+    if setting.rough_frames:
+        name += f' and line {setting.rough_integrator} {setting.rough_substeps}×1'
     return name if setting.precision == 'float64' else f'{name} {setting.precision}'
 
 

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from math import log2
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost
+from xpbd_ros.scene.auto import cost, ROUGH
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import Scene
@@ -33,11 +33,17 @@ class Setting:
     substeps: int
     iterations: int = 1
     precision: str = 'float64'
+    rough_frames: int | None = None
+    """of a mix with ``line``, as the next two"""
+    rough_integrator: str | None = None
+    rough_substeps: int | None = None
 
     @property
     def key(self) -> str:
         """Unique name of the setting."""
         name = f'{self.method} {self.integrator} {self.substeps}x{self.iterations}'
+        if self.rough_frames:
+            name += f' and line {self.rough_integrator} {self.rough_substeps}x1'
         return name if self.precision == 'float64' else f'{name} {self.precision}'
 
     @property
@@ -52,7 +58,7 @@ class Setting:
 
     def block(self) -> dict:
         """Return the keys of a ``solver`` section."""
-        return asdict(self)
+        return {key: value for key, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -66,29 +72,40 @@ class Refused:
 def setting_of(simulation: Simulation) -> Setting:
     """Return the setting of a simulation."""
     solver = simulation.solver
+    rough = () if not solver.mixes else (solver.rough_frames, solver.rough_integrator,
+                                         solver.rough_substeps)
     return Setting(solver.method, solver.integrator, solver.substeps, solver.iterations,
-                   solver.precision)
+                   solver.precision, *rough)
 
 
 def with_solver(scene: Scene, keys: dict) -> Scene:
     """
     Return a scene with changed keys in its ``solver`` section; None removes a key.
 
-    ``error_target`` is removed, as a study measures fixed settings, and so is ``threads``, as runs
-    are timed on one core.
+    ``error_target`` is removed, as a study measures fixed settings, and so are the keys of rough
+    frames, and ``threads``, as runs are timed on one core.
     """
-    solver = {**(scene.raw.get('solver') or {}), 'error_target': None, 'threads': None, **keys}
+    solver = {**(scene.raw.get('solver') or {}), 'error_target': None, 'threads': None,
+              **dict.fromkeys(ROUGH), **keys}
     solver = {key: value for key, value in solver.items() if value is not None}
     return scene_from_mapping({**scene.raw, 'solver': solver}, where=scene.where, name=scene.name)
 
 
 def default_solver(scene: Scene) -> Setting:
-    """Return the setting that ``auto`` chooses with a budget of at least half a frame period."""
+    """
+    Return the setting that ``auto`` chooses with a budget of at least half a frame period.
+
+    Of a mix, that of rough frames.
+    """
     top = scene.top.solver
     free = with_solver(scene, {'method': 'auto', 'integrator': None, 'substeps': None,
                                'iterations': 1, 'precision': 'float64',
                                'budget_ms': max(top.budget_ms, 500.0 / scene.top.frame_rate)})
-    return setting_of(compile_scene(free))
+    simulation = compile_scene(free)
+    if not simulation.solver.mixes:
+        return setting_of(simulation)
+    rough = simulation.solver.rough
+    return Setting(rough.method, rough.integrator, rough.substeps, rough.iterations)
 
 
 def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = False

@@ -114,7 +114,8 @@ def play(simulation: Simulation, frames: int, *, commands: dict[int, list] | Non
             if not recorder.add(index, frame.x, kinetic_energy(simulation.state),
                                 energy(simulation), lambda: residual(simulation)):
                 break
-    recorder.track.redone = int(simulation.stats().get('explicit_redone', 0))
+    recorder.track.redone = int(sum(
+        simulation.stats().get(name, 0) for name in ('explicit_redone', 'line_frames')))
     return recorder.track
 
 

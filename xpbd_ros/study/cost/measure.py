@@ -119,9 +119,9 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
         r, f = divmod(step, frames)
         if f == 0:
             plain, timed = (_fresh(scene, simulation) for simulation in (plain, timed))
+        substeps = plain.setting.substeps
         before = perf_counter_ns()
         plain.step(commands.get(f + 1, ()))
-        substeps = plain.solver.substeps
         whole[r, f] = (perf_counter_ns() - before) / substeps
         native[r, f] = plain.taken / substeps
         timed.step(commands.get(f + 1, ()))

@@ -6,7 +6,8 @@ from math import pi, sqrt
 import numpy as np
 
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.solver import Solver
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.scene.auto import cost, INTEGRATOR
+from xpbd_ros.scene.auto import cost, INTEGRATOR, table_of
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import CostTable, SHIPPED
 from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.contact.collider_entries import Entry
 from xpbd_ros.sim.contact.distance_field import Field
-from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.solver import Solver
 from xpbd_ros.study.prediction.decay import Decay, decays
 from xpbd_ros.study.prediction.stiffness import Row, stiffness, UNPREDICTED
 from xpbd_ros.study.prediction.substeps import needed, STRETCH
@@ -37,7 +39,7 @@ class Report:
     substeps_for: dict[str, int | None]
     """substeps by relative error of the stretch; None if out of reach"""
     frame_ms: float
-    """expected time of a frame on the CPU of ``scene.auto``'s table [ms]"""
+    """expected time of a frame on the CPU of the cost table [ms]"""
     frame_dt_ms: float
     """frame period [ms]"""
     warnings: list[str]
@@ -56,7 +58,7 @@ def check(scene: Scene) -> Report:
     solver = simulation.solver
     rows = stiffness(scene, simulation, solver)
     counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS}
-    expected = frame_ms(simulation, solver)
+    expected = frame_ms(simulation, solver, table_of(scene.top.solver))
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
@@ -78,6 +80,8 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
              for name, entry in scene.sections.get('colliders', {}).items()
              if entry.pad is not None]
     solver = simulation.solver
+    if solver.mixes and solver.method == 'explicit':
+        solver = solver.rough    # whose frames carry less
     for cloth in simulation.cloths if found and solver.method != 'explicit' else ():
         density = scene.cloths[cloth.name].density
         if density is not None and not len(cloth.mesh.tetrahedra):
@@ -88,10 +92,10 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
     return found
 
 
-def frame_ms(simulation: Simulation, solver: Solver) -> float:
-    """Return the expected time of a frame according to the table of ``scene.auto`` [ms]."""
+def frame_ms(simulation: Simulation, solver: Solver, table: CostTable = SHIPPED) -> float:
+    """Return the expected time of a frame according to a cost table [ms]."""
     return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
-                                         simulation.state)
+                                         simulation.state, table)
 
 
 def _count(simulation: Simulation) -> int:

@@ -6,7 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.simulation import Simulation, Solver
+from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.solver import Solver
 from xpbd_ros.study.prediction.loads import (
     hanging_tensions,
     hung_side,
@@ -248,5 +249,6 @@ def _row(cloth: str, effect: str, direction: str | None, unit: str, asked: float
             each = asked * wanted / given
     each = np.where(sign * given > 0.0, each, np.inf)
     mean = mean if mean > 0.0 else np.inf    # rigid up to rounding errors
-    return Row(cloth, effect, direction, unit, float(asked), float(mean), float(each.min()),
-               float(each.max()))
+    least, most = each.min(), each.max()
+    return Row(cloth, effect, direction, unit, float(asked), float(np.clip(mean, least, most)),
+               float(least), float(most))

@@ -84,7 +84,7 @@ GUARDS = (
     Guard('H17', 'explicit leapfrog 100x1 centre of a sphere',
           'an unstable frame of explicit is recomputed with line',
           'sim/stepping/explicit_guard.py',
-          'if is_stable(before', 'if True or is_stable(before'),
+          'if self._is_stable(before, more):', 'if True:'),
     Guard('H27', 'line bdf2 16x1 slammed shut', 'separating planes between triangles',
           'sim/self_collision/separating_planes.py',
           'if parts(planes, m, near, state.x):', 'if True:'),

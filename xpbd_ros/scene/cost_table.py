@@ -1,0 +1,156 @@
+"""
+Cost of a substep by method and effect, for ``auto``: the shipped table, or one of a machine.
+
+A substep takes
+
+    substep + slot · slots + Σ (effect's own + effect · particles)
+    + iterations Σ kind · constraints   [ns]
+
+on one core, with the entries of the method. A constraint's kind is the name of its effect where
+the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
+``mesh_hinge``. ``xpbd_ros cost --calibrate`` writes the table of a machine, and
+``solver.cost_table`` reads it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.errors import InputError
+
+VERSION = 1
+"""of the file format"""
+METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
+NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
+"""entries that a table has for each method"""
+LARGEST_FILE = 1 << 20
+"""[bytes]"""
+
+
+@dataclass(frozen=True)
+class CostTable:
+    """Times on one core [ns]."""
+
+    methods: Mapping[str, Mapping[str, float]]
+    """by method: NEEDED, and constraints by the name of their effect"""
+    single: float
+    """time in float32 over that in float64"""
+    effects: Mapping[str, float] = field(default_factory=dict)
+    """time of an effect for each particle, where it is not that of the effect's own file"""
+
+    def substep_ns(self, method: str, iterations: int, effects, state) -> float:
+        """Return the time of a substep of a scene [ns]."""
+        table, particles = self.methods[method], np.count_nonzero(state.mass)
+        found = table['substep'] + table['slot'] * len(state.mass)
+        for name, built in effects.items():
+            found += (built.ns_per_substep
+                      + self.effects.get(name, built.ns_per_particle) * particles)
+            if built.constraints is not None:
+                kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
+                on_grids = table.get(name, table[kind])
+                on_meshes = table.get(name, table[f'mesh_{kind}'])
+                of_meshes = sum(part.particles.shape[1] for part in map(_batch, built.parts)
+                                if hasattr(part, 'particles'))
+                found += iterations * (on_grids * len(built.constraints.particles)
+                                       + (on_meshes - on_grids) * of_meshes)
+        return found * (self.single if state.x.dtype == np.float32 else 1.0)
+
+
+def _batch(part):
+    return getattr(part, 'edges', part)
+
+
+SHIPPED = CostTable({
+    'gauss_seidel': {'substep': 3000.0, 'slot': 4.5, 'edge': 1.8, 'hinge': 4.3, 'mesh_edge': 4.5,
+                     'mesh_hinge': 7.7, 'membrane': 14.0, 'volume': 12.5},
+    'gauss_seidel_symmetric': {'substep': 3500.0, 'slot': 5.0, 'edge': 3.6, 'hinge': 8.6,
+                               'mesh_edge': 9.0, 'mesh_hinge': 15.3, 'membrane': 28.0,
+                               'volume': 25.0},
+    'line': {'substep': 8700.0, 'slot': 9.3, 'edge': 5.1, 'hinge': 8.6, 'mesh_edge': 9.5,
+             'mesh_hinge': 15.3, 'membrane': 28.4, 'volume': 24.7},
+    'jacobi': {'substep': 3000.0, 'slot': 5.0, 'edge': 2.5, 'hinge': 3.2, 'mesh_edge': 4.0,
+               'mesh_hinge': 6.5, 'membrane': 17.5, 'volume': 10.0},
+    'explicit': {'substep': 3000.0, 'slot': 5.0, 'edge': 1.4, 'hinge': 3.2, 'mesh_edge': 3.0,
+                 'mesh_hinge': 6.5, 'membrane': 17.5, 'volume': 10.0}}, single=0.6)
+"""
+of one core of an Intel Xeon (family 6, model 207, 2.3 GHz, AVX-512)
+
+The entries of ``line`` and ``explicit`` are a least-squares fit to eight shipped scenes, three of
+them in further sizes. Those of the other methods follow from them: passes forth and back take
+those of ``line`` for what has no lines, one pass half of that.
+"""
+
+
+@cache
+def read_table(file: str) -> CostTable:
+    """
+    Return the table of a file.
+
+    Raises
+    ------
+    InputError : no such file, another version, or entries that are missing, unknown or no times
+
+    """
+    path = Path(file)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError(f'{file}: larger than {LARGEST_FILE >> 20} MiB')
+        raw = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        raise InputError(f'{file}: {error.strerror}; write it with xpbd_ros cost --calibrate'
+                         ) from None
+    except (yaml.YAMLError, UnicodeDecodeError):
+        raise InputError(f'{file}: is no YAML file of xpbd_ros cost --calibrate') from None
+    if not isinstance(raw, dict) or 'version' not in raw:
+        raise InputError(f'{file}: is no file of xpbd_ros cost --calibrate: no version')
+    if raw['version'] != VERSION:
+        raise InputError(f"{file}: has version {raw['version']!s:.20}, and this release reads "
+                         f'{VERSION}; write it again with xpbd_ros cost --calibrate')
+    _check_keys(file, '', raw, ('version', 'methods', 'single'), ('cpu', 'effects'))
+    _check_keys(file, 'methods.', raw['methods'], METHODS)
+    for method, entries in raw['methods'].items():
+        _check_times(file, f'methods.{method}.', entries, NEEDED, EFFECTS)
+    _check_times(file, '', {'single': raw['single']}, ('single',))
+    effects = raw.get('effects') or {}
+    _check_times(file, 'effects.', effects, (), EFFECTS)
+    return CostTable(raw['methods'], raw['single'], effects)
+
+
+def table_text(table: CostTable, cpu: str) -> str:
+    """Return the YAML text of a table."""
+    raw = {'version': VERSION, 'cpu': cpu,
+           'methods': {name: dict(entries) for name, entries in table.methods.items()},
+           'single': table.single, 'effects': dict(table.effects)}
+    return '# Times on one core [ns]; read by solver.cost_table\n' + yaml.safe_dump(
+        raw, sort_keys=False)
+
+
+def _check_keys(file: str, where: str, given: Any, needed, further=()) -> None:
+    """Raise InputError unless a mapping has the keys needed and no unknown ones."""
+    if not isinstance(given, dict):
+        raise InputError(f'{file}: {where.rstrip(".")}: must be a mapping')
+    for key in needed:
+        if key not in given:
+            raise InputError(f'{file}: {where}{key}: is missing')
+    for key in given:
+        if key not in needed and key not in further:
+            raise InputError(f'{file}: {where}{key!s:.40}: unknown key (known: '
+                             f'{", ".join((*needed, *further))})')
+
+
+def _check_times(file: str, where: str, given: Any, needed, further=()) -> None:
+    """Raise InputError unless a mapping has finite times of at least 0, and some per slot."""
+    _check_keys(file, where, given, needed, further)
+    for key, value in given.items():
+        least = 0.0 if key not in ('slot', 'single') else 1e-3
+        if (isinstance(value, bool) or not isinstance(value, int | float)
+                or not isfinite(value) or value < least):
+            raise InputError(f'{file}: {where}{key}: must be a number of at least {least:g} '
+                             f'(got {value!s:.40})')
