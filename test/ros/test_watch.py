@@ -8,8 +8,8 @@ from support.scenes import simulate
 from xpbd_ros.ros.error_monitor import ErrorMonitor, LATER, SHARE, substeps_for
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import stiffness_given
-from xpbd_ros.sim.solver import Solver
 from xpbd_ros.sim.stepping.error_estimate import Estimate
+from xpbd_ros.sim.stepping.solver import Solver
 
 FINE = Estimate(frame=10, substeps=20, rms=1e-4, largest=3e-4, resolved=True, frames=2)
 

@@ -48,7 +48,7 @@ from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
 from xpbd_ros.sim.pins.entry import Entry
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
-from xpbd_ros.sim.pins.states import chosen, Held, PinStates, rows
+from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
 from xpbd_ros.sim.target_motion import delays, MonotoneCubic, Motion
@@ -275,9 +275,9 @@ class BuiltPin(Built):
 
     def _changed(self) -> None:
         """Write the held particles into the kernels' arrays."""
-        _write(self.data, self._pinned)
+        list_particles(self.data, self._pinned)
         for spring in self.also:
-            _write(spring.pin, self._sprung)
+            list_particles(spring.pin, self._sprung)
             k = 0
             for held in self._sprung:
                 n = len(held.particles)
@@ -438,17 +438,6 @@ def _room(count: int, slots: int, poses: tuple[np.ndarray, np.ndarray]) -> Pin:
     return Pin(np.zeros(1, np.int64), np.zeros(count, np.int64), np.zeros(count, np.int64),
                np.zeros((count, 3)), *poses, np.zeros((count, 3)), np.zeros((slots, 3)),
                np.zeros((slots, 3)))
-
-
-def _write(pin: Pin, held: list[Held]) -> None:
-    """Write the particles of some pins into a list."""
-    k = 0
-    for one in held:
-        end = k + len(one.particles)
-        pin.particle[k:end], pin.slot[k:end] = one.particles, one.slot
-        pin.offset[k:end] = one.offsets
-        k = end
-    pin.count[0] = k
 
 
 EFFECT = Effect('pin', Parameters, BuiltPin, entry=Entry)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.simulation import Frame
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 
 
 def chosen_substeps(solver: Solver) -> dict[str, int]:

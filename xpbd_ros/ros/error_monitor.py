@@ -16,8 +16,8 @@ import time
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import largest_strain, stiffness_given
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.solver import Solver
 from xpbd_ros.sim.stepping.error_estimate import Estimate, estimate
+from xpbd_ros.sim.stepping.solver import Solver
 
 FIRST = 10
 """first frame whose error is estimated"""

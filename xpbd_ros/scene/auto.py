@@ -9,7 +9,7 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
               'jacobi': 'backward_euler', 'explicit': 'leapfrog'}

@@ -6,7 +6,7 @@ from typing import Any
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.save import chosen_keys
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 
 WITHOUT_EFFECT = {'duration', 'frame_id', 'solver.threads', 'solver.budget_ms'}
 """keys that no state depends on, once ``auto`` is resolved"""

@@ -6,7 +6,7 @@ from typing import Any
 import yaml
 
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 
 DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 """the C implementation if PyYAML has it, as a node writes the scene between two frames"""

@@ -16,12 +16,12 @@ from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, 
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
-from xpbd_ros.sim.solver import Solver
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.sim.stepping.rollback import FrameRollback
+from xpbd_ros.sim.stepping.solver import Solver
 
 
 @dataclass(frozen=True)
@@ -369,7 +369,8 @@ class Simulation:
 
     def hash_of(self, frame: Frame) -> Callable[[], int]:
         """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
-        history, natural = [each.copy() for each in full_history(self.state)], np.arange(len(self.slot))
+        history = [each.copy() for each in full_history(self.state)]
+        natural = np.arange(len(self.slot))
         kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
         return lambda: hashed([
             *((np.ascontiguousarray(each, kind), natural)

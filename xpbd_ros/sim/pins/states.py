@@ -68,6 +68,17 @@ class PinState:
     """True if it lags behind its target at max_speed"""
 
 
+def list_particles(pin, held: list[Held]) -> None:
+    """Write the particles of some pins into the list of the kernels, a ``Pin``."""
+    k = 0
+    for one in held:
+        end = k + len(one.particles)
+        pin.particle[k:end], pin.slot[k:end] = one.particles, one.slot
+        pin.offset[k:end] = one.offsets
+        k = end
+    pin.count[0] = k
+
+
 class PinStates(Mapping[str, PinState]):
     """
     All active pins after a frame, by name, stored as arrays: cheap for hundreds of pins.

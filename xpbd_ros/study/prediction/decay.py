@@ -7,7 +7,7 @@ import numpy as np
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.contact.collider_entries import Entry
 from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.decay import Decay, decays
 from xpbd_ros.study.prediction.stiffness import Row, stiffness, UNPREDICTED
 from xpbd_ros.study.prediction.substeps import needed, STRETCH

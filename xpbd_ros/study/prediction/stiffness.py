@@ -7,7 +7,7 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.loads import (
     hanging_tensions,
     hung_side,

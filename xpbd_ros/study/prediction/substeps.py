@@ -13,7 +13,7 @@ from math import ceil, inf, sqrt
 from xpbd_ros.scene.auto import largest_rate, substep_ratio
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.solver import Solver
+from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.stiffness import Row, stiffness
 
 MOST = 10_000
