@@ -56,7 +56,8 @@ def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: i
     effects['drag'] = [_by_particle(air, rows, 'drag')]
     return CostTable({name: {key: round(float(value), 3) for key, value in entries.items()}
                       for name, entries in methods.items()}, SHIPPED.single,
-                     {name: round(float(sum(found) / len(found)), 3) for name, found in effects.items()})
+                     {name: round(float(sum(found) / len(found)), 3)
+                      for name, found in effects.items()})
 
 
 def _measured(name: str, method: str, frames: int, rounds: int) -> Cost:
