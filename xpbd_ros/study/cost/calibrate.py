@@ -54,9 +54,10 @@ def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: i
     air = _measured(scenes[2], 'line', frames, rounds)
     rows = {row.name: row for row in air.effects if row.present}
     effects['drag'] = [_by_particle(air, rows, 'drag')]
-    return CostTable({name: {key: round(value, 3) for key, value in entries.items()}
+    return CostTable({name: {key: round(float(value), 3) for key, value in entries.items()}
                       for name, entries in methods.items()}, SHIPPED.single,
-                     {name: round(sum(found) / len(found), 3) for name, found in effects.items()})
+                     {name: round(float(sum(found) / len(found)), 3)
+                      for name, found in effects.items()})
 
 
 def _measured(name: str, method: str, frames: int, rounds: int) -> Cost:
