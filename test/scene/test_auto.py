@@ -5,7 +5,7 @@ from math import ceil, sqrt
 import pytest
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import largest_rate, MIN_SUBSTEPS
+from xpbd_ros.scene.auto import COMPENSATED, largest_rate, MIN_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -70,9 +70,18 @@ def test_auto_takes_a_fifth_of_the_substeps_of_explicit():
 
 def test_float32_gets_more_for_the_same_budget():
     rigid = {'compliance': 0.0}
-    substeps = {precision: resolved(rigid, n=96, solver={'precision': precision}).substeps
+    substeps = {precision: resolved(rigid, n=160, solver={'precision': precision}).substeps
                 for precision in ('float64', 'float32')}
     assert substeps['float32'] == pytest.approx(substeps['float64'] / SHIPPED.single, rel=0.1)
+
+
+def test_short_substeps_of_float32_cost_a_third_more():
+    rigid = {'compliance': 0.0}
+    plain, compensated = (resolved(rigid, n=n, solver={'precision': 'float32'}).substeps
+                          for n in (160, 96))
+    double = resolved(rigid, n=96).substeps
+    assert plain <= 37 < compensated
+    assert compensated == pytest.approx(double / SHIPPED.single / COMPENSATED, rel=0.05)
 
 
 def test_stiff_gas_raises_the_substeps():

@@ -9,6 +9,7 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
+from xpbd_ros.sim.particles.state import SHORT
 from xpbd_ros.sim.stepping.solver import Solver
 
 INTEGRATOR = {'line': 'bdf2', 'gauss_seidel_symmetric': 'bdf2', 'gauss_seidel': 'backward_euler',
@@ -23,6 +24,10 @@ TAUT = 1 / 3
 """the same ratio, where colliders or wind may stretch the cloth: particles in contact take
 backward Euler, with which lines that zigzag are stable up to a strain of about 3/4 of the ratio's
 square, that is 1/12"""
+COMPENSATED = 4 / 3
+"""time of a substep with compensation of its rounding errors over that without"""
+APART = ('jacobi', 'explicit')
+"""methods without it"""
 MIN_SUBSTEPS = 4
 """substeps that ``auto`` chooses at least, if the budget allows"""
 ROUGH = ('rough_frames', 'rough_integrator', 'rough_substeps')
@@ -94,8 +99,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
                          'jacobi')
     table = table_of(keys)
-    affordable = max(1, int(keys.budget_ms * 1e6 / cost(method, keys.iterations, effects, state,
-                                                        table)))
+    per = cost(method, keys.iterations, effects, state, table)
+    affordable = _affordable(keys.budget_ms * 1e6 / per, method, state, frame_dt)
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
     if integrator in barred:
@@ -150,7 +155,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
     else:
         reason += f' fill the budget of {keys.budget_ms:g} ms; no number resolves rigid edges'
-    took = substeps * cost(method, keys.iterations, effects, state, table) * 1e-6
+    took = 1e-6 * substeps * per * compensation(method, state, frame_dt / substeps)
     return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
 
 
@@ -222,6 +227,19 @@ def rounds_away(state, h: float) -> bool:
 
 def _bounded(wanted: float, affordable: int) -> int:
     return int(max(min(ceil(min(wanted, 1e9)), affordable), min(MIN_SUBSTEPS, affordable)))
+
+
+def compensation(method: str, state, h: float) -> float:
+    """Return the time of a substep of h [s] over that without compensation of its rounding."""
+    compensated = state.x.dtype == np.float32 and h < SHORT and method not in APART
+    return COMPENSATED if compensated else 1.0
+
+
+def _affordable(uncompensated: float, method: str, state, frame_dt: float) -> int:
+    """Return the substeps that fit the budget, from their number without compensation."""
+    count = max(1, int(uncompensated))
+    factor = compensation(method, state, frame_dt / count)
+    return count if factor == 1.0 else max(int(frame_dt / SHORT), int(uncompensated / factor))
 
 
 def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED) -> float:
