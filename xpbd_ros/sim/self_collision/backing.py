@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import both, fma, larger, lowest_bit, select, smaller
+from xpbd_ros.sim.backend.simd import both, fma, larger, select, smaller
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
@@ -196,25 +196,16 @@ def take_part(backing, axes, b, movable):
 
 
 @jit(inline=True)
-def may_take_part(backing, particles, weight, q, found):
-    """Return False if none of the pairs q + k of all bits k takes part in this turn."""
+def may_take_part(backing, particles, q, count):
+    """Return False if none of ``count`` pairs from q on has colliders that this turn needs."""
     if backing is None:
         return True
     else:    # Numba prunes the branch that is not taken
-        if not is_further_turn(backing):
-            return True
-        behind = backing.behind
-        while found:
-            k = q + lowest_bit(found)
-            found &= found - 1
-            first = other = False
-            for p in range(4):
-                if behind[particles[p, k]]:
-                    first |= weight[p, k] > 0.0
-                    other |= weight[p, k] < 0.0
-            if first and other:
-                return True
-        return False
+        found = not is_further_turn(backing)
+        for p in range(4):
+            for k in range(q, q + count):
+                found |= backing.behind[particles[p, k]]
+        return found
 
 
 @jit(inline=True)
