@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from support.newton import balance
 from support.scenes import GRAVITY, run, SETTINGS, simulate
+from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.commands import Grasp, MoveCollider, MovePin, Pose, Release, Twist
@@ -133,7 +134,7 @@ def test_impulses_add_up_whatever_the_method(setting, name):
         assert found.worst() < (1e-3 if integrator == 'backward_euler' else 5e-3)
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('integrator', ['backward_euler', slow('bdf2')])
 def test_a_particle_that_lands_stops_or_bounces(integrator):
     """∫ F dt over a landing is m (g t + v): also that of the substep in which it begins."""
     for restitution in (0.0, 0.7):

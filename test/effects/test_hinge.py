@@ -20,7 +20,7 @@ B = 3e-4
 def from_mesh(folder, vertices, triangles):
     (folder / 'shell.obj').write_text(obj_text(vertices, triangles))
     return compile_scene(scene_from_mapping(
-        {'gravity': [0, 0, 0], 'cloths': {'c': {
+        {'gravity': [0, 0, 0], 'solver': {'method': 'line'}, 'cloths': {'c': {
             'mesh': {'file': 'shell.obj'}, 'density': 0.2,
             'effects': {'hinge': {'stiffness': B}}}}},
         where='mesh.yaml', name='mesh', folder=folder))

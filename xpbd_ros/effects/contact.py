@@ -201,6 +201,7 @@ class BuiltContact(Built):
     ns_per_particle = 9.0
     ns_per_substep = 13_600.0
     pulls_taut = True
+    explicit_velocity_lags = True
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()

@@ -302,6 +302,7 @@ class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
     ns_per_particle = 450.0
+    explicit_velocity_lags = True
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()

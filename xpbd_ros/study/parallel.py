@@ -19,7 +19,7 @@ from xpbd_ros import __version__
 from xpbd_ros.errors import brief, InputError
 
 PATIENCE = '10s'
-"""time to connect to a scheduler"""
+"""time to connect to a scheduler, and for it to have a worker"""
 
 
 def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple], *, processes: int, what: str,
@@ -120,9 +120,11 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
             raise InputError(f'--scheduler {scheduler}: no Dask scheduler answers there '
                              f'({brief(str(error)) or type(error).__name__})') from None
         with client:
-            if not client.nthreads():
+            try:
+                client.wait_for_workers(1, timeout=PATIENCE)    # they may be starting
+            except TimeoutError:
                 raise InputError(f'--scheduler {scheduler}: has no workers; start some with '
-                                 f"'dask worker {scheduler}'")
+                                 f"'dask worker {scheduler}'") from None
             _check_versions(client, scheduler)
             yield client
         return

@@ -125,8 +125,7 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
 
     scene_itself = setting_of(compile_scene(scene))
     usual = default_solver(scene)
-    if scene_itself.method in methods:
-        add(scene_itself)
+    add(scene_itself)
     for method in methods:
         integrators = (('leapfrog',) if method == 'explicit' else
                        ('backward_euler', 'bdf2', 'ndf2'))
