@@ -209,6 +209,7 @@ def test_two_layers_are_squeezed_by_the_indentation(method, integrator, substeps
         assert np.abs(frame.v).max() < 0.05
 
 
+@pytest.mark.slow
 def test_more_layers_stay_apart_and_slow():
     """Their force falls short (``self_collision.backing``); nothing is thrown out."""
     simulation, force = layers(4)

@@ -12,8 +12,8 @@ SCENE = TOWEL + """
 pins:
   hand: {cloth: towel, at: corner_00}
 inputs:
-  /tool_pose: {pin: hand, position: [0.0, 0.0, 0.1]}
-  trackers: {collider: ball, joint: ball}
+  /tool_pose: {pin: hand, position: [0.0, 0.0, 0.1], frame_timeout: 30.0}
+  trackers: {collider: ball, joint: ball, frame_timeout: 30.0}
 """
 
 

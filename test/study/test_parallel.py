@@ -64,6 +64,7 @@ def test_a_process_that_was_killed_is_told():
                        progress=no_progress))
 
 
+@pytest.mark.slow
 def test_a_task_that_kills_every_worker_leaves_the_others_their_results(scheduler):
     found = dict(run_tasks(die_at_one, [(k,) for k in range(12)], processes=1,
                            scheduler=scheduler, what='numbers', progress=no_progress,
