@@ -1,7 +1,7 @@
 """A headless Chromium, driven through the DevTools protocol: real pages, a real pointer."""
 
 import base64
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from io import BytesIO
 from itertools import count
 import json
@@ -23,6 +23,9 @@ MISSING = 'Chromium is not installed (Debian, Ubuntu: apt install chromium)'
 PATIENCE = 60.0
 """[s]; only a failure takes that long"""
 WIDTH, HEIGHT = 1200, 800
+OPTIONS = ('[...document.querySelectorAll("[role=option]")].filter('
+           'each => each.checkVisibility())')
+"""options of the open menu, in JavaScript"""
 
 
 def start_view(*words) -> subprocess.Popen:
@@ -40,6 +43,21 @@ def address(view: subprocess.Popen) -> str:
         if line.startswith('http'):
             return line.split()[0]
     raise AssertionError(view.stderr.read())
+
+
+@contextmanager
+def viewed(*words):
+    """Yield a browser with the page of ``view`` once it shows figures; then end both in order."""
+    view, browser = start_view(*words), Browser()
+    try:
+        browser.open(address(view))
+        browser.until(lambda: 'real time' in browser.text(), 'the figures')
+        yield browser
+    finally:
+        browser.close()
+        view.send_signal(signal.SIGINT)
+        _, said = view.communicate()
+    assert (view.returncode, said) == (0, '')
 
 
 class Browser:
@@ -170,15 +188,21 @@ class Browser:
 
     def choose(self, label: str, option: str) -> None:
         """Choose an option of the menu behind a label."""
-        chosen = ('[...document.querySelectorAll("[role=option]")].find(each => '
-                  f'each.textContent.trim() === {json.dumps(option)} && each.checkVisibility())')
+        assert option in self.options(label)
+        self._click(f'{OPTIONS}.find(each => each.textContent.trim() === {json.dumps(option)})',
+                    option)
+
+    def options(self, label: str) -> list[str]:
+        """Open the menu behind a label, and return its options."""
+        found: list[str] = []
 
         def is_open() -> bool:
             self._click(self.box(label), f'the menu {label}')
             time.sleep(0.5)
-            return self.value(f'!!{chosen}')
+            found[:] = self.value(f'{OPTIONS}.map(each => each.textContent.trim())')
+            return bool(found)
         self.until(is_open, f'the options of {label}')
-        self._click(chosen, option)
+        return found
 
     def _key(self, key: str, **about) -> None:
         for kind in ('keyDown', 'keyUp'):

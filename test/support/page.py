@@ -65,3 +65,8 @@ def is_blue(pixel) -> bool:
 def blue(picture: np.ndarray) -> float:
     """Return the part of a picture that is of the first cloth."""
     return float((picture[..., 2] > picture[..., 0] + 0.15).mean())
+
+
+def red(picture: np.ndarray) -> float:
+    """Return the part of a picture that is red."""
+    return float((picture[..., 0] > picture[..., 2] + 0.15).mean())

@@ -2,21 +2,24 @@
 
 import importlib.util
 import json
+import re
 import signal
 import socket
 import threading
 import time
 
+import numpy as np
 import pytest
 
-from support.browser import address, Browser, CHROMIUM, MISSING, start_view
-from support.page import blue, drag, is_blue, pins, pixel, SHEET
+from support.browser import address, Browser, CHROMIUM, MISSING, start_view, viewed
+from support.page import blue, drag, is_blue, pins, pixel, red, SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.ros import new_log
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, SetKey
+from xpbd_ros.view.controls import error_text
 from xpbd_ros.view.live import LiveView
 from xpbd_ros.view.server import close_server, open_server, url_of
 
@@ -27,6 +30,21 @@ needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
 
 BUFFERS = 24 * 2**20
 """more than the buffers of a connection hold [bytes]"""
+TABLE = """
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.6], resolution: [7, 7]}
+    pose: {position: [0.0, -0.3, 1.302]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+colliders:
+  table: {box: {size: [0.4, 0.8, 0.1]}, position: [0.1, 0.0, 1.25]}
+effects: {contact: {thickness: 0.002}}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 8}
+"""
+"""a sheet half of which lies on a box; its middle is near that of ``support.page.SHEET``"""
+ON_TABLE, BESIDE = (0.1, 0.0, 1.302), (0.5, 0.0, 1.302)
+"""a point of either half [m]"""
 
 
 @pytest.fixture(scope='module')
@@ -51,16 +69,8 @@ def page(browser):
 @pytest.fixture(scope='module')
 def browser(scene):
     """Return a browser with the page of the running scene."""
-    process = start_view(scene)
-    url = address(process)
-    browser = Browser()
-    browser.open(url)
-    browser.until(lambda: 'real time' in browser.text(), 'the figures')
-    yield browser
-    browser.close()
-    process.send_signal(signal.SIGINT)
-    process.communicate()
-    assert process.returncode == 0
+    with viewed(scene) as browser:
+        yield browser
 
 
 def seconds(page) -> float:
@@ -126,23 +136,84 @@ def test_a_click_grasps_the_cloth_and_another_releases_it(page):
 
 
 @needs_browser
-def test_edges_are_coloured_by_strain_and_by_force(page):
-    def share(one: int, other: int) -> float:
-        """Return the part of the sheet that has more of one colour than of another."""
-        picture = page.picture()[200:460, 500:710]
-        return float((picture[..., one] > picture[..., other] + 0.15).mean())
+def test_the_surface_is_coloured_by_strain_and_by_tension(page):
+    def sheet() -> np.ndarray:
+        return page.picture()[200:460, 500:710]
     page.until(lambda: seconds(page) > 0.5, 'strained edges')
     page.press('Pause')
     still(page)
-    sheet, gizmos = share(2, 0), share(0, 2)
+    plain, gizmos = blue(sheet()), red(sheet())
+    assert page.options('Colour') == ['none', 'strain', 'tension'], 'no contact'
     page.choose('Colour', 'strain')
-    page.until(lambda: share(2, 0) < sheet - 0.01, 'the edges')
-    page.choose('Colour', 'force')
-    page.until(lambda: share(0, 2) > gizmos + 0.001, 'edges below the pins')
+    page.until(lambda: blue(sheet()) < 0.5 * plain, 'strains')
+    page.choose('Colour', 'tension')
+    page.until(lambda: red(sheet()) > gizmos + 0.005, 'red below the pins')
     page.choose('Colour', 'none')
-    page.until(lambda: share(2, 0) > sheet - 0.002, 'no edges')
-    assert share(0, 2) == pytest.approx(gizmos, abs=0.0005)
+    page.until(lambda: blue(sheet()) > 0.98 * plain, 'one colour')
+    assert red(sheet()) == pytest.approx(gizmos, abs=0.0005)
     assert page.errors == []
+
+
+@needs_browser
+def test_the_error_of_a_frame_is_told_with_its_time(page):
+    def error() -> str:
+        return next(line for line in page.text().splitlines() if line.startswith('error of'))
+    page.until(lambda: '(RMS)' in error(), 'an estimate')
+    page.press('Pause')
+    still(page)
+    found = re.fullmatch(r'error of a frame: (\S+) m \(RMS\) at (\S+) s', error())
+    assert float(found[1]) > 0.0
+    assert 0.0 < float(found[2]) <= seconds(page)
+
+
+def test_an_error_is_not_told_as_0_m():
+    assert error_text(0.0, resolved=True, time_s=0.5) == 'none at 0.50 s, where nothing moved'
+    assert error_text(3e-5, resolved=True, time_s=0.5) == '3e-05 m (RMS) at 0.50 s'
+    assert error_text(3e-5, resolved=False, time_s=0.5) == 'under-resolved at 0.50 s'
+
+
+@needs_browser
+def test_contact_forces_colour_the_part_that_bears_them(tmp_path):
+    """At first, half of the sheet lies on a table, and half beside it falls."""
+    file = tmp_path / 'table.yaml'
+    file.write_text(TABLE)
+    compile_scene(load_scene(str(file))).compile()
+    with viewed(file) as page:
+        page.press('Pause')
+        before = still(page)
+        page.press('Reset')
+        page.until(lambda: seconds(page) > before, 'its first frame')
+
+        def halves() -> tuple[float, float]:
+            """Return how much of the sheet is red on the table and beside it."""
+            picture = page.picture()
+            return tuple(red(picture[y - 6:y + 6, x - 6:x + 6]) for x, y in (
+                map(int, pixel(page, place)) for place in (ON_TABLE, BESIDE)))
+        page.until(lambda: blue(page.picture()) > 0.005, 'the sheet')
+        assert halves() == (0.0, 0.0)
+        page.choose('Colour', 'contact force')
+        page.until(lambda: halves() == (1.0, 0.0), 'red on the table alone')
+        assert page.errors == []
+
+
+@needs_browser
+def test_torques_are_arrows(tmp_path):
+    """A pin holds three particles, and not at the middle of the sheet's weight."""
+    file = tmp_path / 'torque.yaml'
+    file.write_text(SHEET.replace('corner_10', '[42, 43, 47]').replace('density: 0.2',
+                                                                      'density: 1.0').replace(
+        '  right: {cloth: sheet, at: corner_11}\n', ''))
+    with viewed(file) as page:
+        x, y = map(int, pixel(page, (0.2, 0.25, 1.6)))    # 0.34 N m about +y at (0.2, 0, 1.6)
+
+        def arrow() -> bool:
+            """Return whether there is the colour of torques."""
+            around = page.picture()[y - 5:y + 6, x - 5:x + 6]
+            return bool((around[..., [0, 2]].min(axis=-1) > around[..., 1] + 0.15).any())
+        page.until(arrow, 'an arrow of the torque')
+        page.press('Release all')
+        page.until(lambda: not arrow(), 'no arrow')
+        assert page.errors == []
 
 
 def test_a_viewed_run_has_the_bits_of_any_other(scene):
@@ -260,6 +331,13 @@ def test_mistakes_are_one_line(scene, capsys):
     said = capsys.readouterr().err
     assert said.count('\n') == 1
     assert f'--port {port} on 127.0.0.1: cannot be used' in said
+    for words, text in ((['--port', '99999'], '--port: must be from 0 (any) to 65535 (got 99999)'),
+                        (['--host', '192.0.2.1', '--port', '0'],
+                         '--host 192.0.2.1: is no address of this machine')):
+        assert main(['view', str(scene), *words, '--no-browser']) == 2
+        said = capsys.readouterr().err
+        assert said.count('\n') == 1
+        assert text in said
     assert main(['view', 'no_such_scene', '--no-browser']) == 2
     assert 'no_such_scene: unknown scene (known: ' in capsys.readouterr().err
 

@@ -2,32 +2,22 @@
 
 from collections.abc import Iterator
 import importlib.util
-import signal
+import json
 import time
 
+from matplotlib.image import imread
 import numpy as np
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 
-from support.browser import address, Browser, CHROMIUM, MISSING, start_view
+from support.browser import Browser, CHROMIUM, MISSING, viewed
 from support.node import Cloth, NodeProcess, Peer
-from support.page import drag, pins, SHEET
+from support.page import blue, drag, pins, SHEET
 from xpbd_ros.cli.main import main
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
                                 reason="viser is not installed: pip install 'xpbd_ros[view]'")
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason=MISSING)
-
-
-@pytest.fixture(scope='module')
-def context(own_domain: None) -> Iterator[Context]:
-    """Return a context that is not the default one, which other tests use."""
-    context = Context()
-    rclpy.init(context=context)
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture(scope='module')
@@ -47,16 +37,8 @@ def cloth(tmp_path_factory, context) -> Iterator[Cloth]:
 @pytest.fixture(scope='module')
 def page(cloth) -> Iterator[Browser]:
     """Return a browser with the page of the node."""
-    process = start_view('--node', '/cloth')
-    url = address(process)
-    browser = Browser()
-    browser.open(url)
-    browser.until(lambda: 'real time' in browser.text(), 'the figures')
-    yield browser
-    browser.close()
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate()
-    assert (process.returncode, said) == (0, '')
+    with viewed('--node', '/cloth') as browser:
+        yield browser
 
 
 def cloud_with(cloth, particle: int, place) -> np.ndarray:
@@ -117,6 +99,28 @@ def test_live_keys_are_parameters_of_the_node(cloth, page):
     assert page.errors == []
 
 
+def test_a_screenshot_of_a_node_is_its_present_state(pyvista, cloth, tmp_path, capsys):
+    def shot(name: str) -> np.ndarray:
+        file = tmp_path / name
+        assert main(['view', '--node', '/cloth', '--screenshot', str(file), '--json', '-']) == 0
+        assert json.loads(capsys.readouterr().out)['pictures'] == [str(file)]
+        return imread(file)[..., :3]
+    cloth.trigger('reset')
+    cloth.trigger('play')
+    hanging = shot('hanging.png')
+    assert 0.02 < blue(hanging) < 0.8
+    cloth.trigger('release_all')
+    cloth.peer.until(lambda: bool(cloth.clouds) and points(cloth)[:, 2].max() < 0.5, 'the fall')
+    cloth.trigger('pause')
+    assert main(['view', '--node', '/cloth', '--screenshot', str(tmp_path / 'none.png')]) == 2
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert '--node /cloth: publishes no frame; if it is paused' in said
+    assert not (tmp_path / 'none.png').exists()
+    cloth.trigger('reset')
+    cloth.trigger('play')
+
+
 def box(label: str) -> str:
     """Return a JavaScript expression for the value of the input box with a label."""
     return f'({Browser.box(label)} || {{}}).value'
@@ -144,6 +148,7 @@ def test_a_node_that_is_not_there_is_one_line(cloth, context, capsys):
     (['towel', '--node', '/cloth'], 'name one of a scene, a log, a study or --node'),
     ([], 'name one of a scene, a log, a study or --node'),
     (['--node', '/cloth', '--export', 'page.html'], '--export: needs a log, and --node'),
+    (['--node', '/cloth', '--screenshot', 'a.png', '--at', '1'], '--at: needs a scene or a log'),
     (['--node', '/cloth', '--set', 'gravity=0'], '--set: needs a scene or a log, and --node')])
 def test_mistakes_are_one_line(words, text, capsys):
     assert main(['view', *words, '--no-browser']) == 2

@@ -45,7 +45,8 @@ def add_arguments(parser):
     parser.add_argument('--export', metavar='FILE.html',
                         help='write a page of the log that plays without a server, and end')
     parser.add_argument('--screenshot', metavar='FILE.png',
-                        help='draw the scene or the log at one time, without a browser, and end')
+                        help='draw the scene or the log at one time, or the node as it is; end '
+                             'without opening a page')
     parser.add_argument('--at', type=float, metavar='S',
                         help='time of the screenshot in s (default: the end)')
     parser.add_argument('--port', type=int, default=8080, metavar='N',
@@ -71,8 +72,8 @@ def run(arguments) -> int:
                          'towel')
     if arguments.node is not None:
         refuse(arguments, 'a log', '--node shows a running node', 'beside', 'export')
-        refuse(arguments, 'a scene or a log', '--node shows a running node', 'screenshot', 'keys')
-        return show_node(arguments)
+        refuse(arguments, 'a scene or a log', '--node shows a running node', 'at', 'keys')
+        return (picture_of_node if arguments.screenshot else show_node)(arguments)
     path = Path(arguments.shown)
     if path.exists() and (report := report_at(path)) is not None:
         refuse(arguments, 'a scene or a log', f'{path} is a study', 'beside', 'screenshot')
@@ -87,7 +88,7 @@ def run(arguments) -> int:
 def refuse(arguments, needed: str, given: str, *names: str) -> None:
     """Raise InputError if one of these options is given."""
     for name in names:
-        if getattr(arguments, name):
+        if getattr(arguments, name) not in (None, []):
             raise InputError(f'--{"set" if name == "keys" else name}: needs {needed}, and {given}')
 
 
@@ -146,8 +147,16 @@ def show_log(arguments) -> int:
 
     if arguments.every < 1:
         raise InputError(f'--every: must be at least 1 (got {arguments.every})')
-    tracks = [track_of(run, arguments.every) for run in (arguments.shown, *arguments.beside)]
-    scene = Recording(arguments.shown).scene
+    track = track_of(arguments.shown, arguments.every)    # tells the damage of a log first
+    recording = Recording(arguments.shown)
+    tracks = [with_energy(recording, track)]
+    for run in arguments.beside:
+        track = track_of(run, arguments.every)
+        try:
+            tracks.append(with_energy(Recording(run), track))
+        except InputError:    # of a damaged log, whose states can be shown
+            tracks.append(track)
+    scene = recording.scene
     return show_tracks(arguments, tracks, scene)
 
 
@@ -203,6 +212,12 @@ def track_of(run: str, every: int):
     return Track.read(states, progress(states, 'frames'))
 
 
+def with_energy(recording, track):
+    """Return a log with its energy."""
+    return track.with_energy(recording.scene, recording.commands,
+                             progress(range(len(track.times)), 'energies'))
+
+
 def picture_of_scene(arguments) -> int:
     """Simulate a scene up to a time, and draw it."""
     from xpbd_ros.scene.compile import compile_scene
@@ -244,6 +259,29 @@ def picture_of_log(arguments) -> int:
         f'{wanted.time_s:.2f} s', zip(wanted.positions.values(), states.triangles.values()),
         [(entries[body.name], body.position, body.orientation) for body in wanted.colliders
          if body.name in entries]), wanted.frame)
+
+
+def picture_of_node(arguments) -> int:
+    """Draw the present state of a running node."""
+    need_ros('view --node')
+    from xpbd_ros.export.states import bodies_of
+    from xpbd_ros.ros.cloth_client import ClothClient
+    from xpbd_ros.study.picture import need_view
+    from xpbd_ros.study.snapshots import instant_of
+
+    need_view('--screenshot')
+    client = ClothClient(arguments.node)
+    try:
+        scene = client.connect()
+        client.wait_for_state(scene)
+        entries = scene.sections.get('colliders', {})
+        shown = instant_of(client.name, (
+            (client.positions[cloth], client.triangles[cloth]) for cloth in scene.cloths), [
+            (entries[body.name], body.position, body.orientation)
+            for body in bodies_of(client.colliders) if body.name in entries])
+    finally:
+        client.close()
+    return draw_instant(arguments, shown, client.count)
 
 
 def draw_instant(arguments, shown, frame: int) -> int:

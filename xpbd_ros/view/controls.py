@@ -8,6 +8,13 @@ from xpbd_ros.sim.commands import Command, SetKey
 from xpbd_ros.view.handles import Handles
 from xpbd_ros.view.stage import Stage
 
+COLOURS = {
+    'none': '',
+    'strain': 'strain: red stretched, blue compressed, darkest at 5 %',
+    'tension': 'tension: force of the edges, darkest where a twentieth is',
+    'contact force': 'contact force: of colliders on a particle, red the largest'}
+"""quantities that colour the surface, each with its meaning"""
+
 
 class Controlled(Protocol):
     """Interface of a view that the panel controls."""
@@ -47,7 +54,7 @@ class Controls:
     view : acts on the buttons
     effects : effects of the scene
     keys : (dataclass field, present value) of each live key, as ``scene.model.live_keys`` returns
-    colours : words of ``Stage.colour`` to choose from
+    colours : words of COLOURS to choose from
     scenes, scene : scenes of the menu, and the present one; no menu without scenes
     contacts : whether the view knows the contacts
 
@@ -60,7 +67,6 @@ class Controls:
         self._said = ''
         self._boxes: dict[str, Any] = {}
         self._playing = True
-        self._figures = gui.add_markdown('')
         self._play = gui.add_button('Pause')
         self._play.on_click(lambda _: view.play(not self._playing))
         gui.add_button('Step', hint='one frame, while paused').on_click(
@@ -87,6 +93,7 @@ class Controls:
         with gui.add_folder('Live keys', expand_by_default=False):
             for key, (field, value) in keys.items():
                 self._add_key(key, field, value)
+        self._figures = gui.add_markdown('')    # last: lines that come and go move no control
 
     def _add_key(self, key: str, field, value) -> None:
         about = field.metadata
@@ -138,8 +145,16 @@ def by_hand(event) -> bool:
 
 
 def add_colour_menu(gui, stage: Stage | None, colours: Sequence[str]) -> None:
-    """Add the menu of the quantity that colours the edges."""
-    menu = gui.add_dropdown(
-        'Colour', colours, initial_value='none',
-        hint='strain: red stretched, blue compressed; force: tension, red the largest')
+    """Add the menu of the quantity that colours the surface."""
+    menu = gui.add_dropdown('Colour', colours, initial_value='none',
+                            hint='; '.join(filter(None, map(COLOURS.get, colours))))
     menu.on_update(lambda _: setattr(stage, 'colour', menu.value))
+
+
+def error_text(rms: float, *, resolved: bool, time_s: float) -> str:
+    """Return an estimate of a frame's error [m] as text, with the time of the frame [s]."""
+    if not resolved:
+        return f'under-resolved at {time_s:.2f} s'
+    if rms == 0.0:
+        return f'none at {time_s:.2f} s, where nothing moved'
+    return f'{rms:.2g} m (RMS) at {time_s:.2f} s'

@@ -7,7 +7,7 @@ does not depend on whether, or how fast, a browser follows.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import time
 from typing import Any
 
@@ -20,12 +20,19 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.scene.model import live_keys, Scene
 from xpbd_ros.sim.commands import Command, Grasp, Pose, Release, ReleaseAll, Reset
-from xpbd_ros.sim.measure import has_tensions, largest_strain, tensions, touching
+from xpbd_ros.sim.measure import (
+    contact_forces,
+    has_tensions,
+    largest_strain,
+    tensions,
+    touching,
+)
 from xpbd_ros.sim.simulation import Frame, Simulation
-from xpbd_ros.view.controls import Controls
+from xpbd_ros.view.controls import Controls, error_text
 from xpbd_ros.view.handles import Handles
 from xpbd_ros.view.picking import particle_at
-from xpbd_ros.view.stage import Arrow, line_of_action, Sheet, Stage
+from xpbd_ros.view.stage import Stage, Wrench
+from xpbd_ros.view.surface import sheets_of
 
 DRAWN_PER_SECOND = 33.0
 """a little above 30, as a frame may be late"""
@@ -36,8 +43,8 @@ RECENT = 60
 """frames that times are averaged over"""
 LATEST = 0.1
 """delay beyond which frames are dropped [s]"""
-LEAST_FORCE = 1e-6
-"""force of the cloth on a collider below which there is no arrow [N]"""
+FORCES = {'tension': tensions, 'contact force': contact_forces}
+"""forces that may colour the surface, as functions of a simulation"""
 
 
 class LiveView:
@@ -71,7 +78,8 @@ class LiveView:
         self.recorder: Any = None
         self._monitor: ErrorMonitor | None = None
         self._names = names
-        self._times: deque[tuple[float, float]] = deque(maxlen=RECENT)
+        self.step_times: deque[tuple[float, float]] = deque(maxlen=RECENT)
+        """end and duration of the latest steps [s]"""
         self.frame: Frame
         self.drawing_s = 0.0
         """processor time of the loop's thread for drawing [s]"""
@@ -131,7 +139,7 @@ class LiveView:
     def play(self, on: bool) -> None:
         """Play or pause."""
         self.playing = on
-        self._times.clear()
+        self.step_times.clear()
         self.controls.show_playing(on)
 
     def step_once(self) -> None:
@@ -167,16 +175,19 @@ class LiveView:
         self.simulation = simulation
         self.frame = simulation.frame()
         self._commands.clear()
-        self._times.clear()
+        self.step_times.clear()
         solver = scene.top.solver
         self._monitor = ErrorMonitor(simulation, target=solver.error_target,
                                      most=solver.max_substeps)
-        self.stage = Stage(self._server, [_sheet(cloth) for cloth in simulation.cloths],
-                           self._positions(self.frame.x))
+        self.stage = Stage(self._server, sheets_of(
+            (cloth.name for cloth in simulation.cloths),
+            (cloth.mesh.triangles for cloth in simulation.cloths),
+            (cloth.mesh.positions for cloth in simulation.cloths)), self._positions(self.frame.x))
         self.handles = Handles(self._server, self.stage.size, self.put)
         self.controls = Controls(
             self._server.gui, self, effects=simulation.effects, keys=live_keys(scene),
-            colours=('none', 'strain', *(('force',) if has_tensions(simulation) else ())),
+            colours=('none', 'strain', *(('tension',) if has_tensions(simulation) else ()),
+                     *(('contact force',) if 'contact' in simulation.effects else ())),
             scenes=self._names, scene=name, contacts=True)
         self.controls.show_playing(self.playing)
         if 'pin' in simulation.effects:
@@ -191,7 +202,7 @@ class LiveView:
                                           keep=self._monitor.due())
         now = time.perf_counter()
         self._monitor.look(now - begin)
-        self._times.append((now, now - begin))
+        self.step_times.append((now, now - begin))
         self.frames += 1
         for _, reason in self.frame.refused:
             self.controls.say(reason)
@@ -199,6 +210,7 @@ class LiveView:
             self.controls.say(text)
         if self.recorder is not None:
             self.recorder.frame(self.frame)
+            self.recorder.values(self._monitor.values(), self.frame)
 
     def _positions(self, values: np.ndarray) -> list[np.ndarray]:
         """Return the rows of each cloth."""
@@ -208,21 +220,17 @@ class LiveView:
         assert self.stage is not None
         stage, frame = self.stage, self.frame
         with self._server.atomic():
-            stage.show(self._positions(frame.x), self._positions(tensions(self.simulation))
-                       if stage.colour == 'force' else ())
+            forces = FORCES.get(stage.colour)
+            stage.show(self._positions(frame.x), self._positions(forces(self.simulation))
+                       if forces is not None else ())
             stage.show_contacts(frame.x[touching(self.simulation)] if stage.contacts
                                 else frame.x[:0])
-            forces: dict[str, Arrow] = {f'pins/{name}': (pin.pose.position, pin.force)
-                                        for name, pin in frame.pins.items()}
             movable = {}
             for name, state in frame.colliders.items():
                 stage.show_body(name, state.entry, state.pose)
-                if norm(state.force) > LEAST_FORCE:
-                    forces[f'colliders/{name}'] = line_of_action(
-                        state.pose.position, state.force, state.torque), state.force
                 if state.entry.shape != 'plane':
                     movable[name] = state.pose
-            stage.show_forces(forces)
+            stage.show_wrenches(_wrenches(frame.pins), _wrenches(frame.colliders))
             stage.forget_bodies(frame.colliders)
             self.handles.show({name: pin.pose for name, pin in frame.pins.items()}, movable)
 
@@ -245,7 +253,7 @@ class LiveView:
         self.put(Grasp(name, Pose((px, py, pz)), REACH * gap))
 
     def _tell(self) -> None:
-        frame, dt, times = self.frame, self.simulation.frame_dt, list(self._times)
+        frame, dt, times = self.frame, self.simulation.frame_dt, list(self.step_times)
         step = sum(seconds for _, seconds in times) / max(1, len(times))
         wall = times[-1][0] - times[0][0] if len(times) > 1 else 0.0
         factor = (len(times) - 1) * dt / wall if wall else 0.0
@@ -268,7 +276,8 @@ class LiveView:
         latest = None if self._monitor is None else self._monitor.latest
         if latest is None:
             return 'not estimated yet'
-        return f'{latest.rms:.2g} m (RMS)' if latest.resolved else 'under-resolved'
+        return error_text(latest.rms, resolved=latest.resolved,
+                          time_s=1e-9 * self.simulation.time_ns(latest.frame))
 
     def _record_or_stop(self, on: bool) -> None:
         self._recording = None
@@ -295,7 +304,7 @@ class LiveView:
             self.controls.say(f'recorded {recorder.folder}')
 
 
-def _sheet(cloth) -> Sheet:
-    mesh = cloth.mesh
-    a, b = (mesh.positions[mesh.edges[:, k]] for k in (0, 1))
-    return Sheet(cloth.name, mesh.triangles, mesh.edges, np.linalg.norm(b - a, axis=1))
+def _wrenches(bodies: Mapping[str, Any]) -> dict[str, Wrench]:
+    """Return the wrenches on pins or colliders of a frame."""
+    return {name: Wrench(state.pose.position, state.force, state.torque)
+            for name, state in bodies.items()}

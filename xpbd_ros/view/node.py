@@ -5,7 +5,7 @@ All that is shown comes from the node's topics, and all that the page does goes 
 services and parameters, as from any other program.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 import time
 
 import numpy as np
@@ -19,18 +19,17 @@ from xpbd_ros.ros.inputs import read_colliders
 from xpbd_ros.scene.model import live_keys, Scene
 from xpbd_ros.sim.commands import Click, Command, PlaceCollider, Pose
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_of
-from xpbd_ros.view.controls import Controls
+from xpbd_ros.view.controls import Controls, error_text
 from xpbd_ros.view.handles import Handles
 from xpbd_ros.view.picking import particle_at
-from xpbd_ros.view.stage import Arrow, line_of_action, sheets_of, Stage
+from xpbd_ros.view.stage import Stage, wrenches_of
+from xpbd_ros.view.surface import sheets_of
 
 PERIOD = 1.0 / 30.0
 """of the pictures [s]"""
 TOLD_PER_SECOND = 4.0
 SILENT = 2.0
 """time without a message after which the page says so [s]"""
-LEAST_FORCE = 1e-6
-"""force of the cloth on a collider below which there is no arrow [N]"""
 
 
 class NodeView:
@@ -71,6 +70,7 @@ class NodeView:
         server.gui.reset()
         self._text = client.scene_text
         self._cloths = list(scene.cloths)
+        self._rate = scene.top.frame_rate
         self._triangles = client.triangles
         self._entries = dict(scene.sections.get('colliders', {}))
         self._unseen: set[str] = set()
@@ -117,7 +117,7 @@ class NodeView:
             return
         self._show_scene(scene)
 
-    # what the panel does
+    # interface of the panel (``controls``)
 
     def put(self, *commands: Command) -> None:
         """Send commands to the node."""
@@ -172,14 +172,9 @@ class NodeView:
         self._note_placed()
         with self._server.atomic():
             stage.show(self._positions())
-            forces: dict[str, Arrow] = {f'pins/{pin.name}': (pin.position, pin.force)
-                                        for pin in pins}
             for body in colliders:
                 self._show_body(body)
-                if norm(body.force) > LEAST_FORCE:
-                    forces[f'colliders/{body.name}'] = line_of_action(
-                        body.position, body.force, body.torque), body.force
-            stage.show_forces(forces)
+            stage.show_wrenches(wrenches_of(pins), wrenches_of(colliders))
             stage.forget_bodies({body.name for body in colliders})
             self.handles.show({pin.name: Pose(pin.position, pin.orientation) for pin in pins}, {
                 body.name: Pose(body.position, body.orientation) for body in colliders
@@ -230,18 +225,25 @@ class NodeView:
                 f'{float(status["step_ms_p50"]):.2f} ms',
                 f'largest strain {100.0 * float(status["strain_max"]):.2g} %'
                 + (f', {status["contacts"]} contacts' if 'contacts' in status else ''),
-                f'error of a frame: {error_text(status.get("error_m"))}', activity]
+                f'error of a frame: {estimated_error(status, self._rate)}', activity]
         rows += [f'{pin.name}: {norm(pin.force):.3g} N at '
                  f'{", ".join(f"{c:.2f}" for c in pin.position)} m'
                  for pin in bodies_of(client.pins)]
         self.controls.tell(rows)
 
 
-def error_text(value: str | None) -> str:
-    """Return an error estimate of /diagnostics [m] as text."""
-    if value is None:
+def estimated_error(status: Mapping[str, str], rate: float) -> str:
+    """
+    Return the error estimate of /diagnostics as text.
+
+    Parameters
+    ----------
+    status : values of /diagnostics
+    rate : frames per second of the node's scene
+
+    """
+    if 'error_m' not in status:
         return 'not estimated yet'
-    try:
-        return f'{float(value):.2g} m (RMS)'
-    except ValueError:
-        return value
+    resolved = status['error_m'] != 'under-resolved'
+    return error_text(float(status['error_m']) if resolved else 0.0, resolved=resolved,
+                      time_s=int(status['error_frame']) / rate)

@@ -5,7 +5,7 @@ The others are shown next to the first, with points coloured by their distance f
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 import time
 from typing import Any
 
@@ -13,10 +13,14 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.export.body import Body
-from xpbd_ros.sim.commands import Pose
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.commands import Command, Pose
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.view.controls import add_colour_menu, by_hand
-from xpbd_ros.view.stage import Arrow, line_of_action, ramp, Sheet, sheets_of, Stage
+from xpbd_ros.view.energy import energy_now, logged_energy
+from xpbd_ros.view.stage import ramp, Stage, wrenches_of
+from xpbd_ros.view.surface import GREY, Sheet, sheets_of
 
 APART = 1.3
 """offset from one log to the next, over the size of the first"""
@@ -25,8 +29,8 @@ SAMPLES = 50
 """frames that the camera is fitted to"""
 SAME = 1e-6
 """largest difference of times that count as equal [s]"""
-GREY = (215, 218, 222)
-"""colour of further logs below their points"""
+MARGIN = 0.05
+"""above and below plotted lines, over their range"""
 LINES = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c')
 """colours of plotted lines"""
 
@@ -48,6 +52,10 @@ class Track:
     """by frame"""
     colliders: Sequence[Sequence[Body]]
     """by frame"""
+    energy: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """parts of the energy [J], shape (frames,); empty if it is not known"""
+    errors: Mapping[int, float] = field(default_factory=dict)
+    """estimated errors, RMS over the particles [m], by frame"""
 
     @classmethod
     def read(cls, states, frames: Iterable) -> 'Track':
@@ -62,18 +70,29 @@ class Track:
             pins.append(state.pins)
             colliders.append(state.colliders)
         return cls(str(states.path), states.frames, times, states.triangles, positions, pins,
-                   colliders)
+                   colliders, errors=states.errors())
+
+    def with_energy(self, scene: Scene, commands: Mapping[int, Sequence[Command]],
+                    numbers: Iterable[int]) -> 'Track':
+        """Return a log with the energy by its scene and inputs; ``numbers`` counts its frames."""
+        simulation = compile_scene(scene)
+        if [len(cloth.slots) for cloth in simulation.cloths] != [
+                x.shape[1] for x in self.positions.values()]:
+            return self    # a log of several cloths that lacks some
+        return replace(self, energy=logged_energy(
+            simulation, commands, self.frames, self.times, list(self.positions.values()), numbers))
 
     @classmethod
     def stepped(cls, name: str, simulation: Simulation, commands: Mapping[int, Sequence],
                 frames: Iterable[int]) -> 'Track':
         """Return a new run with commands by frame; ``frames`` counts its frames from 1 on."""
-        states = [simulation.frame()]
+        states, energies = [simulation.frame()], [energy_now(simulation)]
         for index in frames:
-            states.append(simulation.step(commands.get(index, ())))
-            if not np.isfinite(states[-1].x).all():
-                states.pop()
+            state = simulation.step(commands.get(index, ()))
+            if not np.isfinite(state.x).all():
                 break
+            states.append(state)
+            energies.append(energy_now(simulation))
         return cls(
             name, [state.index for state in states],
             np.array([1e-9 * state.time_ns for state in states]),
@@ -81,7 +100,8 @@ class Track:
             {cloth.name: np.array([state.x[cloth.particles] for state in states], np.float32)
              for cloth in simulation.cloths},
             [_bodies(state.pins) for state in states],
-            [_bodies(state.colliders) for state in states])
+            [_bodies(state.colliders) for state in states],
+            {part: np.array([each[part] for each in energies]) for part in energies[0]})
 
     def frame(self, index: int) -> list[np.ndarray]:
         """Return the positions of each cloth [m]."""
@@ -93,17 +113,32 @@ class Track:
 
     def strains(self, sheets: Sequence[Sheet]) -> np.ndarray:
         """Return the largest strain of any edge in each frame, shape (frames,)."""
-        return np.array([max(
-            (float(np.abs(np.linalg.norm(x[sheet.edges[:, 1]] - x[sheet.edges[:, 0]], axis=1)
-                          / sheet.rest_length - 1.0).max(initial=0.0))
-             for sheet, x in zip(sheets, self.frame(k))), default=0.0)
-            for k in range(len(self.times))])
+        return np.array([max((float(np.abs(sheet.strains(x)).max(initial=0.0))
+                              for sheet, x in zip(sheets, self.frame(k))), default=0.0)
+                         for k in range(len(self.times))])
+
+    def total_energy(self) -> np.ndarray:
+        """Return kinetic + potential + elastic energy in each frame [J], shape (frames,)."""
+        return np.sum(list(self.energy.values()), axis=0)
+
+    def latest_errors(self) -> np.ndarray:
+        """Return the latest error estimate [m] up to each frame, shape (frames,); NaN before."""
+        known = np.array(sorted(self.errors))
+        place = np.searchsorted(known, self.frames, side='right') - 1
+        values = np.array([self.errors[frame] for frame in known] + [np.nan])
+        return values[place]    # -1, the last one, where there is none yet
 
 
 def _bodies(states: Mapping[str, Any]) -> list[Body]:
     """Return the pins or colliders of a frame."""
     return [Body(name, tuple(state.pose.position), tuple(state.pose.orientation),
                  tuple(state.force), tuple(state.torque)) for name, state in states.items()]
+
+
+def changes(values: np.ndarray) -> np.ndarray:
+    """Return the changes since the first value that is known."""
+    known = values[np.isfinite(values)]
+    return values - known[0] if len(known) else values
 
 
 class Beside:
@@ -140,7 +175,7 @@ class Beside:
         self.farthest = max(float(each.max(initial=0.0)) for each in self.distances) or 1.0
         self._meshes = [server.scene.add_mesh_simple(
             f'/beside/{number}/{cloth}', x[0] + self.offset, track.triangles[cloth], side='double',
-            color=GREY) for cloth, x in track.positions.items()]
+            color=tuple(map(int, GREY))) for cloth, x in track.positions.items()]
         self._points = server.scene.add_point_cloud(
             f'/beside/{number}/points', np.concatenate(track.frame(0)) + self.offset,
             ramp(np.zeros(len(self.distances[0]))), precision='float32',
@@ -204,7 +239,7 @@ class RecordedView:
         self._speed = gui.add_dropdown('Speed', SPEEDS, initial_value='1')
         self._loop = gui.add_checkbox('Loop', True)
         add_colour_menu(gui, self.stage, ('none', 'strain'))
-        self._plot(sheets)
+        self._plot()
         self.show(0)
 
     def _seen(self) -> np.ndarray:
@@ -220,8 +255,8 @@ class RecordedView:
         return np.array([*corners(self._track, 0.0), *(
             place for each in self._beside for place in corners(each.track, each.offset))])
 
-    def _plot(self, sheets: Sequence[Sheet]) -> None:
-        """Plot distances to the first run, forces on pins and colliders, and strains."""
+    def _plot(self) -> None:
+        """Plot distances to the first run, forces, energies, strains and errors."""
         labels = self._labels
         if self._beside:
             self._chart(f'distance to the {self._labels[0]} [mm]', {
@@ -235,37 +270,51 @@ class RecordedView:
                 forces[body.name][k] = np.linalg.norm(body.force)
         self._chart('force of the cloth', {f'{name} [N]': values
                                            for name, values in forces.items() if values.any()})
-        strains = {labels[0]: 100.0 * self._track.strains(sheets)}
-        for label, each in zip(labels[1:], self._beside):
-            own = 100.0 * each.track.strains(sheets)
-            strains[label] = np.array([np.nan if at is None else own[at] for at in map(
-                each.index, range(len(self._track.times)))])
-        self._chart('largest strain [%]', strains)
+        energies = self._lines(
+            lambda track: changes(track.total_energy()) if track.energy else None)
+        if not self._beside and energies:
+            energies = {'total': energies[labels[0]], **{
+                part: changes(values) for part, values in self._track.energy.items()}}
+        self._chart('energy: kinetic + potential + elastic, change since the start [J]', energies)
+        self._chart('largest strain [%]',
+                    self._lines(lambda track: 100.0 * track.strains(track.sheets())))
+        self._chart('estimated error of a frame, RMS [mm]', self._lines(
+            lambda track: 1e3 * track.latest_errors() if track.errors else None))
+
+    def _lines(self, values_of: Callable[[Track], np.ndarray | None]) -> dict[str, np.ndarray]:
+        """Return lines of all runs by label, at the times of the first; None has no line."""
+        found = {}
+        for k, label in enumerate(self._labels):
+            values = values_of(self._beside[k - 1].track if k else self._track)
+            if values is not None:
+                found[label] = values if k == 0 else np.array([
+                    np.nan if at is None else values[at]
+                    for at in map(self._beside[k - 1].index, range(len(self._track.times)))])
+        return found
 
     def _chart(self, title: str, lines: Mapping[str, np.ndarray]) -> None:
         """Add a plot of lines against the time, unless there are none."""
-        if not lines:
+        lines = {name: np.asarray(values, float) for name, values in lines.items()}
+        known = np.concatenate([values[np.isfinite(values)] for values in lines.values()] or [[]])
+        if not len(known):
             return
+        low, high = min(0.0, known.min()), max(0.0, known.max())
+        margin = MARGIN * (high - low) or 1.0
         self._server.gui.add_markdown(title)
         self._server.gui.add_uplot(
-            (self._track.times, *(np.asarray(values, float) for values in lines.values())),
+            (self._track.times, *lines.values()),
             ({'label': 'time [s]'}, *({'label': name, 'stroke': LINES[k % len(LINES)],
                                        'width': 1.5} for k, name in enumerate(lines))),
-            aspect=1.6, scales={'x': {'time': False}})
+            aspect=1.6, scales={'x': {'time': False},    # NaN would hide the range
+                                'y': {'range': (low - margin * (low < 0.0), high + margin)}})
 
     def show(self, index: int) -> None:
         """Show a frame."""
         self._index, track = index, self._track
         with self._server.atomic():
             self.stage.show(track.frame(index))
-            forces: dict[str, Arrow] = {
-                f'pins/{body.name}': (body.position, body.force)
-                for body in track.pins[index] if any(body.force)}
-            for body in track.colliders[index]:
-                if any(body.force):
-                    forces[f'colliders/{body.name}'] = line_of_action(
-                        body.position, body.force, body.torque), body.force
-            self.stage.show_forces(forces)
+            self.stage.show_wrenches(wrenches_of(track.pins[index]),
+                                     wrenches_of(track.colliders[index]))
             self._show_bodies(track.colliders[index], '', 0.0)
             for k, each in enumerate(self._beside, 1):
                 each.show(index, self._farthest)

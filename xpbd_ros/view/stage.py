@@ -1,17 +1,19 @@
 """The 3D scene of a page: cloths, colliders, contacts, and arrows for forces."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from xpbd_ros.export.body import Body
 from xpbd_ros.sim.commands import Pose
-from xpbd_ros.sim.geometry.mesh import edges
 from xpbd_ros.view.bodies import add_body
+from xpbd_ros.view.surface import Sheet, Surface, TAUT
 
 COLOURS = ((42, 120, 181), (193, 128, 58), (74, 154, 98), (138, 95, 176))
 """of the cloths, in turn"""
-FORCE = (40, 40, 40)
+FORCE, TORQUE = (40, 40, 40), (124, 58, 170)
+"""of arrows"""
 EYE = (1.5, -3.0, 1.1)
 """from the centre of the cloths to the camera at first, over their size"""
 FIELD_OF_VIEW = 0.8
@@ -22,51 +24,31 @@ AMBIENT = 1.2
 """light on sides that face away from the lamps"""
 FORCE_SCALE = 0.1
 """length of an arrow per force [m/N]"""
+TORQUE_SCALE = 1.0
+"""length of an arrow per torque [m/(N m)]"""
+LEAST_ARROW = 1e-3
+"""length below which there is no arrow [m]"""
 STRAIN_SHOWN = 0.05
 """strain of the darkest colour"""
-LEAST_FORCE = 0.01
-"""tension below which no edge is red [N]"""
+LEAST_FORCE = 1e-4
+"""force below which no colour is the darkest [N]"""
+FEW = 0.05
+"""share of the loaded particles that may have the darkest colour"""
 PALE = np.array([255, 255, 255])
 TOUCHING = (217, 130, 43)
 """colour of contacts"""
 Vector = np.ndarray | Sequence[float]
-Arrow = tuple[Vector, Vector]
-"""point [m] and force [N]"""
-SLACK, TAUT = np.array([66, 133, 244]), np.array([219, 68, 55])
-"""colours of a compressed and of a stretched edge"""
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """A cloth: its triangles and edges."""
+class Wrench(NamedTuple):
+    """A force of the cloth at a point, and a torque about it."""
 
-    name: str
-    triangles: np.ndarray
-    """shape (triangles, 3)"""
-    edges: np.ndarray
-    """shape (edges, 2)"""
-    rest_length: np.ndarray
-    """[m], shape (edges,)"""
-
-
-def sheets_of(names: Iterable[str], triangles: Iterable[np.ndarray],
-              positions: Iterable[np.ndarray]) -> list[Sheet]:
-    """
-    Return cloths whose edges are as long as at given positions.
-
-    Parameters
-    ----------
-    names : by cloth
-    triangles : by cloth, shape (triangles, 3)
-    positions : by cloth [m], shape (particles, 3)
-
-    """
-    found = []
-    for name, corners, x in zip(names, triangles, positions):
-        ends = edges(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2))
-        length = np.linalg.norm(x[ends[:, 1]] - x[ends[:, 0]], axis=1)
-        found.append(Sheet(name, corners, ends, np.maximum(length, 1e-9)))
-    return found
+    point: Vector
+    """[m]"""
+    force: Vector
+    """[N]"""
+    torque: Vector
+    """[N m]"""
 
 
 class Stage:
@@ -86,18 +68,11 @@ class Stage:
                  seen: np.ndarray | None = None):
         self._server, self._sheets = server, sheets
         self.colour = 'none'
-        """quantity that colours the edges: 'strain', 'force' or 'none'"""
+        """quantity that colours the surface: a word of ``controls.COLOURS``"""
         self.contacts = False
         """True if contacts are drawn"""
-        self._meshes = [server.scene.add_mesh_simple(
-            f'/cloths/{sheet.name}', x.astype(np.float32), sheet.triangles, side='double',
-            color=COLOURS[k % len(COLOURS)])
-            for k, (sheet, x) in enumerate(zip(sheets, positions))]
-        self._edges = [server.scene.add_line_segments(
-            f'/strain/{sheet.name}', x[sheet.edges].astype(np.float32),
-            np.zeros((len(sheet.edges), 2, 3), np.uint8), thickness=2.0,
-            thickness_units='screen', visible=False)
-            for sheet, x in zip(sheets, positions)]
+        self._surfaces = [Surface(server, sheet, x, COLOURS[k % len(COLOURS)])
+                          for k, (sheet, x) in enumerate(zip(sheets, positions))]
         self._arrows: dict = {}
         self.bodies: dict = {}
         self._entries: dict = {}
@@ -139,28 +114,27 @@ class Stage:
         client.camera.position, client.camera.look_at = tuple(at + self._back), tuple(at)
         client.camera.fov = FIELD_OF_VIEW
 
-    def show(self, positions: Sequence[np.ndarray], tensions: Sequence[np.ndarray] = ()) -> None:
+    def show(self, positions: Sequence[np.ndarray], forces: Sequence[np.ndarray] = ()) -> None:
         """
         Show the particles of each cloth.
 
         Parameters
         ----------
         positions : by cloth [m], shape (particles, 3)
-        tensions : by cloth [N], shape (particles,); used for ``colour`` 'force'
+        forces : by cloth, the forces [N] that colour the surface, shape (particles,); empty for
+            none
 
         """
-        most = max((float(each.max(initial=0.0)) for each in tensions), default=0.0)
-        for k, (sheet, mesh, lines, x) in enumerate(zip(self._sheets, self._meshes, self._edges,
-                                                        positions)):
-            x = x.astype(np.float32)
-            mesh.vertices = x
-            forced = self.colour == 'force' and len(tensions) > 0
-            lines.visible = forced or self.colour == 'strain'
-            if lines.visible:
-                ends = x[sheet.edges]
-                lines.points = ends
-                lines.colors = (ramp(tensions[k][sheet.edges] / max(most, LEAST_FORCE)) if forced
-                                else strain_colours(ends, sheet.rest_length))
+        values: list[np.ndarray | None] = [None] * len(self._sheets)
+        if len(forces):
+            full = full_force(np.concatenate(forces))
+            values = [force[sheet.triangles].max(axis=1) / full
+                      for sheet, force in zip(self._sheets, forces)]
+        elif self.colour == 'strain':
+            values = [sheet.strains_of_triangles(x) / STRAIN_SHOWN
+                      for sheet, x in zip(self._sheets, positions)]
+        for surface, x, each in zip(self._surfaces, positions, values):
+            surface.show(x, each)
 
     def show_contacts(self, points: np.ndarray) -> None:
         """Show particles that touch a collider at these points [m], shape (contacts, 3)."""
@@ -168,18 +142,30 @@ class Stage:
         if self._touching.visible:
             self._touching.points = points.astype(np.float32)
 
-    def show_forces(self, forces: Mapping[str, Arrow]) -> None:
-        """Show forces of the cloth [N] at points [m], by name."""
-        for name in self._arrows.keys() - forces.keys():
+    def show_wrenches(self, pins: Mapping[str, Wrench], colliders: Mapping[str, Wrench]) -> None:
+        """
+        Show the wrenches of the cloth on pins and colliders.
+
+        A collider's is shown at its central axis, unless that is far away.
+        """
+        wrenches = {**{f'pins/{name}': wrench for name, wrench in pins.items()},
+                    **{f'colliders/{name}': on_axis(wrench, self.size)
+                       for name, wrench in colliders.items()}}
+        arrows = {f'{kind}/{name}': (point, scale * np.asarray(vector, float), colour)
+                  for name, (point, force, torque) in wrenches.items()
+                  for kind, vector, scale, colour in (
+                      ('forces', force, FORCE_SCALE, FORCE),
+                      ('torques', torque, TORQUE_SCALE, TORQUE))
+                  if scale * np.linalg.norm(vector) > LEAST_ARROW}
+        for name in self._arrows.keys() - arrows.keys():
             self._arrows.pop(name).remove()
-        for name, (position, force) in forces.items():
-            ends = np.array([[position, np.add(position, FORCE_SCALE * np.asarray(force))]],
-                            np.float32)
+        for name, (point, vector, colour) in arrows.items():
+            ends = np.array([[point, point + vector]], np.float32)
             if name in self._arrows:
                 self._arrows[name].points = ends
             else:
                 self._arrows[name] = self._server.scene.add_arrows(
-                    f'/forces/{name}', ends, FORCE, shaft_radius=0.004 * self.size,
+                    f'/{name}', ends, colour, shaft_radius=0.004 * self.size,
                     head_radius=0.012 * self.size, head_length=0.03 * self.size)
 
     def show_body(self, name: str, entry, pose: Pose) -> None:
@@ -197,10 +183,9 @@ class Stage:
 
     def on_click(self, act: Callable) -> None:
         """Call ``act(origin, direction)`` with the ray of a click on a cloth."""
-        for mesh in self._meshes:
-            @mesh.on_click
-            def _(event) -> None:
-                act(np.array(event.ray_origin), np.array(event.ray_direction))
+        for surface in self._surfaces:
+            surface.on_click(
+                lambda event: act(np.array(event.ray_origin), np.array(event.ray_direction)))
 
     def forget_bodies(self, known) -> None:
         """Remove the colliders that are no longer known."""
@@ -209,42 +194,33 @@ class Stage:
             del self._entries[name]
 
 
+def full_force(forces: np.ndarray) -> float:
+    """Return the force of the darkest colour [N]: all but the largest FEW are below it."""
+    loaded = forces[forces > 0.0]
+    return max(LEAST_FORCE, float(np.quantile(loaded, 1.0 - FEW)) if len(loaded) else 0.0)
+
+
 def ramp(shares: np.ndarray) -> np.ndarray:
     """Return sRGB bytes from white (0) to red (1), shape (..., 3)."""
     return (PALE + shares[..., None] * (TAUT - PALE)).astype(np.uint8)
 
 
-def line_of_action(position: Sequence[float], force: Vector, torque: Vector) -> np.ndarray:
+def wrenches_of(bodies: Iterable[Body]) -> dict[str, Wrench]:
+    """Return the wrenches on recorded pins or colliders, by name."""
+    return {body.name: Wrench(body.position, body.force, body.torque) for body in bodies}
+
+
+def on_axis(wrench: Wrench, farthest: float) -> Wrench:
     """
-    Return the point of a wrench's line of action next to a body.
+    Return a wrench at the point of its central axis that is next to its own point.
 
-    Parameters
-    ----------
-    position : of the body [m]
-    force : [N], shape (3,)
-    torque : about the position [N m], shape (3,)
-
+    There the torque is parallel to the force. If the axis is farther away than ``farthest`` [m],
+    as that of a couple is, the wrench is returned as it is.
     """
-    square = float(np.dot(force, force))
-    return np.asarray(position) + (np.cross(force, torque) / square if square else 0.0)
-
-
-def strain_colours(ends: np.ndarray, rest_length: np.ndarray) -> np.ndarray:
-    """
-    Return the colours of edges by their strain.
-
-    Parameters
-    ----------
-    ends : both ends of each edge [m], shape (edges, 2, 3)
-    rest_length : [m], shape (edges,)
-
-    Returns
-    -------
-    sRGB bytes, shape (edges, 2, 3): white without strain, red where stretched, blue where
-    compressed
-
-    """
-    strain = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / rest_length - 1.0
-    share = np.clip(np.abs(strain) / STRAIN_SHOWN, 0.0, 1.0)[:, None]
-    colour = np.where((strain > 0.0)[:, None], TAUT, SLACK)
-    return np.repeat((255.0 + share * (colour - 255.0)).astype(np.uint8)[:, None], 2, axis=1)
+    force, torque = np.asarray(wrench.force, float), np.asarray(wrench.torque, float)
+    square = float(force @ force)
+    arm = np.cross(force, torque)    # times the square of the force
+    if not np.linalg.norm(arm) <= farthest * square or square == 0.0:
+        return wrench
+    return Wrench(np.asarray(wrench.point, float) + arm / square, force,
+                  (torque @ force) / square * force)
