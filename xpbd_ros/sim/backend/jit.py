@@ -76,10 +76,11 @@ def _dispatcher(function, cache_class: type | None, folder: Path | None, **flags
     return dispatcher
 
 
-def jit(function=None, *, inline: bool = False, allocates: bool = False,
-        cache_name: str | None = 'kernels'):
+def jit(function=None, *, inline: bool = False, cache_name: str | None = 'kernels'):
     """
     Compile a module-level kernel, GIL released, cached on disk.
+
+    A kernel makes no arrays: those that it gets outlive the call, so references are not counted.
 
     Python and compiled code call a kernel alike. For each of them it is compiled at its first
     call; for compiled code as a part of its caller.
@@ -88,8 +89,6 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     ----------
     inline : expand the kernel where it is called. Numba passes a NamedTuple by copying all of its
         fields, which costs more than a small kernel for one particle
-    allocates : whether the kernel makes arrays. Arrays that come from outside outlive the call, so
-        references to them are not counted otherwise
     cache_name : separates the caches of functions whose signatures hold other scenes' types, since
         reading such a cache would import effects that this scene does not name; None: not cached
 
@@ -97,7 +96,7 @@ def jit(function=None, *, inline: bool = False, allocates: bool = False,
     def compile_(function):
         folder = None if cache_name is None else (
             CACHE_FOLDER / ('plain' if WHY_PLAIN else 'linked') / cache_name)
-        flags = {'forceinline': inline, '_nrt': allocates}
+        flags = {'forceinline': inline}
         kernel = _dispatcher(function, LockedCache, folder, **{**FLAGS, **flags})
         if WHY_PLAIN:
             return kernel

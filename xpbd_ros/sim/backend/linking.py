@@ -1,14 +1,18 @@
 """
-Parts of a kernel: linked as they are, optimised and made machine code where the whole is.
+Parts of a kernel: linked nearly as they are, optimised and made machine code where the whole is.
 
 Numba optimises every function that compiled code calls, and makes machine code of it, before it
-does so again wherever that one is linked in: some ten times for a kernel deep in a step.
+does so again wherever that one is linked in: some ten times for a kernel deep in a step. Arguments
+are those of ``arguments``.
 """
 
 from llvmlite import binding
+from numba import types
 from numba.core import codegen, compiler
 from numba.core.caching import CompileResultCacheImpl
+from numba.core.datamodel import register_default
 
+from xpbd_ros.sim.backend.arguments import tuple_model
 from xpbd_ros.sim.backend.locked_cache import LockedCache
 
 KERNELS: set[int] = set()
@@ -16,14 +20,35 @@ KERNELS: set[int] = set()
 ADDRESS = 'numba.dynamic.globals.'
 """where it does so; code with addresses that are of use cannot be kept for other processes"""
 
+register_default(types.NamedTuple)(tuple_model)
+
 
 class Library(codegen.JITCodeLibrary):
     """The code of one part, and of all that it calls."""
 
     def add_llvm_module(self, module):
-        """Take code as it is."""
+        """Take code, simplified a little."""
         module.data_layout = self._codegen._data_layout
+        if hasattr(binding, 'create_new_function_pass_manager'):
+            self._simplify(module)
         self._final_module.link_in(module)
+
+    def _simplify(self, module):
+        """
+        Remove copies of arguments.
+
+        Instructions that take tuples apart and put them together are most of a part. Every caller
+        that the part is linked into would keep them up to its own optimisation. Instructions are
+        combined first: split up as it stands, each use of a tuple would read all of its fields.
+        """
+        passes = binding.create_new_function_pass_manager()
+        passes.add_instruction_combine_pass()
+        passes.add_sroa_pass()
+        builder = binding.create_pass_builder(self._codegen._tm,
+                                              binding.create_pipeline_tuning_options())
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
 
     def _optimize_final_module(self):
         pass

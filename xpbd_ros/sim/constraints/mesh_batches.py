@@ -31,20 +31,30 @@ def pack(particles: np.ndarray) -> np.ndarray:
 
     """
     order = np.argsort(particles.min(1), kind='stable') if len(particles) else np.zeros(0, int)
-    found = _fill(np.ascontiguousarray(particles[order], np.int64))
+    most = len(order) + OPEN    # one constraint per pack
+    packs, closed = np.full((most, PACK), -1), np.empty(most, np.int64)
+    count = _fill(np.ascontiguousarray(particles[order], np.int64), packs,
+                  np.zeros(most, np.int64), np.arange(OPEN), closed)
+    found = packs[closed[:count]].ravel()
     return np.where(found >= 0, order[found] if len(order) else EMPTY, EMPTY)
 
 
-@jit(allocates=True)
-def _fill(particles):
-    count = len(particles)
-    found = np.full((count + OPEN, PACK), -1)    # worst case: one constraint per pack
-    filled = np.zeros(count + OPEN, np.int64)
-    is_open = np.arange(OPEN)    # oldest first
-    packs = OPEN
-    closed = np.empty(count + OPEN, np.int64)
-    closed_count = 0
-    for c in range(count):
+@jit
+def _fill(particles, found, filled, is_open, closed):
+    """
+    Fill the packs, and return how many there are.
+
+    Parameters
+    ----------
+    particles : slots, shape (constraints, particles of a constraint)
+    found : the constraints of each pack, -1 at first, shape (packs, PACK)
+    filled : how many each has, 0 at first, shape (packs,)
+    is_open : the packs that are open, oldest first, shape (OPEN,)
+    closed : the others and then the open ones that are not empty, shape (packs,)
+
+    """
+    packs, closed_count = OPEN, 0
+    for c in range(len(particles)):
         place = OPEN
         for a in range(OPEN):
             if not _conflicts(particles, found[is_open[a]], filled[is_open[a]], c):
@@ -53,9 +63,8 @@ def _fill(particles):
         if place == OPEN:    # close the oldest pack
             closed[closed_count] = is_open[0]
             closed_count += 1
-            is_open[:-1] = is_open[1:].copy()
             place = OPEN - 1
-            is_open[place] = packs
+            _open_instead(is_open, 0, packs)
             packs += 1
         p = is_open[place]
         found[p, filled[p]] = c
@@ -63,14 +72,21 @@ def _fill(particles):
         if filled[p] == PACK:
             closed[closed_count] = p
             closed_count += 1
-            is_open[place:-1] = is_open[place + 1:].copy()
-            is_open[-1] = packs
+            _open_instead(is_open, place, packs)
             packs += 1
     for a in range(OPEN):
         if filled[is_open[a]]:
             closed[closed_count] = is_open[a]
             closed_count += 1
-    return found[closed[:closed_count]].ravel()
+    return closed_count
+
+
+@jit
+def _open_instead(is_open, place, new):
+    """Remove an open pack, and add a new one at the end."""
+    for a in range(place, OPEN - 1):
+        is_open[a] = is_open[a + 1]
+    is_open[OPEN - 1] = new
 
 
 @jit

@@ -105,13 +105,21 @@ def cover(particles: np.ndarray, x: np.ndarray) -> Cover:
     d = d / np.where(length > 0.0, length, 1.0)[:, None]
     at = np.argsort(ends.ravel(), kind='stable')
     first = np.searchsorted(ends.ravel()[at], np.arange(len(x) + 1))
-    neighbour = _neighbours(d, first, at)
+    count, neighbour = len(ends), np.full(ends.shape, -1)
+    _find_neighbours(d, first, at, neighbour)
     longest = max(SHORT, len(np.unique(ends)) // (SHARE * PACK))
-    edges, flipped, path = _walk(ends, neighbour, len(x), longest)
+    edges, path, row, lane = (np.empty(count, np.int64) for _ in range(4))
+    flipped = np.zeros(count, bool)
+    _walk(ends, neighbour, longest, edges, flipped, path, np.zeros(count, bool),
+          np.full(len(x), -1))
     last = np.searchsorted(path, np.arange(path[-1] + 2 if len(path) else 1))
     longest_first = np.argsort(-np.diff(last), kind='stable')
     ends = np.where(flipped[:, None], ends[:, ::-1], ends)
-    row, lane, begin = _fill_packs(ends, edges, last, longest_first, len(x))
+    begin = np.zeros(len(longest_first) + 1, np.int64)
+    packs = _fill_packs(ends, edges, last, longest_first, row, lane, begin,
+                        np.empty(len(begin), np.int64), np.full(len(x), -1),
+                        np.empty(PACK, np.int64))
+    begin = begin[:packs + 1].copy()
     order = np.full((begin[-1], PACK), EMPTY)
     order[row, lane] = edges
     follows = np.zeros(order.shape, bool)
@@ -119,18 +127,18 @@ def cover(particles: np.ndarray, x: np.ndarray) -> Cover:
     return Cover(ends, order.ravel(), begin, follows.ravel())
 
 
-@jit(allocates=True)
-def _neighbours(d, first, at):
+@jit
+def _find_neighbours(d, first, at, found):
     """
-    Return the neighbour of each edge at both of its ends, -1 without one, shape (edges, 2).
+    Find the neighbour of each edge at both of its ends.
 
     Parameters
     ----------
     d : unit vectors along the edges, shape (edges, 3)
     first, at : 2 edge + end of the edges at particle i are at[first[i]:first[i + 1]]
+    found : the neighbours, -1 where there is none and at first, shape (edges, 2)
 
     """
-    found = np.full((len(d), 2), -1)
     for i in range(len(first) - 1):
         while True:
             best, one, other = -STRAIGHT, -1, -1
@@ -152,23 +160,29 @@ def _neighbours(d, first, at):
                 break
             found[one // 2, one % 2] = other // 2
             found[other // 2, other % 2] = one // 2
-    return found
 
 
-@jit(allocates=True)
-def _walk(ends, neighbour, slots, longest):
+@jit
+def _walk(ends, neighbour, longest, edges, flipped, path, seen, passed):
     """
-    Return the edges in the order of paths, whether each is flipped, and each one's path.
+    Order the edges by paths.
 
     Paths are cut where they come back to a particle, and after ``longest`` edges.
+
+    Parameters
+    ----------
+    ends : slots of both ends of each edge, shape (edges, 2)
+    neighbour : as from ``_find_neighbours``
+    longest : number of edges
+    edges, path : the edges in the order of paths, and the path of each, shape (edges,)
+    flipped : whether each edge is passed from its second end, False at first, shape (edges,)
+    seen : scratch, False at first, shape (edges,)
+    passed : the last path through each particle, -1 at first, shape (slots,)
+
     """
-    count = len(ends)
-    edges, path = np.empty(count, np.int64), np.empty(count, np.int64)
-    flipped, seen = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
-    passed = np.full(slots, -1)    # the last path through each particle
     done, number = 0, -1
     for closed in (False, True):
-        for c in range(count):
+        for c in range(len(ends)):
             for end in range(2):
                 if seen[c] or not (closed or neighbour[c, end] < 0):
                     continue
@@ -185,27 +199,28 @@ def _walk(ends, neighbour, slots, longest):
                     edges[done], path[done] = a, number
                     done, length = done + 1, length + 1
                     a, i = neighbour[a, 0 if flipped[a] else 1], j
-    return edges, flipped, path
 
 
-@jit(allocates=True)
-def _fill_packs(ends, edges, last, paths, slots):
+@jit
+def _fill_packs(ends, edges, last, paths, row, lane, begin, after, pack_of, filled):
     """
-    Return row and lane of each edge, in the order of paths, and the first row of each pack.
+    Fill the packs, and return how many there are.
 
     Parameters
     ----------
     ends : slots of both ends of each edge, shape (edges, 2)
     edges, last : the edges of path p are edges[last[p]:last[p + 1]]
     paths : the paths, longest first
-    slots : number of slots
+    row, lane : of each edge, in the order of paths, shape (edges,)
+    begin : the first row of each pack, 0 at first, shape (paths + 1,)
+    after : of a path that waits, the next that does; the first in the end, shape (paths + 1,)
+    pack_of : the last pack of each particle, -1 at first, shape (slots,)
+    filled : scratch, the rows in use of each lane, shape (PACK,)
 
     """
-    row, lane = np.empty(len(edges), np.int64), np.empty(len(edges), np.int64)
-    begin = [0]
-    after = np.arange(1, len(paths) + 2)    # of a path that waits, the next that does
-    after[len(paths)] = 0    # the first that waits
-    pack_of, filled = np.full(slots, -1), np.empty(PACK, np.int64)
+    for n in range(len(paths)):
+        after[n] = n + 1
+    after[len(paths)] = 0
     none, pack = len(paths), 0
     while after[none] < none:
         rows, space = 0, 0
@@ -234,9 +249,9 @@ def _fill_packs(ends, edges, last, paths, slots):
             else:
                 before = n
             n = after[n]
-        begin.append(begin[pack] + rows)
+        begin[pack + 1] = begin[pack] + rows
         pack += 1
-    return row, lane, np.array(begin)
+    return pack
 
 
 @jit

@@ -1,0 +1,94 @@
+"""How named tuples are passed to kernels."""
+
+from typing import NamedTuple
+
+from numba import typeof
+from numba.core.datamodel import default_manager
+import numpy as np
+import pytest
+
+from xpbd_ros.sim.backend.jit import jit, WHY_PLAIN
+
+pytestmark = pytest.mark.skipif(bool(WHY_PLAIN), reason=WHY_PLAIN)
+
+
+class Inner(NamedTuple):
+    """One array, as the package's own kinds."""
+
+    flags: np.ndarray
+    scale: float
+
+
+class Outer(NamedTuple):
+    """Arrays of each layout, nested."""
+
+    line: np.ndarray
+    table: np.ndarray
+    block: np.ndarray
+    every_other: np.ndarray
+    inner: Inner
+    nothing: None
+
+
+class Foreign(NamedTuple):
+    """A named tuple of another package."""
+
+    line: np.ndarray
+
+
+for _kind in (Inner, Outer):
+    _kind.__module__ = 'xpbd_ros.sim.test'
+
+
+@jit
+def _write(outer):
+    for i in range(outer.table.shape[0]):
+        for j in range(outer.table.shape[1]):
+            outer.table[i, j] += 10.0 * i + j
+    outer.block[1, 2, 3] = 7.0
+    for k in range(4):
+        outer.block[0][1][k] += outer.table[1, k]
+    for k in range(len(outer.every_other)):
+        outer.every_other[k] = outer.line[k] * outer.inner.scale
+    outer.inner.flags[1] = True
+
+
+@jit
+def change(outer, sizes):
+    """Write to all arrays, in a kernel that this one calls, and tell their sizes and strides."""
+    _write(outer)
+    sizes[0] = outer.line.size
+    sizes[1], sizes[2] = outer.table.size, outer.block.size
+    for k in range(3):
+        sizes[3 + k] = outer.block.strides[k]
+    sizes[6], sizes[7] = outer.table.itemsize, outer.every_other.strides[0]
+    sizes[8] = outer.inner.flags.size
+
+
+def an_outer() -> Outer:
+    """Return a tuple of small arrays."""
+    return Outer(np.arange(3.0), np.zeros((2, 4), np.float32), np.zeros((2, 3, 4)),
+                 np.zeros(6)[::2], Inner(np.zeros(2, np.bool_), 0.5), None)
+
+
+def test_kernels_read_and_write_arrays_of_tuples():
+    outer, expected, sizes = an_outer(), an_outer(), np.zeros(9, np.int64)
+    change(outer, sizes)
+    _write.py_func(expected)
+    for found, right in zip((*outer[:4], outer.inner.flags),
+                            (*expected[:4], expected.inner.flags)):
+        assert np.any(right)
+        assert np.array_equal(found, right)
+    assert sizes.tolist() == [3, 8, 24, 96, 32, 8, 4, 16, 2]
+
+
+def test_a_contiguous_array_is_an_address_and_a_shape():
+    def count(arguments) -> int:
+        return (sum(map(count, arguments)) if isinstance(arguments, tuple) else 1)
+
+    def arguments_of(value) -> int:
+        return count(default_manager.lookup(typeof(value)).get_argument_type())
+    line = np.zeros(3)
+    assert arguments_of(line) == arguments_of(Foreign(line)) == 7, "Numba's own"
+    assert arguments_of(Inner(line > 0.0, 1.0)) == 2 + 1
+    assert arguments_of(an_outer()) == 2 + 3 + 4 + 7 + 3 + arguments_of(None)
