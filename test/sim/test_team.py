@@ -1,12 +1,22 @@
 """Threads: the same bits for any number of them, and no deadlock."""
 
+import time
+
 from numba import njit
 import numpy as np
 import pytest
 
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.backend.threads import alone, share, ThreadPool, ThreadTeam, wait
+from xpbd_ros.sim.backend.threads import (
+    alone,
+    LATE,
+    REST,
+    share,
+    ThreadPool,
+    ThreadTeam,
+    wait,
+)
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
 ALL = {'stretch': STRETCH, 'shear': {'stiffness': 300.0}, 'bend': {'stiffness': 1e-4}}
@@ -69,7 +79,7 @@ def test_the_barrier_holds_until_all_threads_are_there():
 
     crew.run(step, (), _Stub())
     crew.run(step, (), _Stub())
-    assert wrong == [0] * 6
+    assert len(wrong) in (4, 6) and not any(wrong)    # one of them alone where cores are busy
 
 
 class _Stub:
@@ -112,3 +122,41 @@ def test_shares_are_whole_and_one_is_alone(count, workers):
     assert [k for (begin, end), _ in found for k in range(begin, end)] == list(range(count))
     assert [yes for _, yes in found] == [True] + [False] * (workers - 1)
     assert _share(None, count) == ((0, count), True)
+
+
+@njit(nogil=True)
+def _meet_once(team):
+    wait(team)
+
+
+def meets(sleeper: int, seen: list[int]):
+    """Return a step of LATE barriers before each of which one thread sleeps."""
+    def step(effects, state):
+        seen.append(state.team.workers)
+        for _ in range(LATE):
+            if state.team.worker == sleeper:
+                time.sleep(0.05)
+            _meet_once(state.team)
+    return step
+
+
+def test_where_another_thread_is_late_the_main_one_goes_on_alone_for_a_while():
+    crew, seen = ThreadPool(2), []
+    crew.run(meets(0, seen), (), _Stub())    # compiles
+    first, most = REST
+    for steps in (first, 2 * first):
+        crew.run(meets(1, seen), (), _Stub())
+        seen.clear()
+        before = crew.alone
+        for _ in range(steps):
+            crew.run(meets(9, seen), (), _Stub())
+        assert (seen, crew.alone - before) == ([1] * steps, steps)
+    crew.run(meets(0, seen), (), _Stub())
+    assert seen[-2:] == [2, 2]
+
+
+def test_others_wait_for_the_main_thread_without_an_end():
+    crew, seen = ThreadPool(2), []
+    for _ in range(3):
+        crew.run(meets(0, seen), (), _Stub())
+    assert (seen, crew.alone) == ([2] * 6, 0)

@@ -13,6 +13,7 @@ from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
+from xpbd_ros.scene.threads import with_threads
 from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -42,6 +43,7 @@ def compile_scene(scene: Scene) -> Simulation:
         meshes = [_mesh(name, keys) for name, keys in scene.cloths.items()]
     except InputError as error:
         raise InputError(f'{scene.where}: {brief(str(error))}') from None
+    scene = with_threads(scene, meshes)
     places, slots = blocks([mesh.rank if mesh.grid is None else mesh.grid.shape
                             for mesh in meshes], dtype)
     first = 0

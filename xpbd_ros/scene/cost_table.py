@@ -30,6 +30,8 @@ VERSION = 1
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
+LEAST = {'slot': 1e-3, 'single': 1e-3, 'particles_per_thread': 1.0}
+"""smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
 """[bytes]"""
 
@@ -44,6 +46,8 @@ class CostTable:
     """time in float32 over that in float64"""
     effects: Mapping[str, float] = field(default_factory=dict)
     """time of an effect for each particle, where it is not that of the effect's own file"""
+    particles_per_thread: float = 5000.0
+    """fewest particles of a grid with which one more thread pays, for ``threads: 0``"""
 
     def substep_ns(self, method: str, iterations: int, effects, state) -> float:
         """Return the time of a substep of a scene [ns]."""
@@ -113,21 +117,25 @@ def read_table(file: str) -> CostTable:
     if raw['version'] != VERSION:
         raise InputError(f"{file}: has version {raw['version']!s:.20}, and this release reads "
                          f'{VERSION}; write it again with xpbd_ros cost --calibrate')
-    _check_keys(file, '', raw, ('version', 'methods', 'single'), ('cpu', 'effects'))
+    _check_keys(file, '', raw, ('version', 'methods', 'single'),
+                ('cpu', 'effects', 'particles_per_thread'))
     _check_keys(file, 'methods.', raw['methods'], METHODS)
     for method, entries in raw['methods'].items():
         _check_times(file, f'methods.{method}.', entries, NEEDED, EFFECTS)
     _check_times(file, '', {'single': raw['single']}, ('single',))
     effects = raw.get('effects') or {}
     _check_times(file, 'effects.', effects, (), EFFECTS)
-    return CostTable(raw['methods'], raw['single'], effects)
+    per_thread = raw.get('particles_per_thread', SHIPPED.particles_per_thread)
+    _check_times(file, '', {'particles_per_thread': per_thread}, ('particles_per_thread',))
+    return CostTable(raw['methods'], raw['single'], effects, per_thread)
 
 
 def table_text(table: CostTable, cpu: str) -> str:
     """Return the YAML text of a table."""
     raw = {'version': VERSION, 'cpu': cpu,
            'methods': {name: dict(entries) for name, entries in table.methods.items()},
-           'single': table.single, 'effects': dict(table.effects)}
+           'single': table.single, 'effects': dict(table.effects),
+           'particles_per_thread': table.particles_per_thread}
     return '# Times on one core [ns]; read by solver.cost_table\n' + yaml.safe_dump(
         raw, sort_keys=False)
 
@@ -146,10 +154,10 @@ def _check_keys(file: str, where: str, given: Any, needed, further=()) -> None:
 
 
 def _check_times(file: str, where: str, given: Any, needed, further=()) -> None:
-    """Raise InputError unless a mapping has finite times of at least 0, and some per slot."""
+    """Raise InputError unless a mapping has finite numbers of at least 0, or as in LEAST."""
     _check_keys(file, where, given, needed, further)
     for key, value in given.items():
-        least = 0.0 if key not in ('slot', 'single') else 1e-3
+        least = LEAST.get(key, 0.0)
         if (isinstance(value, bool) or not isinstance(value, int | float)
                 or not isfinite(value) or value < least):
             raise InputError(f'{file}: {where}{key}: must be a number of at least {least:g} '

@@ -8,6 +8,9 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.materials import Isotropic
 from xpbd_ros.sim.parameters import check_static, quantity
 
+MOST_THREADS = 64
+"""threads of a simulation, at most"""
+
 
 @dataclass(frozen=True)
 class SolverKeys:
@@ -21,7 +24,8 @@ class SolverKeys:
                                     doc='per frame; chosen by auto unless given')
     iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
     precision: str = quantity('float64', choices=('float64', 'float32'))
-    threads: int = quantity(1, minimum=1, maximum=64)
+    threads: int = quantity(1, minimum=0, maximum=MOST_THREADS,
+                            doc='0: as many as pay on this machine')
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')
     cost_table: str | None = quantity(
         None, doc='file of xpbd_ros cost --calibrate, for budget_ms; the shipped table unless '

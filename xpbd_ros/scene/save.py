@@ -11,8 +11,8 @@ from xpbd_ros.sim.stepping.solver import Solver
 DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 """the C implementation if PyYAML has it, as a node writes the scene between two frames"""
 
-CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision', 'rough_frames',
-          'rough_integrator', 'rough_substeps')
+CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision', 'threads',
+          'rough_frames', 'rough_integrator', 'rough_substeps')
 """keys of ``solver`` that ``auto`` resolves"""
 
 

@@ -5,6 +5,9 @@ What can be shared out is such that no share reads what another one writes; wher
 work needs all of the last one, all ``wait`` for one another. What cannot be shared is done by one
 of them ``alone``. So the bits do not depend on how many there are. A state without a team
 (``state.team`` is None) belongs to one thread, and nothing of this is in its machine code.
+
+A thread whose core is busy with other programs delays the others at each barrier, for a whole time
+slice of the system. Therefore the main thread goes on alone for a while after such a step.
 """
 
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -22,6 +25,10 @@ APART = 8
 """from one thread's number in a gate to the next: a cache line, so that only it writes there"""
 SPINS_BEFORE_PAUSE, PATIENCE = 100, 4096
 """looks at the gate before the core pauses after each, and before it is offered to others"""
+LATE = 3
+"""barriers of a step at which the main thread waits beyond PATIENCE: others have no core"""
+REST = 60, 3600
+"""steps that the main thread then does alone before all try again: at first, at most"""
 X86 = binding.get_process_triple().startswith('x86_64')
 
 
@@ -31,8 +38,9 @@ class ThreadTeam(NamedTuple):
     worker: int
     workers: int
     gate: np.ndarray
-    """where they meet: how often each thread has come, at APART times its number, and at the end
-    whether one is missing for good; shape (APART * (workers + 1),)"""
+    """where they meet: how often each thread has come, at APART times its number; next to that of
+    the main thread how often it waited beyond PATIENCE; at the end whether one is missing for
+    good; shape (APART * (workers + 1),)"""
 
 
 def share(team, count):
@@ -123,6 +131,8 @@ def _meet(gate, worker, workers):
         looks = 0
         while _read(gate, other * APART) < times:
             looks += 1
+            if looks == PATIENCE and worker == 0:    # the others also wait for work that is alone
+                gate[1] += 1
             if looks > PATIENCE:
                 if _read(gate, workers * APART):
                     return
@@ -136,6 +146,9 @@ class ThreadPool:
 
     def __init__(self, workers: int):
         self.workers = workers
+        self.alone = 0
+        """steps so far that the main thread did alone, as others had no core"""
+        self._rest, self._next_rest = 0, REST[0]    # steps to do alone: left, after a late one
         self._gate = np.zeros(APART * (workers + 1), np.int64)
         self._pool = ThreadPoolExecutor(workers - 1, 'xpbd_ros') if workers > 1 else None
         self._others: list[Future] = []
@@ -149,6 +162,11 @@ class ThreadPool:
         if self._pool is None:
             step(effects, state, *arguments)
             return
+        if self._rest > 0:
+            self._rest -= 1
+            self.alone += 1
+            step(effects, state._replace(team=ThreadTeam(0, 1, self._gate)), *arguments)
+            return
         for other in self._others:    # where a frame was broken off
             other.exception()
         self._gate[:] = 0
@@ -158,6 +176,10 @@ class ThreadPool:
         self._join(0, step, effects, state, *arguments)
         for other in self._others:
             other.result()
+        if self._gate[1] >= LATE:
+            self._rest, self._next_rest = self._next_rest, min(2 * self._next_rest, REST[1])
+        else:
+            self._next_rest = REST[0]
 
     def _join(self, worker: int, step, effects, state, *arguments) -> None:
         """Call a step on one thread; if that fails, the others do not wait for it."""

@@ -5,19 +5,28 @@ Three shipped scenes run with every method, with a clock read between the kernel
 (``study.cost.measure``): a sheet in contact, a mesh, and a sheet in wind. The times of a
 constraint are those of the kernels; all that is no effect with constraints or an entry of its own,
 such as integration and pins, is counted by slot. Single precision is as in the shipped table.
+Sheets of growing size tell from how many particles on a second thread pays.
 """
 
 from collections.abc import Callable, Iterable
+from statistics import median
+import time
 
 from xpbd_ros.effects.contact import BuiltContact
 from xpbd_ros.effects.drag import BuiltDrag
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import CostTable, METHODS, SHIPPED
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.scene.threads import free_cores
 from xpbd_ros.study.cost.measure import Cost, cost
 
 GRID, MESH, AIR = 'drape', 'arch', 'flag'
 """shipped scenes: edges, shear, bending and contact of a grid; edges and hinges of a mesh; drag"""
+SHEET, SIDES = 'swing', (45, 64, 91, 128, 181)
+"""scene of the sheets, and their particles along each side"""
+GAIN = 1.15
+"""time with one thread over that with two from which on these pay"""
 FRAMES, ROUNDS = 20, 3
 """frames of each run, and runs"""
 SUBSTEPS = {'explicit': 80}
@@ -57,7 +66,35 @@ def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: i
     return CostTable({name: {key: round(float(value), 3) for key, value in entries.items()}
                       for name, entries in methods.items()}, SHIPPED.single,
                      {name: round(float(sum(found) / len(found)), 3)
-                      for name, found in effects.items()})
+                      for name, found in effects.items()},
+                     particles_per_thread(frames * rounds))
+
+
+def particles_per_thread(frames: int, sides: Iterable[int] = SIDES) -> float:
+    """Return the fewest particles with which each of two threads pays; SHIPPED's on one core."""
+    if free_cores() < 2:
+        return SHIPPED.particles_per_thread
+    for side in sides:
+        if gain_of_two_threads(side, frames) >= GAIN:
+            break
+    return 0.5 * side**2
+
+
+def gain_of_two_threads(side: int, frames: int) -> float:
+    """Return the median time of a frame with one thread over that with two, in turn."""
+    both = [compile_scene(load_scene(SHEET, {
+        'cloths.sheet.grid.resolution': [side, side], 'solver.method': 'line',
+        'solver.substeps': FEW, 'solver.threads': threads})) for threads in (1, 2)]
+    times: list[list[float]] = [[], []]
+    for simulation in both:
+        simulation.compile()
+    for _ in range(frames):
+        for simulation, took in zip(both, times):
+            begin = time.perf_counter()
+            simulation.step()
+            took.append(time.perf_counter() - begin)
+    one, two = map(median, times)
+    return one / two
 
 
 def _measured(name: str, method: str, frames: int, rounds: int) -> Cost:
