@@ -173,26 +173,32 @@ def test_it_does_not_creep_below_that(setting, substeps, density):
     assert np.abs(now - held).max() < 1e-4
 
 
-def layers(count, setting=('line', 'ndf2'), *, stiffness=1e7, substeps=8, indentation=OVERLAP):
-    """Return sheets on one another, between fingers about their middle, and F by K A δ [N]."""
+def sheets(heights, colliders, setting=('line', 'ndf2'), substeps=8):
+    """Return sheets at these heights."""
     method, integrator = setting
-    high = 0.5 * (count + 1) * R - indentation + 0.01
-    simulation = compile_scene(scene_from_mapping({
+    return compile_scene(scene_from_mapping({
         'gravity': [0.0, 0.0, 0.0],
         'solver': {'method': method, 'integrator': integrator, 'substeps': substeps},
         'cloths': {f'c{k}': {
             'grid': {'size': [0.08, 0.08], 'resolution': [9, 9]}, 'density': 0.25,
-            'friction': 0.5, 'pose': {'position': [-0.04, -0.04, (k - 0.5 * (count - 1)) * R]},
+            'friction': 0.5, 'pose': {'position': [-0.04, -0.04, height]},
             'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}, 'shear': {'stiffness': 10.0},
-                        'bend': {'stiffness': 5e-5}}} for k in range(count)},
-        'colliders': {name: {
-            'box': {'size': [0.05, 0.05, 0.02]}, 'friction': 0.5, 'pad': {'stiffness': stiffness},
-            'motion': [[0.0, 0.0, 0.0, side * (high + 0.003)], [0.1, 0.0, 0.0, side * high]]}
-            for name, side in (('above', 1), ('below', -1))},
+                        'bend': {'stiffness': 5e-5}}} for k, height in enumerate(heights)},
+        'colliders': colliders,
         'effects': {'contact': {'thickness': R}, 'self_collision': {'thickness': R},
                     'friction': {}, 'damping': {'rate': 0.5}},
     }, where='small.yaml', name='small'))
-    return simulation, 25 * 0.01**2 * stiffness * indentation
+
+
+def layers(count, setting=('line', 'ndf2'), *, stiffness=1e7, substeps=8, indentation=OVERLAP):
+    """Return sheets on one another, between fingers about their middle, and F by K A δ [N]."""
+    high = 0.5 * (count + 1) * R - indentation + 0.01
+    heights = [(k - 0.5 * (count - 1)) * R for k in range(count)]
+    return sheets(heights, {name: {
+        'box': {'size': [0.05, 0.05, 0.02]}, 'friction': 0.5, 'pad': {'stiffness': stiffness},
+        'motion': [[0.0, 0.0, 0.0, side * (high + 0.003)], [0.1, 0.0, 0.0, side * high]]}
+        for name, side in (('above', 1), ('below', -1))}, setting, substeps
+    ), 25 * 0.01**2 * stiffness * indentation
 
 
 @pytest.mark.parametrize('method, integrator', quick_only(SETTINGS, ('line', 'ndf2')))
@@ -207,6 +213,27 @@ def test_two_layers_are_squeezed_by_the_indentation(method, integrator, substeps
         apart = (frame.x[81:] - frame.x[:81])[:, 2].reshape(9, 9)[2:7, 2:7]
         np.testing.assert_allclose(apart, R, rtol=0.02)
         assert np.abs(frame.v).max() < 0.05
+
+
+@pytest.mark.parametrize('deep', [False, slow(True)])
+def test_layers_that_both_touch_both_fingers_transmit_the_force(deep):
+    """Colliders that push a layer apart from the other one, and towards it, count alike."""
+    simulation, force = layers(2, stiffness=1e6, indentation=(0.9 if deep else 0.7) * R)
+    frame = run(simulation, 60)
+    np.testing.assert_allclose(forces(simulation), force, rtol=0.01)
+    assert np.abs(frame.v).max() < 0.05
+
+
+def test_a_table_does_not_pull_overlapping_layers_that_touch_it():
+    """They part, and leave the table, at DEPENETRATION each; a finger presses on their end."""
+    simulation = sheets((0.9 * R, 0.95 * R), {
+        'table': {'box': {'size': [0.2, 0.2, 0.02]}, 'friction': 0.5,
+                  'position': [0.0, 0.0, -0.01]},
+        'finger': {'box': {'size': [0.03, 0.1, 0.02]}, 'friction': 0.5,
+                   'position': [-0.04, 0.0, 1.5 * R + 0.01], 'pad': {'stiffness': 1e6}}})
+    fastest = max(np.abs(simulation.step().v).max() for _ in range(30))
+    assert simulation.stats()['pad_force_finger_n'] > 1.0
+    assert fastest < 2.0 * DEPENETRATION
 
 
 @pytest.mark.slow

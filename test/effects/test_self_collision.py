@@ -10,11 +10,12 @@ from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRAVEL, TRIANGLES
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}
@@ -68,6 +69,52 @@ def listed(near, kind):
     return sorted(map(tuple, pairs.tolist()))
 
 
+def all_listed(near):
+    """Return the particles of the listed pairs by kind, sorted."""
+    return {kind: listed(near, kind) for kind in (
+        [POINTS] if near.surface is None else [TRIANGLES, EDGES])}
+
+
+def brute_force(near, x, moves):
+    """Return the same of the pairs closer than THICKNESS + ``moves``, which may touch."""
+    count = len(x)
+    if near.surface is None:
+        return {POINTS: [(i, j, count, count) for i, j in zip(*np.triu_indices(count, 1))
+                         if np.linalg.norm(x[i] - x[j]) < THICKNESS + moves[i] + moves[j]]}
+    faces, edges = near.surface.triangles.corners.T, np.array(
+        sorted(near.surface.edges.corners.T.tolist()))
+    most = THICKNESS + 2.0 * moves.max()
+    return {
+        TRIANGLES: sorted((v, *faces[f]) for v, f in zip(*boxes_within(
+            x[:, None], x[faces], most)) if v not in faces[f] and to_triangle(
+                x[v], *x[faces[f]]) < THICKNESS + moves[v] + moves[faces[f]].max()),
+        EDGES: [(*edges[e], *edges[f]) for e, f in zip(*boxes_within(x[edges], x[edges], most))
+                if e < f and not set(edges[e]) & set(edges[f])
+                and of_edges(*x[edges[e]], *x[edges[f]])
+                < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]}
+
+
+def boxes_within(one, other, reach):
+    """Return the indices of items whose bounding boxes are within a distance of each other."""
+    return np.nonzero(((one.min(1)[:, None] - reach <= other.max(1))
+                       & (one.max(1)[:, None] + reach >= other.min(1))).all(2))
+
+
+def all_packed(near, pairs):
+    """Return the same of the packed pairs; no two of a pack have a common particle."""
+    found = {kind: [] for kind in all_listed(near)}
+    for begin in range(0, pairs.end[0], PACK):
+        kind, pack = pairs.kind[begin // PACK], pairs.particles[:, begin:begin + PACK].T
+        pack = pack[pack[:, 0] < len(near.slot)]
+        own = pack[pack < len(near.slot)]
+        assert len(np.unique(own)) == len(own)
+        if kind == EDGES:
+            pack = [(*min(one, other), *max(one, other))
+                    for one, other in zip(pack[:, :2].tolist(), pack[:, 2:].tolist())]
+        found[kind] += map(tuple, pack)
+    return found
+
+
 def crumpled(mode):
     """Return two cloths that lie through one another anyhow, and where they are."""
     simulation = scene({'a': square(0.0), 'b': square(0.01, x=0.02)}, mode=mode, gravity=0.0,
@@ -97,18 +144,41 @@ def test_brute_force_finds_the_same_particles():
 def test_brute_force_finds_the_same_triangles_and_edges():
     simulation, x = crumpled('surface')
     near = stay(simulation)
-    margin, surface = near.margin, near.surface
-    expected = [(v, *corners) for corners in surface.triangles.corners.T for v in range(len(x))
-                if v not in corners and to_triangle(x[v], *x[corners])
-                < THICKNESS + margin[v] + margin[corners].max()]
-    assert listed(near, TRIANGLES) == sorted(expected)
-    edges = np.array(sorted(surface.edges.corners.T.tolist()))
-    expected = [(*edges[e], *edges[f]) for e in range(len(edges)) for f in range(e + 1, len(edges))
-                if not set(edges[e]) & set(edges[f])
-                and of_edges(*x[edges[e]], *x[edges[f]])
-                < THICKNESS + margin[edges[e]].max() + margin[edges[f]].max()]
-    assert listed(near, EDGES) == expected
+    assert all_listed(near) == brute_force(near, x, near.margin)
+    edges = near.surface.edges.corners.T
     assert len(edges) == len(np.unique(edges, axis=0)) == 2 * 85
+
+
+@pytest.mark.parametrize('mode', ['surface', slow('particles')])
+def test_pairs_sought_and_packed_again_are_those_of_brute_force(mode):
+    """Four particles move to and fro: only their pairs are sought, and packed, again."""
+    simulation = scene({'a': square(0.0), 'b': square(0.013, x=0.02)}, mode=mode, gravity=0.0,
+                       room=100, substeps=1, rate=1e4)
+    state, slot = simulation.state, simulation.slot
+    random = np.random.default_rng(3)
+    state.x[:, slot] += random.normal(0.0, 5e-4, (3, len(slot)))
+    near, pairs = stay(simulation), simulation.effects['self_collision'].data.pairs
+    before, searches, added = all_listed(near), np.zeros(2, int), 0
+    speed = np.array([[15.0], [-10.0], [15.0]]) + random.normal(0.0, 5.0, (3, 4))
+    for frame in range(12):
+        state.v[:] = 0.0
+        state.v[:, slot[[43, 44, 50, 64]]] = speed if frame < 9 else -speed
+        simulation.step()
+        searches += near.count[[0, 4]]
+        added += pairs.end[0] > pairs.end[1]
+        packed = all_packed(near, pairs)
+        for kinds in (packed, all_listed(near)):
+            for found in kinds.values():
+                assert len(set(found)) == len(found)
+        if frame % 3 == 2:
+            assert all_listed(near) == brute_force(near, near.seen, near.margin)
+            touching = brute_force(near, near.x[:-1, :3], near.x[:-1, TRAVEL])
+            for kind, found in touching.items():
+                assert set(found) <= set(packed[kind])
+    assert sum(map(len, touching.values())) > 10 or mode == 'particles'
+    assert searches[0] >= 2 and searches[1] == 0
+    assert all_listed(near) != before
+    assert added > 0
 
 
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])

@@ -7,7 +7,7 @@ With ``mode: surface`` these are the closest points of a particle and a triangle
 without a common particle; with ``particles`` they are the particles themselves. n points from one
 to the other and is fixed through the substep (``self_collision.narrow_phase``); r is the
 thickness, but at most half of the pair's distance at rest, so that the rest shape has no contacts.
-``self_collision.neighbour_list`` finds the pairs once per frame, and again after large motions.
+``self_collision.neighbour_list`` finds the pairs, and those of some particles again after motions.
 ``self_collision.pair_contacts`` projects them as unilateral constraints with friction; an overlap
 from before the substep separates at no more than DEPENETRATION, which leaves no velocity.
 
@@ -65,7 +65,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     track_motion,
     TRAVEL,
 )
-from xpbd_ros.sim.self_collision.packing import are_packs_complete, fill_packs, INCOMPLETE
+from xpbd_ros.sim.self_collision.packing import complete_packs, INCOMPLETE
 from xpbd_ros.sim.self_collision.pair_contacts import (
     new_pair_contacts,
     new_pair_friction,
@@ -183,14 +183,12 @@ def find_pairs(effect, state, substep, both):
     most, leaves = track_motion(near, state.x, slack)
     if leaves:
         seek(near, thickness, SUBSTEPS)
-        pairs.count[2] = 0
     load_starts(near)
     load_moves(near, state)
     if not both:
         list_planes(near, effect.planes, thickness)
         return most
-    if not are_packs_complete(pairs, near):
-        fill_packs(near, pairs, thickness, slack)
+    complete_packs(near, pairs, thickness, slack)
     find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
     if pairs.count[2] == INCOMPLETE:
         list_planes(near, effect.planes, thickness)
@@ -274,6 +272,7 @@ def settle(effect, state, substep):
     remove_depenetration_velocity(pairs, near, state, substep)
     for a in range(3):
         near.drift[a] += near.step[a]
+        near.origin[a] += near.step[a]
         pairs.drift[a] += near.step[a]
 
 
@@ -283,7 +282,7 @@ def rest_on_cloth(effect, state, substep):
     """Particles in contact keep their velocity: pushes are impulses in every substep."""
     near, pairs = effect.near, effect.pairs
     if pairs.count[0] == SOUGHT:
-        for k in range(pairs.end[2]):
+        for k in range(pairs.end[0]):
             if pairs.push[k] > 0.0:
                 for p in range(4):
                     i = pairs.particles[p, k]
@@ -335,6 +334,7 @@ class BuiltSelfCollision(Built):
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT
+        self.data.pairs.count[2] = 0
         self.data.near.margin[:] = 0.0
 
     def reset(self, state, now_ns):
@@ -343,7 +343,7 @@ class BuiltSelfCollision(Built):
     def stats(self):
         pairs, near = self.data.pairs, self.data.near
         sought = pairs.count[0] == SOUGHT
-        return {'self_contacts': int((pairs.push[:pairs.end[2]] > 0.0).sum()) if sought else 0,
+        return {'self_contacts': int((pairs.push[:pairs.end[0]] > 0.0).sum()) if sought else 0,
                 'self_pairs': int((near.kind_end - near.kind_begin).sum()),
                 'self_searches': int(near.count[0]),
                 'self_without_room': int(near.count[1] + pairs.count[1]),

@@ -3,17 +3,20 @@ Backing: colliders behind two layers of cloth, so that these press on one anothe
 
 Pair contacts and contacts alternate, and one turn transmits only about 1 / κ of the force between
 pads (κ: ``contact.pads``). So where pads press, the inequalities are projected TURNS times more,
-and then pairs with colliders behind both sides are solved together with these. With the sum over
-the colliders that touch a particle, along the normal n of the stiffest of them,
+and then pairs with colliders behind both sides are solved together with these. With sums over the
+colliders that touch a particle, along the normal n of the stiffest of them: those that a push
+along b n_p is towards, b n_p·n_k < 0, and those that it is away from,
 
-    κ = Σ κ_k (n·n_k)²,   s = κ / (1 + κ),   M = w (I - s n nᵀ)
+    κ_t = Σ_t κ_k (n·n_k)²,   κ_a = Σ_a κ_k (n·n_k)²,   κ = κ_t + min(κ_a, κ_t)
+    s = κ / (1 + κ),   M = w (I - s n nᵀ)
 
 replaces the inverse mass w, so that a pair of C (``pair_contacts``) with the normal n_p gets
 
     Δd = max(-C W / W_b, -d),   W = Σ w b²,   W_b = Σ b² n_pᵀ M n_p,   x += M b n_p Δd / W
 
 That is the Schur complement of the contacts: s w b (n·n_p) Δd / W, which x lacks along n, is the
-change of their push.
+change of their push. Colliders that a push is away from yield as much as they pressed, and do not
+pull: without others κ is 0, or overlapping layers on one rigid collider would be thrown off it.
 
 Limits: κ counts as at most STIFFEST, that of rigid colliders too. Colliders whose normals are not
 parallel take part with what acts along that of the stiffest. The inner ones of three and more
@@ -26,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import both, fma, larger, select, smaller
+from xpbd_ros.sim.backend.simd import absolute, both, either, fma, lowest_bit, select
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
@@ -35,8 +38,8 @@ STIFFEST = 1e3
 """largest κ: in single precision, more would leave no digits of 1 - s"""
 TURNS = 2
 """further turns of pair contacts and contacts in an iteration"""
-ROOT = 3
-"""last column of the records: √s"""
+OPPOSITE = 3
+"""last column of the records: √s for pushes along n, relative to that for pushes against n"""
 
 
 class Backing(NamedTuple):
@@ -46,10 +49,14 @@ class Backing(NamedTuple):
     """contacts with colliders, with pads"""
     axis: np.ndarray
     """
-    records √s n, √s, shape (particles + 1, 4): zero for particles without colliders behind them
+    records √s n for pushes against n, and OPPOSITE, shape (particles + 1, 4): zero for particles
+    without colliders behind them
     """
     held: np.ndarray
-    """Σ w b √s n·v over impulses v: displacement that colliders prevented, shape (particles,)"""
+    """
+    Σ √s w b n·v over impulses v, for displacements that colliders prevented: by pairs that push
+    against n, and along n; shape (particles, 2)
+    """
     behind: np.ndarray
     """True for particles with colliders behind them, shape (particles + 1,)"""
     turn: np.ndarray
@@ -60,7 +67,7 @@ def new_backing(contacts: Contacts, particles: int) -> Backing | None:
     """Return storage for a number of particles; None in a scene without pads."""
     if contacts.pads is None:
         return None
-    return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros(particles),
+    return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros((particles, 2)),
                    np.zeros(particles + 1, np.bool_), np.zeros(1, np.int64))
 
 
@@ -82,11 +89,12 @@ def last_candidate(contacts, j):
 @jit
 def stiffest(contacts, last):
     """
-    Return the stiffest collider that touches a particle, and κ along its normal.
+    Return the stiffest collider that touches a particle, and κ_k along its normal n, summed.
 
-    ``last`` is the particle's last candidate, or -1. Without such a collider: -1, 0.
+    ``last`` is the particle's last candidate, or -1. The sums are those with n·n_k > 0, and the
+    others. Without such a collider: -1, 0, 0.
     """
-    best, most, total, k = -1, 0.0, 0.0, last
+    best, most, front, back, k = -1, 0.0, 0.0, 0.0, last
     while k >= 0:
         ratio = stiffness_ratio(contacts, k)
         if ratio > most:
@@ -94,9 +102,13 @@ def stiffest(contacts, last):
         k = contacts.earlier[k]
     k = last
     while k >= 0 and best >= 0:
-        total += stiffness_ratio(contacts, k) * along(contacts, k, best)**2
+        part = along(contacts, k, best)
+        if part > 0.0:
+            front += stiffness_ratio(contacts, k) * part**2
+        else:
+            back += stiffness_ratio(contacts, k) * part**2
         k = contacts.earlier[k]
-    return best, total
+    return best, front, back
 
 
 @jit(inline=True)
@@ -112,35 +124,54 @@ def load_backing(backing, slot):
     if backing is not None:
         axis, contacts = backing.axis, backing.contacts
         for i in range(len(slot)):
-            best, ratio, last = -1, 0.0, last_candidate(contacts, slot[i])
+            best, front, back, last = -1, 0.0, 0.0, last_candidate(contacts, slot[i])
             if last >= 0:
-                best, ratio = stiffest(contacts, last)
-            backing.held[i] = 0.0
-            backing.behind[i] = ratio > 0.0
-            axis[i, ROOT] = root = sqrt(ratio / (1.0 + ratio))
+                best, front, back = stiffest(contacts, last)
+            backing.held[i, 0] = backing.held[i, 1] = 0.0
+            backing.behind[i] = best >= 0
+            root = root_of(front, back)
+            axis[i, OPPOSITE] = root_of(back, front) / root if best >= 0 else 0.0
             for a in range(3):
                 axis[i, a] = root * contacts.normal[best, a] if best >= 0 else 0.0
+
+
+@jit(inline=True)
+def root_of(towards, away):
+    """Return √s, where the sums κ_t and κ_a of a push are these."""
+    ratio = towards + min(away, towards)
+    return sqrt(ratio / (1.0 + ratio))
 
 
 @jit
 def store_backing(backing, near, state):
     """Add Δd, the displacement that the contacts prevented, to their pushes."""
     if backing is not None:
-        contacts, pads = backing.contacts, backing.contacts.pads
+        contacts, held = backing.contacts, backing.held
         for i in range(len(near.slot)):
-            if backing.held[i] == 0.0:
-                continue
-            last = k = last_candidate(contacts, near.slot[i])
-            best, ratio = stiffest(contacts, last)
-            change = -backing.axis[i, ROOT] * backing.held[i] / ratio
-            while k >= 0:
-                part = change * stiffness_ratio(contacts, k) * along(contacts, k, best)
-                contacts.push[k] += part
-                if pads.soft[k]:
-                    pads.given[k] += part
-                    for a in range(3):
-                        pads.shift[last, a] += part * contacts.normal[k, a]
-                k = contacts.earlier[k]
+            if held[i, 0] != 0.0 or held[i, 1] != 0.0:
+                last = last_candidate(contacts, near.slot[i])
+                best, front, back = stiffest(contacts, last)
+                add_pushes(contacts, last, best, held[i, 0], front, back, 1.0)
+                add_pushes(contacts, last, best, held[i, 1], back, front, -1.0)
+
+
+@jit(inline=True)
+def add_pushes(contacts, last, best, held, towards, away, side):
+    """Add to the pushes of a particle's colliders; ``side`` is 1 for pairs that push against n."""
+    if held != 0.0:
+        pads, k = contacts.pads, last
+        change = -held * root_of(towards, away) / (towards + min(away, towards))
+        while k >= 0:
+            share = along(contacts, k, best)
+            part = change * stiffness_ratio(contacts, k) * share
+            if share * side <= 0.0 and away > towards:
+                part *= towards / away
+            contacts.push[k] += part
+            if pads.soft[k]:
+                pads.given[k] += part
+                for a in range(3):
+                    pads.shift[last, a] += part * contacts.normal[k, a]
+            k = contacts.earlier[k]
 
 
 @jit(inline=True)
@@ -154,34 +185,46 @@ def by_backing(backing, push, axes, n, b, moves, total):
         return push
     else:    # Numba prunes the branch that is not taken
         (p, q, r, s), (i, j, k, l) = axes, moves
-        backed = fma(yielding(n, p), i[INV_MASS] * (b[0] * b[0]), fma(
-            yielding(n, q), j[INV_MASS] * (b[1] * b[1]), fma(
-                yielding(n, r), k[INV_MASS] * (b[2] * b[2]),
-                yielding(n, s) * (l[INV_MASS] * (b[3] * b[3])))))
+        backed = fma(yielding(n, b[0], p), i[INV_MASS] * (b[0] * b[0]), fma(
+            yielding(n, b[1], q), j[INV_MASS] * (b[1] * b[1]), fma(
+                yielding(n, b[2], r), k[INV_MASS] * (b[2] * b[2]),
+                yielding(n, b[3], s) * (l[INV_MASS] * (b[3] * b[3])))))
         return push * (total / select(backed > 0.0, backed, 1.0))
 
 
 @jit(inline=True)
-def yielding(n, axis):
+def yielding(n, b, axis):
     """Return nᵀ M n / w = 1 - s (n·n_k)²."""
-    held = dot(n, axis)
+    held = held_part(n, b, axis)
     return fma(-held, held, 1.0)
 
 
 @jit(inline=True)
-def prevented(backing, i, share, x, y, z):
-    """Return the part of share · (x, y, z), a displacement, that colliders prevent."""
+def held_part(n, b, axis):
+    """Return √s n·n_k for a push along b n."""
+    held = dot(n, axis)
+    return select(b * held < 0.0, held, axis[OPPOSITE] * held)
+
+
+@jit(inline=True)
+def prevented(backing, n, k, i, share, x, y, z):
+    """Return the part of share · (x, y, z), of pair k on particle i, that colliders prevent."""
     if backing is None:
         return 0.0, 0.0, 0.0
     else:    # Numba prunes the branch that is not taken
-        axis = backing.axis
+        axis, side = backing.axis, 0
         held = share * (axis[i, 0] * x + axis[i, 1] * y + axis[i, 2] * z)
-        backing.held[i] += held
+        if share * (axis[i, 0] * n[0, k] + axis[i, 1] * n[1, k] + axis[i, 2] * n[2, k]) >= 0.0:
+            side = 1
+            held *= axis[i, OPPOSITE]
+        backing.held[i, side] += held
+        if side == 1:
+            held *= axis[i, OPPOSITE]
         return held * axis[i, 0], held * axis[i, 1], held * axis[i, 2]
 
 
 @jit(inline=True)
-def take_part(backing, axes, b, movable):
+def take_part(backing, axes, n, b, movable):
     """
     Return the mask of the pairs that take part in this turn, ``movable`` in the first.
 
@@ -191,31 +234,47 @@ def take_part(backing, axes, b, movable):
         return movable
     else:    # Numba prunes the branch that is not taken
         if is_further_turn(backing):
-            return both(movable, is_clamped(axes, b))
+            return both(movable, is_clamped(axes, n, b))
         return movable
 
 
 @jit(inline=True)
-def may_take_part(backing, particles, q, count):
-    """Return False if none of ``count`` pairs from q on has colliders that this turn needs."""
+def may_take_part(backing, particles, weight, q, found):
+    """Return False if none of the pairs q + k of all bits k takes part in this turn."""
     if backing is None:
         return True
     else:    # Numba prunes the branch that is not taken
-        found = not is_further_turn(backing)
-        for p in range(4):
-            for k in range(q, q + count):
-                found |= backing.behind[particles[p, k]]
-        return found
+        if not is_further_turn(backing):
+            return True
+        behind = backing.behind
+        while found:
+            k = q + lowest_bit(found)
+            found &= found - 1
+            first = other = False
+            for p in range(4):
+                if behind[particles[p, k]]:
+                    first |= weight[p, k] > 0.0
+                    other |= weight[p, k] < 0.0
+            if first and other:
+                return True
+        return False
 
 
 @jit(inline=True)
-def is_clamped(axes, b):
-    """Return the mask of the pairs that have colliders behind both sides."""
+def is_clamped(axes, n, b):
+    """Return the mask of the pairs with colliders that hold both sides."""
     p, q, r, s = axes
-    first = larger(larger(b[0] * p[ROOT], b[1] * q[ROOT]), larger(b[2] * r[ROOT], b[3] * s[ROOT]))
-    other = smaller(smaller(b[0] * p[ROOT], b[1] * q[ROOT]),
-                    smaller(b[2] * r[ROOT], b[3] * s[ROOT]))
-    return both(first > 0.0, other < 0.0)
+    p, q = is_held(n, b[0], p), is_held(n, b[1], q)
+    r, s = is_held(n, b[2], r), is_held(n, b[3], s)
+    return both(either(either(p[0], q[0]), either(r[0], s[0])),
+                either(either(p[1], q[1]), either(r[1], s[1])))
+
+
+@jit(inline=True)
+def is_held(n, b, axis):
+    """Return the masks of particles held by colliders: where b > 0, and where b < 0."""
+    held = absolute(held_part(n, b, axis)) > 0.0
+    return both(held, b > 0.0), both(held, b < 0.0)
 
 
 @jit(inline=True)

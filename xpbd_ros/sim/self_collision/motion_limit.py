@@ -13,7 +13,8 @@ Pairs that pins and colliders still force through each other are counted.
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.contacts import count_penetrating, surface_motion
+from xpbd_ros.sim.contact.collider_motion import surface_motion
+from xpbd_ros.sim.contact.contacts import count_penetrating
 from xpbd_ros.sim.contact.corners import is_penetrating
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.neighbour_list import gone, TRAVEL

@@ -23,6 +23,7 @@ from xpbd_ros.sim.backend.simd import (
     smaller,
     store,
 )
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.neighbour_list import (
     at,
@@ -60,13 +61,10 @@ def find_contacts(near, planes, pairs, x, apart):
     apart : largest depenetration in the substep [m]
 
     """
-    begin = 0
     if planes is not None:
         planes.count[0] = 0
-    for kind in range(3):
-        for q in range(begin, pairs.end[kind], lanes(near.start)):
-            find_some(near, planes, pairs, x, kind, q, apart)
-        begin = pairs.end[kind]
+    for q in range(0, pairs.end[0], lanes(near.start)):
+        find_some(near, planes, pairs, x, pairs.kind[q // PACK], q, apart)
 
 
 @jit(inline=True)
@@ -81,10 +79,13 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     store(pairs.gap, q, zero + NEVER)
     store(pairs.overlap, q, zero)
     zero_slip(pairs.friction, q, zero)
+    keep = load(pairs.keep, q)
+    close = distance <= reach + keep
+    if not any_lane(close):
+        return
     moves = load_corners(near.move, pairs.particles, q)
     a, b, c, d = (plus(a, moves[0]), plus(b, moves[1]), plus(c, moves[2]), plus(d, moves[3]))
-    keep = load(pairs.keep, q)
-    close = both(distance <= reach + keep, mobility_of(weight, a, b, c, d) > 0.0)
+    close = both(close, mobility_of(weight, a, b, c, d) > 0.0)
     if not any_lane(close):
         return
     there = distance > 0.0

@@ -1,10 +1,11 @@
 """
 Neighbour list (Verlet list): pairs of particles, or of triangles and edges, that may come close.
 
-A pair is listed if it is closer than thickness + margins at the positions y of the build, with the
-largest margin of each side. Later, with the common displacement U and s_i = |x_i - y_i - U|, its
-distance has decreased by at most the sum of the largest s of both sides; so while no s exceeds the
-particle's margin, pairs that are not listed are further apart than the thickness.
+A pair is listed if it is closer than thickness + margins at the positions y, with the largest
+margin of each side. Later, with the common displacement U and s_i = |x_i - y_i - U|, its distance
+has decreased by at most the sum of the largest s of both sides; so while no s exceeds the
+particle's margin, pairs that are not listed are further apart than the thickness. Particles that
+leave their margins get new y and margins, and only their pairs are sought.
 ``self_collision.pair_search`` lists pairs in an order that only the rest shape and the positions
 determine, so that memory layout does not affect the bits.
 """
@@ -72,32 +73,40 @@ class NeighbourList(NamedTuple):
     loaded: np.ndarray
     """``precise_move`` before pair contacts changed it"""
     origin: np.ndarray
-    """[m], shape (3,)"""
+    """moves along with the common displacement [m], shape (3,)"""
     unit: float
     """mean mass of a particle [kg]"""
     seen: np.ndarray
-    """y: positions at the build [m], shape (particles, 3)"""
+    """y: positions when a particle's pairs were sought, less U then [m], shape (particles, 3)"""
     drift: np.ndarray
-    """U: common displacement since the build [m], shape (3,)"""
+    """U: common displacement since all pairs were sought [m], shape (3,)"""
     step: np.ndarray
     """common displacement in this substep: mean of the pinned particles, or of all without pinned
     ones [m], shape (3,)"""
     margin: np.ndarray
     """motion of each particle for which the list is complete [m], shape (particles,)"""
     count: np.ndarray
-    """in this frame: builds; pairs beyond the capacity; particles held back; particles and pairs
-    that penetrate nevertheless; shape (4,)"""
+    """
+    in this frame: searches; pairs beyond the capacity; particles held back; particles and pairs
+    that penetrate nevertheless; searches for all particles; shape (5,)
+    """
+    complete: np.ndarray
+    """False if the last search for all pairs found no room for some, shape (1,)"""
     kind_begin: np.ndarray
     """begin of the pairs of each kind in the list, a multiple of PACK, shape (3,)"""
     kind_end: np.ndarray
     """end of the pairs of each kind, shape (3,)"""
+    kind_room: np.ndarray
+    """end of the capacity for each kind, a multiple of PACK, shape (3,)"""
     corners: np.ndarray
     """
     particles of each pair, one side first, unused ones the dummy, shape (4, capacity
-    + CANDIDATES): candidates of the search are behind the end
+    + CANDIDATES): candidates of the search are behind the capacity
     """
     keep: np.ndarray
     """distance to be kept [m], or UNKNOWN; shape (capacity + CANDIDATES,)"""
+    renewed: np.ndarray
+    """True for particles whose pairs the last search has sought, shape (particles + 1,)"""
     points: BoxTree
     """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
@@ -142,9 +151,10 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
-        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(4, np.int64),
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room + CANDIDATES), np.int32),
-        np.zeros(room + CANDIDATES, np.float32), tree(points[:, None]), trees, kin)
+        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(5, np.int64),
+        np.zeros(1, np.bool_), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
+        np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
+        np.zeros(count + 1, np.bool_), tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
@@ -166,6 +176,13 @@ def are_welded(kin, a, b):
         return a == b
     else:    # Numba prunes the branch that is not taken
         return kin[a] == kin[b]
+
+
+@jit(inline=True)
+def has_marked(marks, corners, k):
+    """Return True if pair k has a particle that is marked; unsigned, an index is not negative."""
+    return (marks[np.uint32(corners[0, k])] | marks[np.uint32(corners[1, k])]
+            | marks[np.uint32(corners[2, k])] | marks[np.uint32(corners[3, k])])
 
 
 @jit(inline=True)

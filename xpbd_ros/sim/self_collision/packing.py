@@ -6,8 +6,10 @@ none of their particles. The list is read at STREAMS places in turn, since neigh
 share particles; pairs of particles in its order, with which an overlap comes apart more gently.
 
 A pair is packed if it is closer than it has to keep plus what both sides are allowed to move. The
-packs are complete while each particle's motion since they were filled, plus its travel, is less
-than it is allowed to.
+packs are complete while each particle's motion since its pairs were packed, plus its travel, is
+less than it is allowed to. Where few particles exceed it, only the pairs of these are packed
+again, in further packs. A search leaves the packs complete: particles are allowed to move only
+where the list is complete (``stay_within_margin``), so pairs that are listed later are apart.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -29,10 +31,14 @@ from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     gone_since,
+    has_marked,
+    length,
+    load_starts,
     POINTS,
     TRAVEL,
+    UP,
 )
-from xpbd_ros.sim.self_collision.pair_contacts import load_corners, OPEN
+from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER, OPEN
 
 CLOTH = 3
 """last column of the records at rest"""
@@ -40,24 +46,74 @@ REST_SHARE = 0.5
 """largest distance to be kept, relative to a pair's distance at rest"""
 STREAMS = 8
 """places of the neighbour list that are read in turn"""
-AHEAD = 4.0
+AHEAD = 3.0
 """motion that is allowed, relative to the travel in one substep"""
+FEW = 0.25
+"""largest part of the particles whose pairs alone are packed again"""
+SOON = 0.7
+"""part of what is allowed beyond the travel, from which on a particle's pairs are packed again"""
+MORE = 1.25
+"""largest growth of the packs, relative to all when they were filled, before all are again"""
 COMPLETE, INCOMPLETE = 1, 2
 """state of the packs; 0: to be filled"""
-AT_REST = 0.0625
+AT_REST = 0.125
 """motion that is allowed beyond the travel at rest, relative to the thickness"""
 
 
 @jit
-def are_packs_complete(pairs, near):
-    """Return True if no particle may leave the range for which the packs were filled."""
-    if pairs.count[2] != COMPLETE:
-        return False
+def complete_packs(near, pairs, thickness, slack):
+    """Pack what particles in their present motion may touch; ``slack`` is the least travel [m]."""
+    spare, count, leaves = AT_REST * thickness - (AHEAD - 1.0) * slack, 0, False
+    if pairs.count[2] == COMPLETE:
+        for i in range(len(near.slot)):
+            stay_within_margin(near, pairs, i)
+            left = pairs.allowed[i] - near.x[i, TRAVEL]
+            moved = gone_since(near.x, pairs.seen, pairs.drift, i)
+            leaves |= moved > left
+            pairs.renewed[i] = moved > SOON * left
+            count += pairs.renewed[i]
+    if pairs.count[2] != COMPLETE or leaves and (
+            count > FEW * len(near.slot) or pairs.end[0] > MORE * pairs.end[1]
+            or not pack_some(near, pairs, thickness, spare)):
+        fill_packs(near, pairs, thickness, slack)
+
+
+@jit
+def pack_some(near, pairs, thickness, spare):
+    """Pack the pairs of renewed particles again; return False if there is no room."""
+    start, origin, dummy = near.start, near.origin, len(near.slot)
     for i in range(len(near.slot)):
-        if (gone_since(near.x, pairs.seen, pairs.drift, i) + near.x[i, TRAVEL]
-                > pairs.allowed[i]):
-            return False
-    return True
+        if pairs.renewed[i]:
+            allow(near, pairs, i, AHEAD, spare)
+        for a in range(3):
+            start[i, a] = pairs.seen[i, a] + pairs.drift[a] - origin[a]
+        start[i, TRAVEL] = UP * pairs.allowed[i]
+    for k in range(pairs.end[0]):
+        if has_marked(pairs.renewed, pairs.particles, k):
+            clear_place(pairs, k, dummy)
+    lost = 0
+    for kind in range(3):
+        lost += fill_kind(near, pairs, kind, thickness, True)
+    load_starts(near)
+    return lost == 0
+
+
+@jit(inline=True)
+def allow(near, pairs, i, ahead, spare):
+    """Allow a particle to move by ``ahead`` travel + spare from its present position."""
+    pairs.allowed[i] = ahead * near.x[i, TRAVEL] + spare
+    for a in range(3):
+        pairs.seen[i, a] = near.x[i, a] - pairs.drift[a]
+    stay_within_margin(near, pairs, i)
+
+
+@jit(inline=True)
+def stay_within_margin(near, pairs, i):
+    """Bound the motion that is allowed to that for which the list is complete."""
+    y, z, u, w = near.seen, pairs.seen, near.drift, pairs.drift
+    apart = length((y[i, 0] + u[0] - z[i, 0] - w[0], y[i, 1] + u[1] - z[i, 1] - w[1],
+                    y[i, 2] + u[2] - z[i, 2] - w[2]))
+    pairs.allowed[i] = min(pairs.allowed[i], near.margin[i] - apart)
 
 
 @jit
@@ -77,22 +133,21 @@ def fill_packs(near, pairs, thickness, slack):
 @jit
 def fill_for(near, pairs, thickness, ahead, spare):
     """Fill the packs for a motion of ``ahead`` travel + spare; return the number of pairs lost."""
-    for i in range(len(near.slot)):
-        pairs.allowed[i] = ahead * near.x[i, TRAVEL] + spare
-        for a in range(3):
-            pairs.seen[i, a] = near.x[i, a]
     pairs.drift[:] = 0.0
-    end, all_lost = 0, 0
+    for i in range(len(near.slot)):
+        allow(near, pairs, i, ahead, spare)
+        near.start[i, TRAVEL] = UP * pairs.allowed[i]
+    pairs.end[0] = lost = 0
     for kind in range(3):
-        end, lost = fill_kind(near, pairs, kind, thickness, ahead, spare, end)
-        pairs.end[kind] = end
-        all_lost += lost
-    return all_lost
+        lost += fill_kind(near, pairs, kind, thickness, False)
+    pairs.end[1] = pairs.end[0]
+    load_starts(near)
+    return lost
 
 
 @jit
-def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
-    """Pack the pairs of one kind from ``end`` on; return their end, and the number lost."""
+def fill_kind(near, pairs, kind, thickness, some):
+    """Pack the pairs of one kind, if ``some`` those of renewed particles; return how many lack."""
     first, last = near.kind_begin[kind], near.kind_end[kind]
     places, fill = pairs.open[0], pairs.open[1]
     places[:] = -1
@@ -104,8 +159,12 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
         begin = first + ((chunk % streams) * rows + chunk // streams) * PACK
         if begin >= last:
             continue
-        close = close_pairs(near, kind, begin, thickness, ahead, spare)
-        close &= (1 << min(PACK, last - begin)) - 1
+        close = (1 << min(PACK, last - begin)) - 1
+        if some:
+            close &= renewed_pairs(near, pairs, begin)
+            if close == 0:
+                continue
+        close &= close_pairs(near, kind, begin, thickness)
         while close:
             k = begin + lowest_bit(close)
             close &= close - 1
@@ -115,31 +174,37 @@ def fill_kind(near, pairs, kind, thickness, ahead, spare, end):
                 turn = (turn + 1) % OPEN
                 close_pack(near, pairs, o)
             if places[o] < 0:
-                if end + PACK > len(pairs.gap):
+                if pairs.end[0] + PACK > len(pairs.gap):
                     lost += 1
                     continue
-                places[o] = end
-                end += PACK
+                places[o] = pairs.end[0]
+                pairs.kind[pairs.end[0] // PACK] = kind
+                pairs.end[0] += PACK
             append(near, pairs, kind, k, o)
             if fill[o] == PACK:
                 close_pack(near, pairs, o)
     for o in range(OPEN):
         close_pack(near, pairs, o)
-    return end, lost
+    return lost
 
 
 @jit(inline=True)
-def close_pairs(near, kind, begin, thickness, ahead, spare):
-    """
-    Return bits of the PACK pairs from ``begin`` on closer than they have to keep + their motion.
+def renewed_pairs(near, pairs, begin):
+    """Return bits of the PACK listed pairs from ``begin`` on that have a renewed particle."""
+    found = 0
+    for k in range(PACK):
+        found |= int(has_marked(pairs.renewed, near.corners, begin + k)) << k
+    return found
 
-    The motion is ``ahead`` travel + spare on each side.
-    """
+
+@jit(inline=True)
+def close_pairs(near, kind, begin, thickness):
+    """Return bits of the PACK pairs from ``begin`` on closer than they have to keep + may move."""
     found = 0
     for q in range(begin, begin + PACK, lanes(near.start)):
         a, b, c, d = load_corners(near.start, near.corners, q)
         v = closest(kind, a, b, c, d)[0]
-        motion = 2.0 * spare + ahead * travel_of(kind, a, b, c, d)
+        motion = travel_of(kind, a, b, c, d)
         reach = thickness + motion
         close = bits(dot(v, v) < reach * reach)
         if close:
@@ -223,6 +288,14 @@ def set_friction(friction, place, one, other):
 
 
 @jit(inline=True)
+def clear_place(pairs, k, dummy):
+    """Leave place k of the packs empty."""
+    pairs.keep[k] = NEVER
+    for p in range(4):
+        pairs.particles[p, k] = dummy
+
+
+@jit(inline=True)
 def close_pack(near, pairs, o):
     """Fill up the open pack o with pairs of the dummy particle."""
     place, dummy = pairs.open[0, o], len(near.slot)
@@ -231,8 +304,6 @@ def close_pack(near, pairs, o):
             for p in range(4):
                 pairs.busy[pairs.particles[p, k]] &= ~(1 << o)
         for k in range(place + pairs.open[1, o], place + PACK):
-            pairs.keep[k] = 0.0
-            for p in range(4):
-                pairs.particles[p, k] = dummy
+            clear_place(pairs, k, dummy)
         pairs.open[0, o] = -1
         pairs.open[1, o] = 0

@@ -20,7 +20,6 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     absolute,
-    any_lane,
     bits,
     both,
     either,
@@ -68,7 +67,9 @@ class PairContacts(NamedTuple):
     """Pairs that may touch, in packs; those with push > 0 are in contact."""
 
     end: np.ndarray
-    """end of the pairs of each kind, a multiple of PACK; shape (3,)"""
+    """end of the pairs, a multiple of PACK; and when all packs were filled; shape (2,)"""
+    kind: np.ndarray
+    """kind of the pairs of each pack, shape (capacity / PACK,)"""
     count: np.ndarray
     """
     1 if they are those of this substep; pairs beyond the capacity in this frame; state of the
@@ -77,7 +78,7 @@ class PairContacts(NamedTuple):
     particles: np.ndarray
     """particles in natural order, one side first, unused ones a dummy, shape (4, capacity)"""
     keep: np.ndarray
-    """distance to be kept by surfaces [m], shape (capacity,)"""
+    """distance to be kept by surfaces [m], or NEVER in empty places; shape (capacity,)"""
     weight: np.ndarray
     """b, shape (4, capacity)"""
     normal: np.ndarray
@@ -89,11 +90,16 @@ class PairContacts(NamedTuple):
     push: np.ndarray
     """d, accumulated in this substep [m], shape (capacity,)"""
     seen: np.ndarray
-    """positions when the packs were filled [m], shape (particles, 3)"""
+    """
+    positions when the pairs of a particle were packed, less ``drift`` then [m], shape
+    (particles, 3)
+    """
     drift: np.ndarray
-    """common displacement since then [m], shape (3,)"""
+    """common displacement since all packs were filled [m], shape (3,)"""
     allowed: np.ndarray
     """largest motion for which the packs are complete [m], shape (particles,)"""
+    renewed: np.ndarray
+    """True for particles whose pairs have to be packed again, shape (particles + 1,)"""
     busy: np.ndarray
     """scratch: bits of the open packs that a particle is in, shape (particles + 1,)"""
     open: np.ndarray
@@ -117,9 +123,11 @@ def new_pair_contacts(room: int, particles: int) -> PairContacts:
     def rows(*shape):
         return np.zeros((*shape, room), np.float32)
     return PairContacts(
-        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros((4, room), np.int32), rows(),
+        np.zeros(2, np.int64), np.zeros(room // PACK, np.int64), np.zeros(3, np.int64),
+        np.zeros((4, room), np.int32), rows(),
         rows(4), rows(3), rows(), rows(), rows(), np.zeros((particles, 3)), np.zeros(3),
-        np.zeros(particles), np.zeros(particles + 1, np.int64), np.zeros((2, OPEN), np.int64),
+        np.zeros(particles), np.zeros(particles + 1, np.bool_),
+        np.zeros(particles + 1, np.int64), np.zeros((2, OPEN), np.int64),
         np.zeros((3, PACK), np.float32), None, None)
 
 
@@ -196,7 +204,8 @@ def displace(near, pairs, q, active):
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
-            held = prevented(backing, i, share, v[0, lane], v[1, lane], v[2, lane])
+            held = prevented(backing, pairs.normal, k, i, share, v[0, lane], v[1, lane],
+                             v[2, lane])
             for a in range(3):
                 move[i, a] += share * v[a, lane] - held[a]
                 near.move[i, a] = move[i, a]
@@ -214,9 +223,9 @@ def store_weights(pairs, q, b):
 @jit
 def project_pairs(near, pairs):
     """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
-    for q in range(0, pairs.end[2], lanes(near.move)):
-        if any_lane(load(pairs.gap, q) > NEVER) and may_take_part(
-                pairs.backing, pairs.particles, q, lanes(near.move)):
+    for q in range(0, pairs.end[0], lanes(near.move)):
+        found = bits(load(pairs.gap, q) > NEVER)
+        if found and may_take_part(pairs.backing, pairs.particles, pairs.weight, q, found):
             axes, weight = load_axes(pairs.backing, pairs.particles, q), load_weights(pairs, q)
             project_some(near, pairs, q, load_corners(near.start, pairs.particles, q),
                          load_corners(near.move, pairs.particles, q), axes,
@@ -245,7 +254,7 @@ def project_some(near, pairs, q, starts, moves, axes, n, weight, gap):
     along, before = dot(n, way), load(pairs.push, q)
     push = larger(by_backing(pairs.backing, gap - distance - along, axes, n, weight, moves, total),
                   -before)
-    there = take_part(pairs.backing, axes, weight, total > 0.0)
+    there = take_part(pairs.backing, axes, n, weight, total > 0.0)
     push = select(there, push, 0.0)
     slip = load_slip(friction, q, push)
     active = bits(either(absolute(push) > 0.0, either(before > 0.0, dot(slip, slip) > 0.0)))
@@ -306,7 +315,7 @@ def mobility_of_pair(pairs, k, near, state):
 @jit
 def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
-    for q in range(0, pairs.end[2], lanes(pairs.push)):
+    for q in range(0, pairs.end[0], lanes(pairs.push)):
         found = bits(both(load(pairs.overlap, q) > 0.0, load(pairs.push, q) > 0.0))
         while found:
             calm_pair(pairs, q + lowest_bit(found), near, state, substep)
@@ -346,7 +355,7 @@ def calm_pair(pairs, k, near, state, substep):
 def press(pairs, near, state, substep):
     """Add the forces on pinned particles, b (n d + s) / (W h²), to the mean over the frame."""
     part = (substep.end - substep.begin) / substep.h**2
-    for k in range(pairs.end[2]):
+    for k in range(pairs.end[0]):
         if pairs.push[k] == 0.0:
             continue
         scale = part / mobility_of_pair(pairs, k, near, state)
