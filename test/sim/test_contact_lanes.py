@@ -10,6 +10,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.contact import near_blocks
 from xpbd_ros.sim.contact.broad_phase import find_candidates
+from xpbd_ros.sim.contact.collider_motion import move_colliders
 from xpbd_ros.sim.contact.colliders import (
     BOX,
     CAPSULE,
@@ -30,7 +31,6 @@ from xpbd_ros.sim.contact.contacts import (
     CORNER,
     count_penetrating,
     DEPENETRATION,
-    move_colliders,
     new_contacts,
     push_all,
     push_candidate,

@@ -8,9 +8,11 @@ from support.scenes import EXAMPLES, FEW, SETTINGS, simulate, USUAL, with_effect
 from support.tiers import quick_only
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.sim.commands import Grasp, Pose, Release, SetKey
 from xpbd_ros.sim.measure import largest_strain
 from xpbd_ros.sim.particles.state import history_arrays, new_state, with_solver_storage
 from xpbd_ros.sim.stepping.error_estimate import estimate, refine, rms
+from xpbd_ros.sim.stepping.overwrite import overwrite
 
 
 def kept(simulation, frames: int):
@@ -41,6 +43,30 @@ def test_the_start_of_a_frame_gives_the_same_frame(method, integrator, names):
         again = start.end(1)
         np.testing.assert_array_equal(again.x, simulation.state.x)
         np.testing.assert_array_equal(again.v, simulation.state.v)
+
+
+def test_the_start_of_every_kept_frame_gives_that_frame_in_the_memory_of_the_first():
+    simulation = with_effects(method='line', integrator='bdf2', substeps=20, names=USUAL)
+    corner, memory = Pose(tuple(simulation.frame().x[-1])), []
+    for commands in ([], [Grasp('held', corner, 0.01)], [], [SetKey('gravity', (1.0, 0.0, -9.0))],
+                     [Release('held')], []):
+        frame = simulation.step(commands, keep=True)
+        assert not frame.refused
+        np.testing.assert_array_equal(simulation.start.end(1).x, simulation.state.x)
+        memory.append(simulation.start.state.x.ctypes.data)
+        simulation.step()
+    assert memory[0] == memory[1] == memory[2]
+
+
+def test_a_copy_is_overwritten_only_by_one_of_its_form():
+    a, b = np.zeros(3), np.ones(3)
+    pair = [(a.copy(), b.copy()), (a.copy(),) * 2]
+    for source in ((b, a), (a, a)):
+        apart = source[0] is not source[1]
+        assert [overwrite(target, source) for target in pair] == [apart, not apart]
+    assert not overwrite((a.copy(),), (np.zeros(4),))
+    assert not overwrite((a.copy(), 1.0), (b, 2.0))
+    assert not overwrite((a.copy(), b.copy()), (a,))
 
 
 @pytest.mark.slow

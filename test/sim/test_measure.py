@@ -132,3 +132,20 @@ def test_particles_that_touch_are_those_on_the_floor():
     simulation.step()
     assert measure.touching(simulation).tolist() == 4 * [True] + 8 * [False]
     assert not measure.touching(simulate((2, 1))).any()
+
+
+def test_the_contact_forces_of_a_sheet_on_the_floor_are_its_weight():
+    simulation = compile_scene(scene_from_mapping({
+        'cloths': {'sheet': {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.2,
+                             'pose': {'position': [0.0, 0.0, 0.002]},
+                             'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
+        'colliders': {'floor': {'plane': {}}}, 'effects': {'contact': {'thickness': 0.002}},
+        'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 8},
+    }, where='here', name='here'))
+    assert not measure.contact_forces(simulation).any()
+    for _ in range(10):
+        frame = simulation.step()
+    weight = 9.80665 * simulation.state.mass[simulation.slot]
+    assert measure.contact_forces(simulation) == pytest.approx(weight, rel=1e-3)
+    assert -frame.colliders['floor'].force[2] == pytest.approx(weight.sum(), rel=1e-3)
+    assert not measure.contact_forces(simulate((2, 1))).any()

@@ -57,6 +57,7 @@ from xpbd_ros.sim.commands import (
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES
+from xpbd_ros.sim.contact.collider_motion import move_colliders
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     new_colliders,
@@ -67,7 +68,6 @@ from xpbd_ros.sim.contact.colliders import (
 from xpbd_ros.sim.contact.contacts import (
     Contacts,
     count_penetrating,
-    move_colliders,
     new_contacts,
     push_all,
 )

@@ -41,17 +41,11 @@ from xpbd_ros.sim.contact.clamp_friction import (
     place_clamped,
     shared_friction,
 )
-from xpbd_ros.sim.contact.contacts import (
-    Contacts,
-    place,
-    positions,
-    push_once,
-    shortened,
-    surface_motion,
-    surface_motions,
-)
+from xpbd_ros.sim.contact.collider_motion import surface_motion, surface_motions
+from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
+from xpbd_ros.sim.contact.particle_lanes import place, positions
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage

@@ -164,3 +164,28 @@ def touching(simulation) -> np.ndarray:
         count = max(0, contacts.count[0])
         found[contacts.particle[:count][contacts.push[:count] > 0.0]] = True
     return found[simulation.slot]
+
+
+def contact_forces(simulation) -> np.ndarray:
+    """
+    Return the force between each particle and colliders [N], in natural order.
+
+    |d n + s| / m, with the push d along the normal n, the displacement s by friction and the
+    mobility m, summed over the colliders that the particle touches; of the last substep. So a
+    particle between two fingers has the force of both.
+
+    Returns
+    -------
+    shape (particles,); 0 without the effect ``contact``
+
+    """
+    state = simulation.state
+    found = np.zeros(state.x.shape[1])
+    if 'contact' in simulation.effects:
+        contacts = simulation.effects['contact'].contacts
+        these = slice(max(0, contacts.count[0]))
+        particle, mobility = contacts.particle[these], state.mobility[contacts.particle[these]]
+        moved = length(contacts.push[these, None] * contacts.normal[these] + contacts.slip[these])
+        free = mobility > 0.0
+        np.add.at(found, particle[free], moved[free] / mobility[free])
+    return found[simulation.slot]

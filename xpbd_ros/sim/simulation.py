@@ -77,6 +77,7 @@ class Simulation:
         self.index = 0
         self.start: Start | None = None
         """start of the last frame, if ``step`` was called with ``keep``"""
+        self._kept: Start | None = None    # start of the last frame that was kept
         self._retune = retune
         self._own: dict[type, Callable[[Any], str | None]] = {
             Reset: self._reset, SetKey: self._set, SaveState: self._keep_state,
@@ -134,7 +135,8 @@ class Simulation:
         Apply commands, in order, and advance by one frame.
 
         The commands of a tuple are applied together, or none of them if one is refused. With
-        ``keep``, ``start`` holds a copy of the state before the frame, to compute it again.
+        ``keep``, ``start`` holds a copy of the state before the frame, to compute it again,
+        until the next frame with ``keep``.
         """
         refused = self.apply(commands)
         applied, self._pending = tuple(self._pending), []
@@ -143,7 +145,7 @@ class Simulation:
             built.begin(clock, self.state)
         if any(built.pinned_changed for built in self.effects.values()):
             self._hold()
-        self.start = self._kept() if keep else None
+        self.start = self._keep() if keep else None
         self._last.keep()
         if self._guard is None:
             self._advance(self.solver.substeps)
@@ -199,10 +201,11 @@ class Simulation:
         self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
                        self.frame_dt, substeps)
 
-    def _kept(self) -> Start:
+    def _keep(self) -> Start:
         setting = self.setting
-        return Start(self._tuple, self._view(setting), self._step, self._method(setting),
-                     self.frame_dt, setting.substeps).copy()
+        self._kept = Start(self._tuple, self._view(setting), self._step, self._method(setting),
+                           self.frame_dt, setting.substeps).copy(self._kept)
+        return self._kept
 
     def _view(self, setting: Solver) -> State:
         """Return the state with the storage that a setting uses."""
@@ -332,6 +335,7 @@ class Simulation:
 
     def _continue_from(self, other: 'Simulation', memo: dict) -> None:
         memo.update({id(each): each for each in (*other.cloths, other._step)})
+        memo[id(other._kept)] = None
         self.__dict__.update({name: copy.deepcopy(value, memo)
                               for name, value in other.__dict__.items()})
 
@@ -364,24 +368,15 @@ class Simulation:
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
         state = self.state
-        return hashed((array, self.slot) for array in (
-            state.x, state.v, state.inv_mass, *full_history(state)))
-
-    def hash_of(self, frame: Frame) -> Callable[[], int]:
-        """Return a function that returns the ``hash`` of the present state, that of ``frame``."""
-        history = [each.copy() for each in full_history(self.state)]
-        natural = np.arange(len(self.slot))
-        kinds = self.state.x.dtype, self.state.v.dtype, self.state.inv_mass.dtype
-        return lambda: hashed([
-            *((np.ascontiguousarray(each, kind), natural)
-              for each, kind in zip((frame.x.T, frame.v.T, frame.inv_mass), kinds)),
-            *((each, self.slot) for each in history)])
+        return hashed([state.x, state.v, state.inv_mass, *full_history(state)], self.slot)
 
     def stats(self) -> dict[str, float]:
         """Return the effects' statistics of the last frame, by name."""
         found = {key: value for built in self.effects.values()
                  for key, value in built.stats().items()}
         found['frames_taken_back'] = self._last.taken_back
+        if self._crew.workers > 1:
+            found['frames_on_one_thread'] = self._crew.alone
         if self._guard is not None:
             found.update(self._guard.stats())
         return found

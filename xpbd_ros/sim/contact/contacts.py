@@ -1,5 +1,6 @@
 """Contact candidates (pairs of particle and collider) of a substep, and their projection."""
 
+import copy
 from math import sqrt
 from typing import NamedTuple
 
@@ -23,7 +24,6 @@ from xpbd_ros.sim.backend.simd_wide import (
     scatter,
     store_columns,
     store_wide,
-    wide,
     WIDTH,
 )
 from xpbd_ros.sim.contact.colliders import (
@@ -31,18 +31,15 @@ from xpbd_ros.sim.contact.colliders import (
     has_pad,
     is_soft,
     normals_to_world,
-    to_local,
-    to_world,
     vectors_to_local,
-    write_pose,
 )
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave_corners, SHORT
 from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
+from xpbd_ros.sim.contact.particle_lanes import is_run, place, positions
 from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
 from xpbd_ros.sim.contact.wrenches import new_wrenches, react_to_turn, react_to_turns, Wrenches
-from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 from xpbd_ros.sim.particles.history import invalidate_history, touched
 from xpbd_ros.sim.particles.memory_layout import zeros
 
@@ -117,6 +114,25 @@ class Contacts(NamedTuple):
     pads: Pads | None
     """None in a scene without pads"""
 
+    def in_use(self, other: 'Contacts') -> 'Contacts':
+        """Return ``other`` without the room for candidates that this one does not use."""
+        return other._replace(**{name: getattr(other, name)[:self.count[0]]
+                                 for name in OF_CANDIDATES})
+
+    def __deepcopy__(self, memo: dict) -> 'Contacts':
+        """Return a copy; the room that is not in use, which is large, is empty."""
+        for name in OF_CANDIDATES:
+            array = getattr(self, name)
+            copied = np.zeros(array.shape, array.dtype)    # pages never written take no time
+            copied[:self.count[0]] = array[:self.count[0]]
+            memo[id(array)] = copied
+        return Contacts._make(copy.deepcopy(value, memo) for value in self)
+
+
+OF_CANDIDATES = ('earlier', 'particle', 'collider', 'gap', 'overlap', 'push', 'normal', 'slip',
+                 'crossed', 'side')
+"""arrays of ``Contacts`` with a row for each candidate"""
+
 
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                  pads: Pads | None = None) -> Contacts:
@@ -145,70 +161,6 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
 def room_of(contacts):
     """Return the capacity in candidates."""
     return len(contacts.particle) - WIDTH
-
-
-@jit(inline=True)
-def surface_motion(contacts, k, state, substep):
-    """Return the displacement of the collider's surface at contact k in this substep [m]."""
-    colliders, c, i = contacts.colliders, contacts.collider[k], contacts.particle[k]
-    if not (colliders.moving[c] or colliders.has_twist[c]):
-        return 0.0, 0.0, 0.0
-    x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
-    lx, ly, lz = to_local(contacts.after, c, x, y, z)
-    bx, by, bz = to_world(contacts.surface, c, lx, ly, lz)
-    return x - bx, y - by, z - bz
-
-
-@jit(inline=True)
-def surface_motions(contacts, c, x, y, z):
-    """Return the same by lanes, for vectors of positions at contacts with collider c."""
-    colliders = contacts.colliders
-    if not (colliders.moving[c] or colliders.has_twist[c]):
-        return wide(0.0), wide(0.0), wide(0.0)
-    lx, ly, lz = to_local(contacts.after, c, x, y, z)
-    bx, by, bz = to_world(contacts.surface, c, lx, ly, lz)
-    return x - bx, y - by, z - bz
-
-
-@jit
-def surface_before(contacts, c, h):
-    """
-    Return the pose (position, quaternion) of the surface of collider c at the substep's start.
-
-    A surface velocity v + ω × (x - p), about the position p, is integrated backwards as a rigid
-    motion, not extrapolated along its tangent.
-    """
-    a, b, v = contacts.before, contacts.after, contacts.colliders.twist
-    if not contacts.colliders.has_twist[c]:
-        return (a[c, 0], a[c, 1], a[c, 2]), (a[c, 3], a[c, 4], a[c, 5], a[c, 6])
-    turn, way = flow((-h * v[c, 3], -h * v[c, 4], -h * v[c, 5]),
-                     (b[c, 0] - a[c, 0] - h * v[c, 0], b[c, 1] - a[c, 1] - h * v[c, 1],
-                      b[c, 2] - a[c, 2] - h * v[c, 2]))
-    return ((a[c, 0] + way[0], a[c, 1] + way[1], a[c, 2] + way[2]),
-            product(turn, (b[c, 3], b[c, 4], b[c, 5], b[c, 6])))
-
-
-@jit
-def move_colliders(contacts, substep):
-    """Compute poses, motion and bounds of all colliders in this substep."""
-    for c in range(contacts.colliders.count[0]):
-        write_pose(contacts.colliders, c, substep.begin, contacts.before)
-        write_pose(contacts.colliders, c, substep.end, contacts.after)
-        a, b = contacts.before, contacts.after
-        contacts.moved[c] = sqrt((b[c, 0] - a[c, 0])**2 + (b[c, 1] - a[c, 1])**2
-                                 + (b[c, 2] - a[c, 2])**2)
-        contacts.turned[c] = sqrt((b[c, 3] - a[c, 3])**2 + (b[c, 4] - a[c, 4])**2
-                                  + (b[c, 5] - a[c, 5])**2 + (b[c, 6] - a[c, 6])**2)
-        arm = 2.0 * max(contacts.colliders.reach[c], 0.0)
-        contacts.slack[c] = max(0.0, contacts.colliders.inner[c] - contacts.moved[c]
-                                - arm * contacts.turned[c])
-        position, q = surface_before(contacts, c, substep.h)
-        for k in range(3):
-            contacts.surface[c, k] = position[k]
-        for k in range(4):
-            contacts.surface[c, 3 + k] = q[k]
-        up = rotate(b[c, 3], b[c, 4], b[c, 5], b[c, 6], 0.0, 0.0, 1.0)
-        contacts.up[c, 0], contacts.up[c, 1], contacts.up[c, 2] = up
 
 
 @jit
@@ -388,49 +340,6 @@ def is_clear(contacts, c, k, state):
     phi = depths(contacts.colliders, contacts.scratch, c, lx, ly, lz)
     least = smaller(load_wide(contacts.gap, k) - SHORT * contacts.thickness[0], 0.0)
     return not any_lane(phi < least)
-
-
-@jit(inline=True)
-def is_run(index, k):
-    """Return True if the particles index[k], … of one collider are neighbours in memory."""
-    return index[k + WIDTH - 1] - index[k] == WIDTH - 1
-
-
-@jit(inline=True)
-def positions(x, index, k):
-    """Return vectors of the positions x, shape (3, slots), of the particles index[k], …"""
-    slots, i = x.shape[1], index[k]
-    if is_run(index, k):
-        return load_wide(x, i), load_wide(x, slots + i), load_wide(x, 2 * slots + i)
-    return gather_positions(x, index, k)
-
-
-@jit
-def gather_positions(x, index, k):
-    """Return the positions of particles that are not neighbours in memory."""
-    slots = x.shape[1]
-    return gather(x, 0, index, k), gather(x, slots, index, k), gather(x, 2 * slots, index, k)
-
-
-@jit
-def scatter_positions(x, index, k, new_x, new_y, new_z):
-    """Write the positions of particles that are not neighbours in memory."""
-    slots = x.shape[1]
-    scatter(x, 0, index, k, new_x)
-    scatter(x, slots, index, k, new_y)
-    scatter(x, 2 * slots, index, k, new_z)
-
-
-@jit(inline=True)
-def place(x, index, k, new_x, new_y, new_z):
-    """Write the positions of the particles index[k], …"""
-    slots, i = x.shape[1], index[k]
-    if is_run(index, k):
-        store_wide(x, i, new_x)
-        store_wide(x, slots + i, new_y)
-        store_wide(x, 2 * slots + i, new_z)
-    else:
-        scatter_positions(x, index, k, new_x, new_y, new_z)
 
 
 @jit(inline=True)

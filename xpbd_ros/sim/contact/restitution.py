@@ -12,8 +12,8 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
+from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
-from xpbd_ros.sim.contact.contacts import surface_motion
 from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
 

@@ -24,28 +24,33 @@ BITS = {4: np.uint32, 8: np.uint64}
 """by the size of a number [bytes]"""
 
 
-def hashed(arrays: Iterable[tuple[np.ndarray, np.ndarray]]) -> int:
+def hashed(arrays: Iterable[np.ndarray], slots: np.ndarray) -> int:
     """
-    Return the hash of arrays, each with its slots in the order in which they count, shape (n,).
+    Return the hash of some slots of arrays.
 
-    The arrays are float32 or float64, of shape (slots,) or (rows, slots), their rows contiguous.
+    Parameters
+    ----------
+    arrays : float32 or float64, each of shape (slots,) or (rows, slots), with contiguous rows
+    slots : slots in the order in which they count, shape (n,)
+
     """
     total, count = 0, 0
-    for array, slots in arrays:
-        bits = BITS[array.itemsize]
-        for row in np.atleast_2d(array):
-            total += int(mixed(row.view(bits), slots, np.uint64(count)))
-            count += len(slots)
+    for array in arrays:
+        rows = np.atleast_2d(array)
+        total += int(mixed(rows.view(BITS[array.itemsize]), slots, np.uint64(count)))
+        count += len(rows) * len(slots)
     return total % 2**64
 
 
 @jit
 def mixed(bits, slots, count):
-    """Return Σ f(bits + n γ) over some slots, for n from ``count`` + 1 on."""
+    """Return Σ f(bits + n γ) over some slots of all rows, for n from ``count`` + 1 on."""
     total = np.uint64(0)
-    for i in range(len(slots)):
-        z = np.uint64(bits[slots[i]]) + (count + np.uint64(i + 1)) * GAMMA
-        z = (z ^ (z >> A)) * FIRST
-        z = (z ^ (z >> B)) * SECOND
-        total += z ^ (z >> C)
+    for row in range(len(bits)):
+        for i in range(len(slots)):
+            count += np.uint64(1)
+            z = bits[row, np.uint64(slots[i])] + count * GAMMA
+            z = (z ^ (z >> A)) * FIRST
+            z = (z ^ (z >> B)) * SECOND
+            total += z ^ (z >> C)
     return total

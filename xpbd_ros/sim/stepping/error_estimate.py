@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from xpbd_ros.sim.particles.state import State
+from xpbd_ros.sim.stepping.overwrite import overwrite
 
 LEFT = 3.0**-0.5
 """of the error, for 1 that doubling takes away"""
@@ -38,10 +39,12 @@ class Start:
     """[s]"""
     substeps: int
 
-    def copy(self) -> 'Start':
-        """Return a copy that shares no array."""
-        effects, state = copy.deepcopy((self.effects, self.state))
-        return Start(effects, state, self.step, self.method, self.frame_dt, self.substeps)
+    def copy(self, onto: 'Start | None' = None) -> 'Start':
+        """Return a copy that shares no array; in the memory of ``onto``, if it is one of old."""
+        found = onto and (onto.effects, onto.state)
+        if not (found and overwrite(found, (self.effects, self.state))):
+            found = copy.deepcopy((self.effects, self.state))
+        return Start(*found, self.step, self.method, self.frame_dt, self.substeps)
 
     def end(self, factor: int) -> State:
         """Return the state at the frame's end, computed with ``factor`` times the substeps."""
