@@ -9,26 +9,16 @@ import time
 
 import pytest
 
+from support.scenes import SMALL_SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.study.accuracy.motion import report_of
-
-SHEET = """
-duration: 0.25
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [6, 3]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00}
-"""
 
 
 @pytest.fixture(scope='module')
 def scene(tmp_path_factory):
     file = tmp_path_factory.mktemp('scene') / 'sheet.yaml'
-    file.write_text(SHEET)
+    file.write_text(SMALL_SHEET)
     return file
 
 

@@ -106,9 +106,11 @@ def test_live_keys_fork_a_run_from_a_time(run, request, capsys):
     assert found['forked'] == {'frame': 6, 'keys': {'gravity': [0, 0, -1]}}
 
 
-def test_a_fork_from_a_time_can_be_solved_again(log, tmp_path, capsys):
+@pytest.mark.parametrize('gravity', ['[0, 0, -1]', '[0, 0, -1.62]'])
+def test_a_fork_from_a_time_can_be_solved_again(log, tmp_path, capsys, gravity):
+    """ROS has no parameter for a list of integers and floats."""
     new = tmp_path / 'new'
-    assert resim(log, '--set', 'gravity=[0, 0, -1]', '--from', 0.1, '-o', new,
+    assert resim(log, '--set', f'gravity={gravity}', '--from', 0.1, '-o', new,
                  capsys=capsys)[0] == 0
     assert state_hashes(new)[12] != state_hashes(log)[12]
     code, found, _ = resim(new, capsys=capsys)

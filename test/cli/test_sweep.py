@@ -1,5 +1,6 @@
 """``sweep``: the table is that of single runs, whatever the workers, and survives their deaths."""
 
+from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
@@ -20,8 +21,8 @@ from xpbd_ros.study import parallel
 from xpbd_ros.sweep import outcome
 from xpbd_ros.sweep.parameters import draw, Range
 
-parquet = pytest.importorskip('pyarrow.parquet',
-                              reason="pyarrow is missing: pip install '.[cluster]'")
+pytestmark = pytest.mark.skipif(find_spec('pyarrow') is None,
+                                reason="pyarrow is missing: pip install '.[cluster]'")
 WARP = 'cloths.sheet.effects.stretch.warp'
 VARY = ['--vary', f'{WARP}=100:1000:log', '--vary', 'solver.substeps=4:9', '--seed', '3']
 
@@ -51,6 +52,7 @@ def refused(capsys, *words) -> str:
 
 def table(folder, *, wall: bool = False):
     """Return the table of a sweep, without the column that no two sweeps share."""
+    from pyarrow import parquet
     found = parquet.read_table(Path(folder) / 'sweep.parquet')
     return found if wall else found.drop_columns(['wall_s'])
 

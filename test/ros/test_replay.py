@@ -375,6 +375,13 @@ def test_only_the_topics_asked_for_are_published(write_log, ended):
     assert found['topics'] == {'/cloth/count': 60}
 
 
+def test_topics_can_be_left_out_and_the_end_can_come_early(write_log, ended):
+    found, _, seconds = ended(write_log(), '--exclude-topics', '/cloth/text', '--rate', 0.5,
+                              '--start-offset', 0.25, '--playback-duration', 0.5)
+    assert found['topics'] == {'/cloth/scene': 1, '/cloth/count': 30}
+    assert seconds >= 2 * 29 / 60
+
+
 def test_a_damaged_log_is_played_as_far_as_it_goes(write_log, ended):
     run = write_log(filling=5000)    # a chunk of 256 KiB holds 26 frames
     file = run / 'run_0.mcap'
@@ -436,6 +443,11 @@ def test_a_type_that_is_not_installed_is_left_out(tmp_path, ended):
                               '(got 7 s)'),
     (['--clock', '-4'], 'argument --clock: must be > 0 (got -4)'),
     (['--remap', '/a:='], 'argument -m/--remap: must be FROM:=TO'),
+    (['--playback-duration', '0'], 'argument --playback-duration: must be > 0 (got 0)'),
+    (['--exclude-topics', '/cloth/cuont'], '/cloth/cuont: the log has no such topic; did you '
+                                           'mean /cloth/count?'),
+    (['--exclude-topics', '/cloth/scene', '/cloth/text', '/cloth/count'],
+     '--exclude-topics: leaves no topic of '),
     (['--topics', '/cloth/cuont'], '/cloth/cuont: the log has no such topic; did you mean '
                                    '/cloth/count?')])
 def test_bad_input_is_refused_in_one_line(write_log, replay, flags, said):

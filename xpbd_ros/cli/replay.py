@@ -36,12 +36,16 @@ def add_arguments(parser):
     parser.add_argument('--start-offset', type=not_negative, default=0.0, metavar='S',
                         help='time to skip at the start in s; the last latched messages in it are '
                              'published first')
+    parser.add_argument('--playback-duration', type=positive, metavar='S',
+                        help='time of the log to publish from there in s (default: to its end)')
     parser.add_argument('-p', '--start-paused', action='store_true',
                         help='start paused, until ~/resume or ~/play_next is called')
     parser.add_argument('--clock', type=positive, nargs='?', const=40.0, metavar='HZ',
                         help='publish the log time on /clock at this rate (default: 40 Hz), '
                              'instead of a recorded /clock')
     parser.add_argument('--topics', nargs='+', metavar='TOPIC', help='publish only these topics')
+    parser.add_argument('--exclude-topics', nargs='+', default=[], metavar='TOPIC',
+                        help='publish all but these topics')
     parser.add_argument('--inputs', action='store_true',
                         help='publish the inputs in the log too, which drive a subscribed node')
     parser.add_argument('-m', '--remap', type=rule, nargs='+', default=[], metavar='FROM:=TO',
@@ -70,7 +74,8 @@ def run(arguments) -> int:
         say(f'left out, as inputs: {", ".join(left_out)} (--inputs publishes them)')
     published, stopped = replay(
         log, topics=topics, rate=arguments.rate, loop=arguments.loop,
-        start_offset=arguments.start_offset, paused=arguments.start_paused,
+        start_offset=arguments.start_offset, duration=arguments.playback_duration,
+        paused=arguments.start_paused,
         clock_hz=arguments.clock, remap=arguments.remap,
         keyboard=not arguments.disable_keyboard_controls)
     say(f'{"stopped" if stopped else "ended"} after {published.total()} messages')
@@ -85,7 +90,7 @@ def check(log: LogReader, arguments: argparse.Namespace) -> None:
     """Raise InputError if the log lacks messages, a requested topic, or the start offset."""
     if log.start_ns is None or log.end_ns is None:
         raise InputError(f'{log.path}: holds no readable message')
-    for topic in arguments.topics or ():
+    for topic in (*(arguments.topics or ()), *arguments.exclude_topics):
         if topic not in log.topics:
             near = difflib.get_close_matches(topic, log.topics, 1)
             meant = f'; did you mean {near[0]}?' if near else ''
@@ -100,10 +105,14 @@ def check(log: LogReader, arguments: argparse.Namespace) -> None:
 def chosen(log: LogReader, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
     """Return the topics to publish, and the inputs that are left out."""
     from xpbd_ros.ros.logged_commands import is_input
+    wanted = [name for name in arguments.topics or log.topics
+              if name not in arguments.exclude_topics]
+    if not wanted:
+        raise InputError(f'--exclude-topics: leaves no topic of {log.path}')
     if arguments.topics or arguments.inputs:
-        return arguments.topics or list(log.topics), []
-    left_out = [name for name, topic in log.topics.items() if is_input(name, topic.type)]
-    topics = [name for name in log.topics if name not in left_out]
+        return wanted, []
+    left_out = [name for name in wanted if is_input(name, log.topics[name].type)]
+    topics = [name for name in wanted if name not in left_out]
     if not topics:
         raise InputError(f'{log.path}: holds only inputs ({", ".join(left_out)}); '
                          '--inputs publishes them')

@@ -24,7 +24,6 @@ from xpbd_ros.cli.run import parse_keys
 from xpbd_ros.errors import InputError
 
 EXAMPLE = 'xpbd_ros resim drape_run --set solver.substeps=64 --picture fork.png'
-MOST_THREADS = 64
 
 
 def add_arguments(parser):
@@ -125,6 +124,7 @@ def overrides(recording, keys: dict, threads: int | None) -> dict:
     """Return the overrides of the recorded scene."""
     if threads is None:
         return keys
+    from xpbd_ros.scene.model import MOST_THREADS
     if not 1 <= threads <= MOST_THREADS:
         raise InputError(f'--threads: must be from 1 to {MOST_THREADS} (got {threads})')
     if recording.first and threads != recording.scene.top.solver.threads:
@@ -145,8 +145,8 @@ def write(recorder, frame, repeat) -> None:
     """Write a frame and its deviation to the new log."""
     recorder.frame(frame)
     if repeat.track and repeat.track[-1].frame == frame.index:
-        recorder.value('deviation/largest', repeat.track[-1].largest, frame)
-        recorder.value('deviation/rms', repeat.track[-1].rms, frame)
+        recorder.values({'deviation/largest': repeat.track[-1].largest,
+                         'deviation/rms': repeat.track[-1].rms}, frame)
 
 
 def environment_differences(recording) -> list[dict[str, str]]:

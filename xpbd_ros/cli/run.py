@@ -104,6 +104,7 @@ def run(arguments) -> int:
                     shots.look(frame)
                 notes += [f'frame {index}: {text}' for text in frame.news]
                 recorder.frame(frame)
+                recorder.values(monitor.values(), frame)
                 if signals:
                     raise KeyboardInterrupt
     finally:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from shape_msgs.msg import Mesh
+from std_msgs.msg import Float64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.export.body import Body
@@ -70,13 +71,25 @@ class States:
                         if last_part(topic) in ('pin_states', 'collider_wrenches')
                         and about.type == type_name(MultiDOFJointState)]
         if not self._clouds:
-            raise InputError(f'{self.path}: holds no ~/particles, so it is no log of xpbd_ros')
+            raise InputError(f'{self.path}: holds no ~/particles' + (
+                ' in its readable part' if reader.damage else
+                ', so it is no log of xpbd_ros'))
         self.frame_rate = frame_rate(reader)
         self.triangles, self.particles = self._meshes()
         self.frames = [frame for frame in self._whole() if frame % every == 0]
         if not self.frames:
             raise InputError(f'{self.path}: holds no frame to export' + (
                 f'; take a smaller --every (got {every})' if every > 1 else ''))
+
+    def errors(self) -> dict[int, float]:
+        """Return the estimated errors of frames, RMS [m], by frame; NaN if under-resolved."""
+        found: dict[str, list[float]] = {'frame': [], 'rms': []}
+        for message in self._reader.messages({
+                topic for topic, about in self._reader.topics.items()
+                if topic.endswith(('/error_estimate/frame', '/error_estimate/rms'))
+                and about.type == type_name(Float64)}):
+            found[last_part(message.topic)].append(unpacked(message.data, Float64).data)
+        return {int(frame): rms for frame, rms in zip(found['frame'], found['rms'])}
 
     def _meshes(self) -> tuple[dict[str, np.ndarray], dict[str, int]]:
         triangles, particles = {}, {}

@@ -1,24 +1,30 @@
 """
-Write a log in a thread of its own, so that frames do not wait for hashes and compression.
+Write a log in a thread of its own, so that frames do not wait for checksums and the disk.
 
-Both release the GIL. The work of one frame is one task, and tasks run in order. When MOST_WAITING
-of them wait, the caller waits too, so memory stays bounded and a crash loses no more than these
-frames beyond the flush period. The first error is raised by one of the next calls.
+Both release the GIL, and the thread has a lower priority than frames. The work of one frame is one
+task, and tasks run in order. When MOST_WAITING of them wait, the caller waits too, so memory stays
+bounded and a crash loses no more than these frames beyond the flush period. The first error is
+raised by one of the next calls.
 """
 
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+import os
+import sys
 
 MOST_WAITING = 4
 """tasks that wait for the thread, at most"""
+NICE = 5
+"""increment of its nice value"""
 
 
 class Background:
     """A thread that runs tasks in order."""
 
     def __init__(self):
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix='log')
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='log',
+                                          initializer=lower_priority, initargs=(NICE,))
         self._tasks: deque[Future[None]] = deque()
         self._failed = False
 
@@ -45,6 +51,12 @@ class Background:
         self._thread.shutdown()
         while self._tasks:
             self._look(self._tasks.popleft())
+
+
+def lower_priority(nice: int) -> None:
+    """Let the frames go before this thread, where each thread has a nice value of its own."""
+    if sys.platform == 'linux':
+        os.nice(nice)
 
 
 def _run(parts: tuple[Callable[[], object], ...]) -> None:

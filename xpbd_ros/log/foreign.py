@@ -28,6 +28,7 @@ class Record(NamedTuple):
     number: int
     """position in the log"""
     topic: str
+    """absolute name"""
     data: bytes
     """CDR with encapsulation header"""
 
@@ -43,7 +44,8 @@ class ForeignLog:
     Attributes
     ----------
     topics : dict of str
-        Types by topic; without those that are not in CDR.
+        Types by topic; without those that are not in CDR. Names are absolute: ``pose``, as logs
+        converted from ROS 1 have it, is /pose.
     encodings : dict of str
         Encodings of the topics that are not in CDR.
     start_ns, end_ns : int
@@ -64,20 +66,21 @@ class ForeignLog:
         self.encodings: dict[str, str] = {}
         if is_sqlite(self.path):
             with self._bag() as bag:
-                formats = {each.topic: each.ext.serialization_format for each in bag.connections}
-                self.topics = {each.topic: each.msgtype for each in bag.connections
-                               if formats[each.topic] == 'cdr'}
-                self.encodings = {topic: name for topic, name in formats.items() if name != 'cdr'}
+                found = {each.topic: (each.msgtype, each.ext.serialization_format)
+                         for each in bag.connections}
                 begin, end = bag.start_time, bag.end_time - 1    # rosbags has it 1 ns later
                 count = bag.message_count
         else:
             self._reader = reader = LogReader(self.path)
             self.damage = reader.damage
-            self.topics = {name: about.type for name, about in reader.topics.items()
-                           if about.encoding == 'cdr'}
-            self.encodings = {name: about.encoding for name, about in reader.topics.items()
-                              if about.encoding != 'cdr'}
+            found = {name: (about.type, about.encoding) for name, about in reader.topics.items()}
             begin, end, count = reader.start_ns, reader.end_ns, reader.count
+        self._names = absolute_names(found)
+        about = {self._names[name]: each for name, each in found.items()}
+        self.topics = {name: type_name for name, (type_name, encoding) in about.items()
+                       if encoding == 'cdr'}
+        self.encodings = {name: encoding for name, (_, encoding) in about.items()
+                          if encoding != 'cdr'}
         if self.scene is None and not count:
             raise InputError(f'{self.path}: is not a log of xpbd_ros: it holds no scene; and it '
                              'holds no readable message')
@@ -107,18 +110,26 @@ class ForeignLog:
 
     def messages(self, topics: Collection[str]) -> Iterator[Record]:
         """Yield the messages of these topics in the order of their times."""
-        return in_time_order(self._messages(set(topics)))
+        return in_time_order(self._messages({name for name, absolute in self._names.items()
+                                             if absolute in topics}))
 
     def _messages(self, topics: set[str]) -> Iterator[Record]:
         if self._reader is not None:
             for number, message in enumerate(self._reader.messages(topics)):
-                yield Record(message.time_ns, number, message.topic, message.data)
+                yield Record(message.time_ns, number, self._names[message.topic], message.data)
             return
         with self._bag() as bag:
             wanted = [each for each in bag.connections if each.topic in topics]
             for number, found in enumerate(bag.messages(wanted) if wanted else ()):
                 connection, time_ns, data = found
-                yield Record(time_ns, number, connection.topic, bytes(data))
+                yield Record(time_ns, number, self._names[connection.topic], bytes(data))
+
+
+def absolute_names(names: Collection[str]) -> dict[str, str]:
+    """Return absolute names by name; `name` stays where `/name` is a topic too."""
+    absolute = {name: f'/{name.lstrip("/")}' for name in names}
+    return {name: other if name == other or other not in names else name
+            for name, other in absolute.items()}
 
 
 def _bag_path(path: Path) -> Path:

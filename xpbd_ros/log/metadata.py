@@ -88,8 +88,7 @@ def metadata_text(topics: list[TopicRecord], files: Sequence[FileRecord],
     Return the text of ``metadata.yaml``.
 
     It is formatted by hand because it is written between two frames, and PyYAML takes 26 ms for
-    15 topics. ``compression_format`` is that of whole files or messages, of which there is none;
-    MCAP compresses its chunks itself.
+    15 topics.
     """
     count = sum(topic.count for topic in topics)
     start_ns = min((file.start_ns for file in files if file.count), default=0)

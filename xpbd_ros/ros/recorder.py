@@ -1,7 +1,7 @@
 """
 Record one run to one log: states, inputs as applied, state hashes; for the node and ``run``.
 
-Messages are encoded when a frame is given; hashed, compressed and written in a thread.
+Messages are encoded when a frame is given, and written by a thread.
 """
 
 from collections.abc import Callable, Mapping
@@ -84,7 +84,7 @@ class Recorder:
                                      output.qos)
         self._background = Background()
         self._parts: list[Callable[[], object]] = []
-        """what the thread has to do for the present frame"""
+        """tasks of the thread for the present frame"""
         self._later: set[str] = set()
         """channels that were added with their first message"""
         self._counts: dict[str, float] = {}
@@ -102,24 +102,22 @@ class Recorder:
     def _full(self, topic: str) -> str:
         return topic if topic.startswith('/') else f'{self._name}/{topic}'
 
-    def _write_all(self, found: Mapping[str, bytes | Callable[[], bytes]], frame: Frame) -> None:
+    def _write_all(self, found: Mapping[str, bytes], frame: Frame) -> None:
         for topic, data in found.items():
             self._write(topic, self.outputs.topics[topic].kind, data,
                         self.epoch_ns + frame.time_ns, frame.index)
 
-    def _write(self, topic: str, kind: type, data: bytes | Callable[[], bytes], time_ns: int,
-               frame: int) -> None:
-        """Write a message, or what a function returns in the thread of the log."""
+    def _write(self, topic: str, kind: type, data: bytes, time_ns: int, frame: int) -> None:
+        """Write a message, in the thread of the log."""
         def write() -> None:
-            found = data() if callable(data) else data
-            self.log.write(self._full(topic), trimmed(found, kind), time_ns=time_ns, frame=frame)
+            self.log.write(self._full(topic), trimmed(data, kind), time_ns=time_ns, frame=frame)
         self._parts.append(write)
 
     def _write_state(self, frame: Frame) -> None:
         time_ns = self.epoch_ns + frame.time_ns
         self._write_all(self.outputs.frame(frame, time_ns), frame)
         self._write_all(self.outputs.state(frame, time_ns), frame)
-        self._write_all({'state_hash': self.outputs.hash(frame)}, frame)
+        self._write_all({'state_hash': self.outputs.hash()}, frame)
 
     def frame(self, frame: Frame, encoded: dict[str, bytes] | None = None,
               stamp_ns: int | None = None) -> None:
@@ -141,7 +139,7 @@ class Recorder:
         for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
             self._write_one(topic, type(message), message, before_ns, frame.index)
         self._write_all(encoded, frame)
-        self._write_all({'state_hash': outputs.hash(frame)}, frame)
+        self._write_all({'state_hash': outputs.hash()}, frame)
         period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))
         if frame.index % period == 0:
             self._write_all(outputs.state(frame, stamp_ns), frame)
@@ -175,11 +173,13 @@ class Recorder:
             self._name.lstrip('/'), 'WARN' if counts.keys() - EVENTS else 'OK', 'guards',
             {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
-    def value(self, topic: str, value: float, frame: Frame) -> None:
-        """Write a number about a frame to a topic below the node's name."""
-        self._write_one(topic, Float64, Float64(data=value), self.epoch_ns + frame.time_ns,
-                        frame.index)
-        self._submit()
+    def values(self, values: Mapping[str, float], frame: Frame) -> None:
+        """Write numbers about a frame, by their topics below the node's name."""
+        for topic, value in values.items():
+            self._write_one(topic, Float64, Float64(data=value), self.epoch_ns + frame.time_ns,
+                            frame.index)
+        if values:
+            self._submit()
 
     def close(self) -> None:
         """Write all that waits, and close the log."""

@@ -116,6 +116,8 @@ class Replay:
         Whether to start again at the end.
     start_offset
         Log time to skip [s]; the last messages of latched topics in it are published first.
+    duration
+        Log time to publish from ``start_offset`` on [s]; None for all of it.
     paused
         Whether to wait for ~/resume, ~/play_next or ~/stop.
     clock_hz
@@ -127,12 +129,13 @@ class Replay:
 
     def __init__(self, log: LogReader, *, topics: Collection[str] | None = None,
                  rate: float = 1.0, loop: bool = False, start_offset: float = 0.0,
-                 paused: bool = False, clock_hz: float | None = None,
-                 keys: Callable[[], list[str]] | None = None):
+                 duration: float | None = None, paused: bool = False,
+                 clock_hz: float | None = None, keys: Callable[[], list[str]] | None = None):
         self.published: Counter[str] = Counter()
         self._log = log
         self._loop = loop
         self._start_ns = (log.start_ns or 0) + round(start_offset * 1e9)
+        self._end_ns = math.inf if duration is None else self._start_ns + round(duration * 1e9)
         self._node = rclpy.create_node(NODE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -247,8 +250,9 @@ class Replay:
         self._playhead.jump(time_ns)
 
     def _advance(self) -> None:
-        """Read the next message of the log."""
-        self._next = next(self._messages, None)
+        """Read the next message of the log, up to the end of the replay."""
+        message = next(self._messages, None)
+        self._next = message if message and message.time_ns <= self._end_ns else None
 
     def _publish(self, message: Message) -> None:
         """Publish a recorded message, and count it."""
