@@ -24,7 +24,7 @@ setup(
     maintainer_email='maintainers@xpbd-ros.example.org',
     license='Apache-2.0',
     packages=find_packages(include=[PACKAGE, f'{PACKAGE}.*']),
-    package_data={'': ['*.csv', '*.json', '*.msg', '*.yaml']},
+    package_data={'': ['*.csv', '*.json', '*.msg', '*.xml', '*.yaml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
         (f'share/{PACKAGE}', ['package.xml']),

@@ -10,9 +10,7 @@ import pytest
 
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')    # before numpy is there, as in cli.main
 from support.logs import sample_log
-
-DISCOVERY = Path(__file__).parent / 'support' / 'discovery.xml'
-"""Fast DDS profile with a short discovery period; other DDS implementations ignore it"""
+from xpbd_ros.demo.domain import loopback
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -42,11 +40,22 @@ def own_domain(domain_id: int) -> Iterator[None]:
     """Keep every node of the tests, in this process or another, on loopback and this domain."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain_id))
-        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-        patch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE', str(DISCOVERY))
+        for name, value in loopback().items():
+            patch.setenv(name, value)
         patch.delenv('ROS_LOCALHOST_ONLY', raising=False)
         patch.delenv('ROS_STATIC_PEERS', raising=False)
         yield
+
+
+@pytest.fixture(scope='module')
+def context(own_domain: None):
+    """Return a ROS context that is not the default one, which other tests use."""
+    rclpy = pytest.importorskip('rclpy',
+                                reason="rclpy is missing: source a ROS, or pip install '.[ros]'")
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    yield context
+    context.try_shutdown()
 
 
 def reserve(domain: int) -> socket.socket | None:

@@ -104,7 +104,10 @@ def test_it_speaks_among_its_own_only(monkeypatch):
     monkeypatch.setenv('ROS_NAMESPACE', '/robot')
     environment = private_environment()
     assert int(environment['ROS_DOMAIN_ID']) in DOMAINS
-    assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
+    assert environment['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'SYSTEM_DEFAULT'    # see loopback.xml
+    assert Path(environment['FASTRTPS_DEFAULT_PROFILES_FILE']).is_file()
+    monkeypatch.setenv('RMW_IMPLEMENTATION', 'rmw_cyclonedds_cpp')
+    assert private_environment()['ROS_AUTOMATIC_DISCOVERY_RANGE'] == 'LOCALHOST'
     assert not {'ROS_STATIC_PEERS', 'ROS_NAMESPACE'} & set(environment)
     assert free_domain() in DOMAINS
 

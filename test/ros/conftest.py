@@ -4,20 +4,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import rclpy
 from rclpy.context import Context
 from visualization_msgs.msg import MarkerArray
 
 from support.node import Cloth, NodeProcess, Peer, pose_stamped, targets, TOWEL
-
-
-@pytest.fixture(scope='module')
-def context(own_domain: None) -> Iterator[Context]:
-    """Return a context that is not the default one, which other tests use."""
-    context = Context()
-    rclpy.init(context=context)
-    yield context
-    context.try_shutdown()
 
 
 @pytest.fixture(scope='module')

@@ -42,6 +42,17 @@ EXAMPLES = {
     'friction': {},
 }
 """parameters for each effect there is, of a cloth of about 1 m"""
+SMALL_SHEET = """
+duration: 0.25
+cloths:
+  sheet:
+    grid: {size: [0.6, 0.2], resolution: [6, 3]}
+    density: 0.2
+    effects: {stretch: {warp: 300.0, weft: 300.0}}
+pins:
+  left: {cloth: sheet, at: corner_00}
+"""
+"""a scene file for what takes many runs"""
 USUAL = ('pin', 'damping', 'bend', 'shear', 'stretch', 'contact', 'friction')
 """what most scenes call for; with all effects there are, a scene compiles for a minute"""
 FEW = ('pin', 'stretch', 'contact')

@@ -1,6 +1,7 @@
 """A private ROS domain on loopback, so that the demo cannot reach other robots."""
 
 import os
+from pathlib import Path
 import random
 import socket
 
@@ -8,6 +9,9 @@ from xpbd_ros.errors import InputError
 
 DOMAINS = range(1, 101)
 """domains whose ports are below the ephemeral ports"""
+PROFILE = Path(__file__).with_name('loopback.xml')
+"""Fast DDS profile: sockets on 127.0.0.1 only"""
+FAST_DDS = 'rmw_fastrtps_cpp', 'rmw_fastrtps_dynamic_cpp'
 
 
 def free_domain() -> int:
@@ -27,10 +31,23 @@ def _free(port: int) -> bool:
     return True
 
 
+def loopback() -> dict[str, str]:
+    """
+    Return environment variables that keep DDS on loopback.
+
+    Under Fast DDS no socket is bound to another interface. Other implementations are asked to
+    discover local processes only.
+    """
+    if os.environ.get('RMW_IMPLEMENTATION') in (None, '', *FAST_DDS):
+        return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
+                'FASTRTPS_DEFAULT_PROFILES_FILE': str(PROFILE),
+                'FASTDDS_DEFAULT_PROFILES_FILE': str(PROFILE)}    # from Fast DDS 3 on
+    return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+
+
 def private_environment() -> dict[str, str]:
     """Return environment variables for processes on a private domain, on loopback only."""
     found = {key: value for key, value in os.environ.items()
              if key not in ('ROS_LOCALHOST_ONLY', 'ROS_STATIC_PEERS', 'ROS_DISCOVERY_SERVER',
                             'ROS_NAMESPACE')}
-    return {**found, 'ROS_DOMAIN_ID': str(free_domain()),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', 'PYTHONUNBUFFERED': '1'}
+    return {**found, **loopback(), 'ROS_DOMAIN_ID': str(free_domain()), 'PYTHONUNBUFFERED': '1'}

@@ -18,6 +18,8 @@ from rclpy.node import Node
 from rclpy.time import Time
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
+from xpbd_ros.ros.signals import collected_signals
+
 
 class Observer(Node):
     """A node that collects the messages of the demo."""
@@ -54,9 +56,11 @@ class Observer(Node):
 
 def main() -> int:
     """Collect until SIGINT or SIGTERM, then write: ``observer.py FILE.npz``."""
-    rclpy.init()
-    observer = Observer()
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
+    # a KeyboardInterrupt within rclpy's conversion of a message would be an error; rclpy's own
+    # handlers, which call those set before them, shut its context down and so end the spin
+    with collected_signals(), suppress(ExternalShutdownException):
+        rclpy.init()
+        observer = Observer()
         rclpy.spin(observer)
     np.savez(sys.argv[1], stamps=observer.stamps, heard=observer.heard, clouds=observer.clouds,
              pins=json.dumps(observer.pins), diagnostics=json.dumps(observer.diagnostics))
