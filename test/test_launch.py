@@ -157,6 +157,19 @@ def test_replay_passes_the_flags_of_ros2_bag_play(given, flags):
     assert words == ['replay', '/data/flag', *flags.split()]
 
 
+@needs_launch
+@pytest.mark.parametrize(('given', 'count'), [({}, 1), ({'tf': 'true'}, 2)])
+def test_the_robot_moves_once_the_cloth_node_listens(given, count):
+    """Not when robot_state_publisher does, which starts faster."""
+    context = LaunchContext()
+    context.launch_configurations.update({'tf': 'false', **given})
+    source = PythonLaunchDescriptionSource(str(LAUNCH / 'robot.launch.py'))
+    publisher, motion = source.get_launch_description(context).entities[-2:]
+    assert publisher.condition.evaluate(context) == (count == 2)
+    words = [''.join(part.perform(context) for part in word) for word in motion.cmd]
+    assert words[-1] == f'subscribers:={count}'
+
+
 def test_the_launch_files_need_nothing_but_launch():
     """They are installed away from the package, and a machine with rviz alone may read them."""
     for file in LAUNCH.glob('*.launch.py'):

@@ -6,8 +6,8 @@ Start the two-finger robot and the cloth that it picks up, carries and lays down
     ros2 launch xpbd_ros robot.launch.py
     ros2 launch xpbd_ros robot.launch.py tf:=true rviz:=true
 
-With ``tf:=true`` robot_state_publisher turns the joint states into TF for other nodes; the scene
-says which of the two the cloth node follows.
+With ``tf:=true`` robot_state_publisher turns the joint states into TF; the scene says which of the
+two the cloth node follows.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
 from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
-from launch.substitutions import Command, LaunchConfiguration
+from launch.substitutions import Command, LaunchConfiguration, PythonExpression
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -52,6 +52,9 @@ def generate_launch_description():
             parameters=[{'robot_description': ParameterValue(
                 Command(['cat ', LaunchConfiguration('description')]), value_type=str)}],
             condition=IfCondition(LaunchConfiguration('tf'))),
-        ExecuteProcess(cmd=[sys.executable, str(ROBOTS / 'two_finger_motion.py')],
-                       output='screen'),
+        ExecuteProcess(    # it begins once the cloth node listens, too
+            cmd=[sys.executable, str(ROBOTS / 'two_finger_motion.py'), '--ros-args', '-p',
+                 ['subscribers:=', PythonExpression([
+                     "2 if '", LaunchConfiguration('tf'), "' == 'true' else 1"])]],
+            output='screen'),
     ])

@@ -5,7 +5,8 @@ Move the two-finger robot: publish joint states along a table, once, then the la
 
     python3 two_finger_motion.py
 
-The motion begins with the first subscriber to /joint_states.
+The motion begins once /joint_states has as many subscribers as parameter ``subscribers`` says: 1,
+or 2 where robot_state_publisher listens beside the cloth node.
 """
 
 from bisect import bisect_right
@@ -50,11 +51,13 @@ class Motion(Node):
         super().__init__('two_finger_motion')
         self._publisher = self.create_publisher(JointState, '/joint_states', 10)
         self._begin_ns = None
+        self._subscribers = self.declare_parameter('subscribers', 1).value
         self.create_timer(1.0 / RATE, self._publish)
 
     def _publish(self) -> None:
         now = self.get_clock().now()
-        if self._begin_ns is None and self._publisher.get_subscription_count():
+        if (self._begin_ns is None
+                and self._publisher.get_subscription_count() >= self._subscribers):
             self._begin_ns = now.nanoseconds + round(1e9 * BEFORE)
             self.get_logger().info('moving')
         time = 0.0 if self._begin_ns is None else 1e-9 * (now.nanoseconds - self._begin_ns)

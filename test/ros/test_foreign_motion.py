@@ -93,6 +93,22 @@ def test_each_storage_gives_the_same_commands(bags, storage):
     assert sum(map(len, commands['mcap'])) > 100
 
 
+@pytest.mark.parametrize('storage', ['sqlite3', 'mcap', 'plain'])
+def test_a_topic_without_its_slash_is_the_absolute_one(bags, tmp_path, storage):
+    """Logs converted from ROS 1 have such names, and TF frames come by ``tf`` there."""
+    inputs = SOURCES['pose'] + '  tf: {collider: ball, frame: tool}'
+    bare = [each._replace(topic=each.topic.lstrip('/')) for each in robot_log()]
+    commands = []
+    for log in (bags['mcap'], write_bag(tmp_path / 'bag', bare, storage)):
+        _, motion = motion_of(log, inputs)
+        commands.append([motion.commands(index) for index in range(1, 91)])
+    assert commands[1] == commands[0]
+    both = [*bare, *(each._replace(topic='/tool_pose', time=each.time + 0.5) for each in bare
+                     if each.topic == 'tool_pose')]
+    assert set(ForeignLog(write_bag(tmp_path / 'both', both, storage)).topics) == {
+        '/tool_pose', 'tool_pose', '/tf', '/tf_static', '/trackers', '/status'}
+
+
 @pytest.mark.parametrize('source', SOURCES)
 def test_a_pin_is_on_the_path_at_a_constant_delay(bags, source):
     """Whichever the topic, the pin is at most 20 µm from the path, some frames late."""
@@ -224,8 +240,8 @@ def test_a_recorded_robot_picks_up_a_cloth_that_was_not_there(tmp_path, by):
         frame = simulation.step(motion.commands(index))
     assert motion.texts() == []
     assert set(frame.pins) == {'arm_gripper'}
-    assert frame.x[4 * 9 + 4][2] > 0.2, 'lifted'
-    assert frame.x[4 * 9 + 4][0] > 0.05, 'and on its way'
+    assert frame.x[10 * 21 + 10][2] > 0.2, 'lifted'
+    assert frame.x[10 * 21 + 10][0] > 0.05, 'and on its way'
 
 
 @pytest.fixture(scope='module')

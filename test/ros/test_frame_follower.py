@@ -208,6 +208,17 @@ def test_a_grasp_between_frames_follows_in_the_next_one(monkeypatch):
     assert step() == [Reset, MovePin, MoveCollider]
 
 
+def test_silence_tells_the_reason_of_tf():
+    """A loop, or a parent that is another one now: there are transforms, and none is found."""
+    follow = Follow(hand=(1, Pose(CORNER)), tool=(0, Pose()))
+    follow.step()
+    del follow.given.poses['hand']
+    while not follow.said:
+        follow.step()
+    assert follow.said == ['TF: hand silent for more than 0.5 s: pin hand released; '
+                           '"hand" does not exist']
+
+
 def test_a_static_frame_is_never_silent():
     follow = Follow(tool=(0, Pose((0.0, 0.0, 1.0))), hand=(0, Pose(CORNER)))
     assert kinds(follow.step()) == [MovePin, MoveCollider]

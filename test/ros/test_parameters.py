@@ -81,7 +81,7 @@ def test_every_one_has_a_description_and_a_range(cloth):
      'scene: is read when the node is configured; call its cleanup transition first'),
     ({'frame_id': 'map'},
      'frame_id: is read when the node is configured; call its cleanup transition first'),
-    ({'publish_clock': True}, 'publish_clock: is read when the node is configured'),
+    ({'publish_clock': False}, 'publish_clock: is read when the node is configured'),
     ({'max_message_bytes': 5000}, 'max_message_bytes: is read when the node is configured'),
     ({'no_such': 1}, 'undeclared'),
     ({'solver.substeps': None}, 'Static parameter cannot be undeclared'),
@@ -158,6 +158,7 @@ def test_a_file_of_them_overrides_the_scene_and_round_trips(cloth, start, towel,
     assert second.trigger('step')[0]
     assert dict(zip(everything, map(plain, second.get(*everything)))) == values
     second.status(lambda status: status['substeps'] == '17')
+    assert second.set(**values) == (True, ''), 'as ros2 param load sets them'
 
 
 def plain(value):

@@ -21,7 +21,7 @@ from xpbd_ros.share import share_folder
 pytestmark = pytest.mark.skipif(find_spec('yourdfpy') is None,
                                 reason="yourdfpy is missing: pip install '.[robot]'")
 ROBOTS = share_folder() / 'robots'
-CENTRE = 4, 4
+CENTRE = 10, 10
 
 
 def publish_tf(peer) -> None:

@@ -85,6 +85,8 @@ class ClothClient:
         """time at which the last message arrived (``time.monotonic``) [s]"""
         self.frame_id = ''
         self._heard_clouds: list = []
+        self._clouded: set[str] = set()
+        """cloths that a cloud has come of"""
         self._lock = threading.Lock()
         self._publishers: dict = {}
         self._clients: dict = {}
@@ -147,6 +149,23 @@ class ClothClient:
     def wait_for_meshes(self, scene: Scene, patience: float = PATIENCE) -> None:
         """Wait for the mesh of each cloth; raise InputError if one does not come."""
         self._wait(lambda: self.triangles.keys() >= scene.cloths.keys(), patience)
+
+    def wait_for_state(self, scene: Scene, patience: float = PATIENCE) -> None:
+        """
+        Wait for a cloud of each cloth, and for the colliders.
+
+        Raises
+        ------
+        InputError : no cloud comes, as from a node that is paused
+
+        """
+        deadline = time.monotonic() + patience
+        while not (self._clouded >= scene.cloths.keys() and (
+                'contact' not in scene.effect_names or self.colliders.joint_names)):
+            if time.monotonic() > deadline:
+                raise InputError(f'--node {self.name}: publishes no frame; if it is paused: ros2 '
+                                 f'service call {self.name}/play std_srvs/srv/Trigger')
+            time.sleep(0.02)
 
     def listen_to(self, scene: Scene) -> None:
         """Subscribe to the clouds and meshes of a scene's cloths, and forget all others."""
@@ -256,6 +275,7 @@ class ClothClient:
             self.positions = {**self.positions, cloth: found}
         self.time_ns = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
         self.heard = time.monotonic()
+        self._clouded.add(cloth)
         self.count += 1
 
     def _on_pins(self, message: MultiDOFJointState) -> None:

@@ -165,6 +165,7 @@ def _click(command: Click, frame_id: str, time_ns: int) -> PointStamped:
 
 def _parameter(command: SetKey) -> Parameter:
     value = command.value
-    if isinstance(value, tuple):
-        value = list(value)
+    if isinstance(value, tuple | list):    # of one type in ROS
+        floats = any(isinstance(each, float) for each in value)
+        value = [float(each) for each in value] if floats else list(value)
     return RclpyParameter(command.key, value=value).to_parameter_msg()

@@ -56,7 +56,7 @@ class Status:
     def begin(self) -> None:
         """Start counting events."""
         self._jumps_ns: list[int] = []
-        self._dropped_before = self._rolled_back_before = 0
+        self._dropped_before = self._rolled_back_before = self._alone_before = 0
         self._warned = ''
         self._now_ns = None
 
@@ -68,7 +68,7 @@ class Status:
         """Log new errors and warnings; return the status as a message if it is heard."""
         node = self._node
         dropped, stats = node.stepper.dropped if node.stepper else 0, node.simulation.stats()
-        level, summary = self._findings(dropped, stats['frames_taken_back'])
+        level, summary = self._findings(dropped, stats)
         return message(
             node.get_fully_qualified_name().lstrip('/'), level, summary,
             self._values(dropped, stats),
@@ -104,9 +104,11 @@ class Status:
             'bytes_recorded': node.recorder.log.bytes_written if node.recorder else 0,
         }
 
-    def _findings(self, dropped: int, rolled_back: int) -> tuple[str, str]:
+    def _findings(self, dropped: int, stats: dict[str, float]) -> tuple[str, str]:
         """Log new errors and warnings; return the level of the status and its text."""
         node, log, errors, warnings = self._node, self._node.get_logger(), [], []
+        rolled_back = int(stats['frames_taken_back'])
+        alone = int(stats.get('frames_on_one_thread', 0))
         if rolled_back > self._rolled_back_before:
             errors.append(f'{rolled_back - self._rolled_back_before} frames were not finite and '
                           'were rolled back: the cloth stands still')
@@ -120,6 +122,11 @@ class Status:
             warnings.append(f'{dropped - self._dropped_before} frames dropped in the last second: '
                             'too slow for real time')
             log.warning(warnings[-1])
+        if alone > self._alone_before:
+            warnings.append(f'{alone - self._alone_before} frames of the last second were done '
+                            'by one thread: other programs use the cores of the others; free '
+                            'some, or take fewer solver.threads')
+            log.warning(warnings[-1], throttle_duration_sec=60.0)
         if node.following.finding:
             warnings.append(node.following.finding)
         if node.error_monitor.warning:
@@ -127,6 +134,7 @@ class Status:
             if node.error_monitor.warning != self._warned:
                 log.warning(node.error_monitor.warning)
         self._rolled_back_before, self._dropped_before = rolled_back, dropped
+        self._alone_before = alone
         self._warned = node.error_monitor.warning
         self._jumps_ns.clear()
         level = 'ERROR' if errors else 'WARN' if warnings else 'OK'

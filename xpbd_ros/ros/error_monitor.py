@@ -10,9 +10,10 @@ inputs alone.
 
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from math import ceil
+from math import ceil, nan
 import time
 
+from xpbd_ros.log.background import lower_priority
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.measure import largest_strain, stiffness_given
 from xpbd_ros.sim.simulation import Simulation
@@ -29,6 +30,8 @@ MARGIN = 0.8
 """error that new substeps aim at, over the target"""
 SLACK = 0.25
 """error over the target below which substeps are reduced"""
+NICE = 10
+"""increment of the thread's nice value"""
 RECENT = 3
 """latest estimates of which the largest error decides"""
 MOST_CHANGE = 2.0
@@ -50,6 +53,8 @@ class ErrorMonitor:
     def __init__(self, simulation: Simulation, *, target: float | None, most: int):
         self.latest: Estimate | None = None
         """latest estimate in use"""
+        self.arrived: Estimate | None = None
+        """estimate that is in use from the next frame on; None before other frames"""
         self.all: list[Estimate] = []
         """all estimates so far, the latest last"""
         self.seconds = 0.0
@@ -61,7 +66,8 @@ class ErrorMonitor:
         self._work = 0.0    # time of all frames [s]
         self._pending: Future | None = None
         self._asked = 0    # frame of the pending estimate
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix='error_estimate')
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix='error_estimate',
+                                          initializer=lower_priority, initargs=(NICE,))
 
     def due(self) -> bool:
         """Return whether the next frame's error is due: then its start is kept while stepping."""
@@ -69,12 +75,13 @@ class ErrorMonitor:
 
     def commands(self) -> list[SetKey]:
         """Return the change of substeps before the next frame; empty for none."""
+        self.arrived = None
         if self._pending is None or self._simulation.index < self._asked + LATER:
             return []
         found, seconds = self._pending.result()
         self._pending = None
         self._next = self._asked + max(LATER + 1, ceil(found.frames / SHARE))
-        self.latest = found
+        self.latest = self.arrived = found
         self.all.append(found)
         self.seconds += seconds
         if self._target is None:
@@ -93,6 +100,13 @@ class ErrorMonitor:
         self._pending = self._thread.submit(
             _timed, simulation.start, simulation.state.x.copy(), simulation.index,
             simulation.slot, largest_strain(simulation))
+
+    def values(self) -> dict[str, float]:
+        """Return the values for the log, by topic, if an estimate came with this frame."""
+        found = self.arrived
+        return {} if found is None else {
+            'error_estimate/frame': float(found.frame),
+            'error_estimate/rms': found.rms if found.resolved else nan}
 
     @property
     def warning(self) -> str:

@@ -13,7 +13,7 @@ from xpbd_ros.sim.simulation import Simulation
 
 
 class Sources(Protocol):
-    """Where poses come from: the topics of a node, or those of a log."""
+    """Sources of poses: the topics of a node, or those of a log."""
 
     def way(self, robot: Robot) -> str:
         """Return how a robot is followed: 'tf' or 'joint_states'."""

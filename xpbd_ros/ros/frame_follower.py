@@ -69,7 +69,7 @@ class Track:
     silent: bool = False
     """True if the silence is longer than the timeout, and was reported"""
     reason: str = ''
-    """why there is no transform"""
+    """why the latest lookup failed; empty if it did not"""
 
     def look(self, frame_id: str, now_ns: int) -> bool:
         """Look the frame up; return whether there is a new pose."""
@@ -78,13 +78,14 @@ class Track:
         try:
             stamp_ns = self.source.latest_ns(frame_id, self.frame)
             if stamp_ns and stamp_ns == self.stamp_ns:
+                self.reason = ''
                 return False
             pose = self.source.pose(frame_id, self.frame, stamp_ns)
         except InputError as error:
             self.reason = str(error)
             return False
         new = stamp_ns != self.stamp_ns or pose != self.pose
-        self.pose, self.stamp_ns, self.seen_ns = pose, stamp_ns, now_ns
+        self.pose, self.stamp_ns, self.seen_ns, self.reason = pose, stamp_ns, now_ns, ''
         return new
 
     def silence(self, now_ns: int) -> float:
@@ -209,8 +210,9 @@ class FrameFollower:
                        f'{_parts(unknown)}; {unknown[0].reason}')
         stale = [track for track in silent if track.pose is not None]
         if stale:
+            reason = next((f'; {track.reason}' for track in stale if track.reason), '')
             self._warn(f'TF: {_frames(stale)} silent for more than {stale[0].timeout:g} s: '
-                       f'{_parts(stale)}')
+                       f'{_parts(stale)}{reason}')
         if back:
             self._warn(f'TF: {_frames(back)} back')
 

@@ -70,7 +70,8 @@ class LiveParameters:
                 if row.choices and value not in row.choices:
                     return refusal(f"{row.name}: must be one of {', '.join(row.choices)} "
                                    f"(got '{value}')")
-                if simulation is not None and not row.live:
+                if (simulation is not None and not row.live
+                        and value != self._node.get_parameter(row.name).value):
                     return refusal(f'{row.name}: is read when the node is configured; call its '
                                    'cleanup transition first')
                 if row.name == 'particle_fields':
