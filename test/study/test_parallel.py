@@ -6,22 +6,13 @@ import json
 
 import pytest
 
+from support.scenes import SMALL_SHEET
 from support.tasks import die_at_one, power
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
 from xpbd_ros.study import parallel
 from xpbd_ros.study.parallel import run_tasks
 
-SHEET = """
-duration: 0.2
-cloths:
-  sheet:
-    grid: {size: [0.6, 0.2], resolution: [6, 3]}
-    density: 0.2
-    effects: {stretch: {warp: 300.0, weft: 300.0}}
-pins:
-  left: {cloth: sheet, at: corner_00}
-"""
 SETTING = ('method', 'integrator', 'substeps', 'iterations', 'precision')
 
 
@@ -109,7 +100,7 @@ def test_cases_have_the_same_numbers_on_a_scheduler(words, scheduler, tmp_path):
 
 @pytest.mark.slow
 def test_a_study_has_the_same_errors_on_a_scheduler(scheduler, tmp_path):
-    (tmp_path / 'sheet.yaml').write_text(SHEET)
+    (tmp_path / 'sheet.yaml').write_text(SMALL_SHEET)
     found = []
     for name, words in (('here', ['--jobs', '1']), ('there', ['--scheduler', scheduler])):
         numbers_of(tmp_path, name, 'accuracy', tmp_path / 'sheet.yaml', '--methods', 'line', '-o',
