@@ -61,6 +61,10 @@ def test_json_holds_what_is_promised(done):
     chosen = numbers['recommended']
     assert chosen['ms_p95'] <= numbers['budget_ms'] == pytest.approx(1000.0 / 120.0)
     assert chosen['rerun']['error_m'] == pytest.approx(chosen['error_m'], rel=1e-9)
+    for one in numbers['defaults']:
+        assert one['ratio'] == pytest.approx(one['error_m'] / one['best']['error_m'], rel=1e-6)
+        assert one['best']['ms_p95'] <= one['ms_p95']
+        assert one['ratio'] >= 1.0
     for file in (*numbers['pictures'], numbers['report'], numbers['csv'], chosen['file']):
         assert os.path.isabs(file)
         assert os.path.getsize(file) > 100

@@ -140,6 +140,7 @@ def finish(arguments, found, folder: Path, commands: dict) -> int:
     from xpbd_ros.study.accuracy.report import (
         facts,
         numbers_of,
+        numbers_of_default,
         settings_text,
         write_csv,
         write_page,
@@ -170,6 +171,7 @@ def finish(arguments, found, folder: Path, commands: dict) -> int:
         'particles': found.particles,
         'frames': found.frames, 'frame_ms': 1e3 * found.frame_dt,
         'settings': [numbers_of(one, found.by) for one in found.rows],
+        'defaults': [numbers_of_default(one, found.by) for one in found.defaults],
         'refused': [vars(one) for one in found.refused],
         'reference': {'kind': truth.kind, 'text': truth.text,
                       'times_s': [float(f) * found.frame_dt for f in truth.frames],

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from xpbd_ros.study.accuracy.choose import mark_front, on_front, recommend, Row
+from xpbd_ros.study.accuracy.choose import judge_defaults, mark_front, on_front, recommend, Row
 from xpbd_ros.study.accuracy.errors import Errors
 from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
@@ -60,3 +60,18 @@ def test_both_wishes_must_be_met():
     rows = [row(1.0, 0.1), row(5.0, 0.01)]
     assert recommend(rows, 'position', budget=2.0, max_error=0.05) is None
     assert recommend(rows, 'position', budget=6.0, max_error=0.05) is rows[1]
+
+
+def test_a_default_is_judged_by_the_best_that_is_as_fast():
+    """The fastest of those within the truth's uncertainty; a faster budget has another one."""
+    rows = [row(1.0, 8e-3, substeps=1), row(4.0, 6e-3, substeps=4),
+            row(3.9, 1e-3, method='explicit'), row(3.0, 1.1e-3, substeps=3),
+            row(9.0, 1e-4, substeps=9)]
+    chosen = {2.0: rows[0].setting, 4.0: rows[1].setting, 8.0: Setting('jacobi', 'bdf2', 1)}
+    two, four = judge_defaults(rows, 'position', chosen)
+    assert (two.budget_ms, two.row, two.best, two.ratio) == (2.0, rows[0], rows[0], 1.0)
+    assert (four.row, four.best) == (rows[1], rows[2])
+    assert four.ratio == pytest.approx(6.0)
+    _, four = judge_defaults(rows, 'position', chosen, floor=2e-3)
+    assert four.best is rows[3]
+    assert four.ratio == pytest.approx(3.0)

@@ -1,6 +1,6 @@
-"""Mark the Pareto front of error and time, and recommend a setting."""
+"""Mark the Pareto front of error and time, recommend a setting, and judge the default by it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
 
@@ -84,3 +84,41 @@ def recommend(rows: Sequence[Row], by: str, *, budget: float | None = None,
         best = min(row.error(by) for row in known)
         known = [row for row in known if row.error(by) <= max(best, floor)]
     return min(known, key=lambda row: row.timed.ms_p50)
+
+
+@dataclass(frozen=True)
+class Default:
+    """What ``auto`` chose with a budget, beside the best setting that is as fast."""
+
+    budget_ms: float
+    row: Row
+    best: Row
+    """the most accurate row whose 95th percentile of the frame time is not larger"""
+    ratio: float
+    """error over that of ``best``, both at least the uncertainty of the true solution"""
+
+
+def judge_defaults(rows: Sequence[Row], by: str, chosen: Mapping[float, Setting],
+                   floor: float = 0.0) -> list[Default]:
+    """
+    Return the settings that ``auto`` chose beside the best ones; without those not judged.
+
+    Parameters
+    ----------
+    rows : all settings
+    by : POSITION or SHAPE
+    chosen : settings of ``auto``, by budget [ms]
+    floor : uncertainty of the true solution [m]
+
+    """
+    found = []
+    known = {row.setting.key: row for row in judged(rows, by)}
+    for budget, setting in chosen.items():
+        if setting.key in known:
+            row = known[setting.key]
+            best = recommend(rows, by, budget=row.timed.ms_p95, floor=floor)
+            assert best is not None
+            least = max(best.error(by), floor)
+            ratio = max(row.error(by), floor) / least if least > 0.0 else 1.0
+            found.append(Default(budget, row, best, ratio))
+    return found

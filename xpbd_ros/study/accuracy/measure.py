@@ -16,11 +16,19 @@ from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.study.accuracy.baselines import refusal
-from xpbd_ros.study.accuracy.choose import mark_front, POSITION, Row, SHAPE
+from xpbd_ros.study.accuracy.choose import (
+    Default,
+    judge_defaults,
+    mark_front,
+    POSITION,
+    Row,
+    SHAPE,
+)
 from xpbd_ros.study.accuracy.errors import Errors, errors
 from xpbd_ros.study.accuracy.job import Job, run_method, TRUTH
 from xpbd_ros.study.accuracy.results_store import ResultsStore
 from xpbd_ros.study.accuracy.solver_setting import (
+    auto_settings,
     BASELINES,
     ladder,
     METHODS,
@@ -79,6 +87,11 @@ class Study:
         if self.by == SHAPE:
             return float(self.truth.scatter[0])
         return float(self.truth.uncertainty[-1]) if len(self.truth.uncertainty) else 0.0
+
+    @property
+    def defaults(self) -> list[Default]:
+        """What ``auto`` chooses with each of BUDGETS, beside the best setting as fast."""
+        return judge_defaults(self.rows, self.by, auto_settings(self.scene), self.floor)
 
     @property
     def what(self) -> str:

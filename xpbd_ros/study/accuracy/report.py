@@ -12,7 +12,7 @@ from statistics import median
 import yaml
 
 from xpbd_ros import __version__
-from xpbd_ros.study.accuracy.choose import POSITION, Row, SHAPE
+from xpbd_ros.study.accuracy.choose import Default, POSITION, Row, SHAPE
 from xpbd_ros.study.accuracy.errors import Errors
 from xpbd_ros.study.accuracy.measure import Study
 from xpbd_ros.study.accuracy.solver_setting import Setting
@@ -51,6 +51,12 @@ def numbers_of(row: Row, by: str) -> dict:
         'error_m': row.error(by), 'pareto': row.pareto, 'scene': row.scene,
         'baseline': row.setting.is_baseline, 'note': errors.note,
     }
+
+
+def numbers_of_default(one: Default, by: str) -> dict:
+    """Return a setting of ``auto`` as keys of JSON."""
+    return {'budget_ms': one.budget_ms, **numbers_of(one.row, by),
+            'best': numbers_of(one.best, by), 'ratio': one.ratio}
 
 
 def settings_text(study: Study, row: Row) -> str:
@@ -138,6 +144,7 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
     if budget is not None:
         wish += (' and ' if wish else '') + f'{budget:.4g} ms per frame (p95)'
     said.append(('asked', wish))
+    said += [('default', text_of(one, study.by)) for one in study.defaults]
     if chosen is None:
         said.append(('found', 'no setting meets this'))
         return said
@@ -150,6 +157,18 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
         said.append(('rerun', f'{error:.3g} m, {timing.ms_p50:.3g} ms, {timing.ms_p95:.3g} ms '
                      'p95'))
     return said
+
+
+def text_of(default: Default, by: str) -> str:
+    """Return a setting of ``auto`` and the best one as fast as a line."""
+    row, best = default.row, default.best
+    text = (f'auto with {default.budget_ms:g} ms is {name_of(row.setting)}: {row.error(by):.3g} '
+            f'm, {row.timed.ms_p95:.3g} ms p95; ')
+    if default.ratio <= 1.0:
+        return text + 'no setting as fast is more accurate'
+    return text + (f'as fast and {default.ratio:.3g} times as accurate is '
+                   f'{name_of(best.setting)}: {best.error(by):.3g} m, '
+                   f'{best.timed.ms_p95:.3g} ms p95')
 
 
 def write_page(study: Study, file: Path, picture: Path, said: Sequence[tuple[str, str]],

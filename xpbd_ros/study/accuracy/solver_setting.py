@@ -22,6 +22,11 @@ FINEST = 16
 """largest number of substeps over those that resolve the stretch"""
 REPEATED = 4
 """iterations of the settings with several substeps and iterations"""
+AUTO = {'method': 'auto', 'integrator': None, 'substeps': None, 'iterations': 1,
+        'precision': 'float64'}
+"""keys of the default"""
+BUDGETS = 2.0, 4.0, 8.0
+"""with which the default is compared with the other settings [ms]"""
 
 
 @dataclass(frozen=True)
@@ -98,14 +103,18 @@ def default_solver(scene: Scene) -> Setting:
     Of a mix, that of rough frames.
     """
     top = scene.top.solver
-    free = with_solver(scene, {'method': 'auto', 'integrator': None, 'substeps': None,
-                               'iterations': 1, 'precision': 'float64',
-                               'budget_ms': max(top.budget_ms, 500.0 / scene.top.frame_rate)})
-    simulation = compile_scene(free)
+    simulation = compile_scene(with_solver(scene, {
+        **AUTO, 'budget_ms': max(top.budget_ms, 500.0 / scene.top.frame_rate)}))
     if not simulation.solver.mixes:
         return setting_of(simulation)
     rough = simulation.solver.rough
     return Setting(rough.method, rough.integrator, rough.substeps, rough.iterations)
+
+
+def auto_settings(scene: Scene) -> dict[float, Setting]:
+    """Return the settings that ``auto`` chooses, by BUDGETS [ms]."""
+    return {budget: setting_of(compile_scene(with_solver(scene, {**AUTO, 'budget_ms': budget})))
+            for budget in BUDGETS}
 
 
 def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = False
@@ -114,8 +123,8 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
     Return the settings to try, and those that cannot run the scene.
 
     Each method runs with each integrator, with powers of two as substeps. There are also settings
-    with one substep and many iterations, with several of both, in single precision, and that of
-    the scene itself.
+    with one substep and many iterations, with several of both, in single precision, those of
+    ``auto``, and that of the scene itself.
     """
     found: dict[str, Setting] = {}
     refused = []
@@ -126,6 +135,9 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
     scene_itself = setting_of(compile_scene(scene))
     usual = default_solver(scene)
     add(scene_itself)
+    for setting in auto_settings(scene).values():
+        if setting.method in methods:
+            add(setting)
     for method in methods:
         integrators = (('leapfrog',) if method == 'explicit' else
                        ('backward_euler', 'bdf2', 'ndf2'))
