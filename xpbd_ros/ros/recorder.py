@@ -31,6 +31,9 @@ from xpbd_ros.sim.simulation import Frame
 INPUT = Qos(depth=10)
 CHECKPOINT = 'checkpoint'
 """name of the attachment"""
+SPLIT_SIZE = 4 * 10**9
+"""size at which a log goes on in a new file [bytes]: it bounds the index in memory (0.7 kB per
+chunk), and a FAT32 volume holds no larger file"""
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
@@ -62,7 +65,7 @@ class Recorder:
 
     def __init__(self, folder: Path, outputs: Outputs, *, name: str = '/cloth',
                  epoch_ns: int, flush_period: float = 1.0, checkpoint_period: float = 10.0,
-                 split_size: int = 0, split_duration: int = 0,
+                 split_size: int = SPLIT_SIZE, split_duration: int = 0,
                  settings: dict[str, str] | None = None,
                  files: Mapping[str, bytes] = MappingProxyType({})):
         self.folder = folder
