@@ -220,6 +220,19 @@ def test_without_a_summary_topics_are_described_by_a_damaged_chunk(run, damaged)
     assert 0 < 121 - reader.count <= 10
 
 
+def test_a_wrong_length_of_one_description_hides_no_other(run, damaged):
+    """Without a summary, where nothing else describes the topics."""
+    data, last = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')[-1]
+    at = data.index(b'std_msgs/msg/UInt64') - 15    # the head of its schema
+    assert data[at] == 0x03
+    data[at + 1] ^= 0xff
+    reader = damaged(data[:last])
+    text = 'the description of /cloth/text is from a damaged chunk'
+    assert text in reader.damage
+    assert reader.topics['/cloth/text'].type == 'std_msgs/msg/String'
+    assert reader.topics['/cloth/text'].count > 40
+
+
 def test_messages_of_a_damaged_chunk_are_read_on_request(run, tmp_path):
     path = tmp_path / 'damaged.mcap'
     data, starts = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')

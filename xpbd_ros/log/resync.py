@@ -6,6 +6,7 @@ fields, also where opcode or length before them are wrong. An attachment has a c
 records have none, so a search cannot tell them from arbitrary bytes.
 """
 
+from collections.abc import Iterator
 import re
 import struct
 from typing import BinaryIO
@@ -28,6 +29,8 @@ ATTACHMENT_TIMES = 16
 """length of the two times at the start of an attachment [bytes]"""
 CHECKED = re.compile(rb'(?=[\x06\x09].{5}\x00\x00\x00)', re.DOTALL)
 """opcode and length of a chunk or an attachment of less than 2^40 bytes"""
+DESCRIPTION = re.compile(rb'(?=[\x03\x04].{4}\x00\x00\x00\x00)', re.DOTALL)
+"""opcode and length of a schema or a channel"""
 WINDOW = 2**20
 """bytes that are searched at a time"""
 
@@ -115,3 +118,15 @@ def next_start(file: BinaryIO, at: int, end: int) -> int | None:
                     return start
         at += len(data) - HEAD.size + 1
     return None
+
+
+def descriptions(records: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of the schemas and channels in a damaged chunk's records."""
+    for found in DESCRIPTION.finditer(records):
+        opcode, length = HEAD.unpack_from(records, found.start())
+        body = records[found.end() + HEAD.size:found.end() + HEAD.size + length]
+        at = 2 if opcode == Opcode.SCHEMA else 4    # behind the numbers
+        for _ in range(3):    # name, encoding, text; or topic, encoding, metadata
+            at += 4 + int.from_bytes(body[at:at + 4], 'little')
+        if at == length == len(body):
+            yield opcode, body

@@ -17,7 +17,7 @@ from mcap.stream_reader import CRCValidationError
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.records import HEAD, MAGIC, parse, pieces, read_summary, Summary
-from xpbd_ros.log.resync import CHUNK_HEAD, decompressed, UNCOMPRESSED
+from xpbd_ros.log.resync import CHUNK_HEAD, decompressed, descriptions, UNCOMPRESSED
 from xpbd_ros.log.walk import Record, walk
 
 TOPIC, TYPE = re.compile(r'[~/\w]+'), re.compile(r'\w+/msg/\w+')
@@ -195,16 +195,18 @@ class Scan:
     def _take_damaged(self, chunk: Record) -> int:
         """Take topics, and on request messages, of a damaged chunk; return their number."""
         count, at = 0, chunk.start + UNCOMPRESSED
+        records = chunk.body[UNCOMPRESSED - HEAD.size:]
         try:
             if CHUNK_HEAD.unpack_from(chunk.body)[-1]:
                 return 0    # compressed
-            for opcode, body in pieces(chunk.body[UNCOMPRESSED - HEAD.size:]):
-                at += HEAD.size
+            for opcode, body in descriptions(records):
                 self._take_description(opcode, body, self._doubtful)
-                if opcode == Opcode.MESSAGE and self._unchecked:
-                    self._take_messages(Record(opcode, at, b'', bytes(body)), [(opcode, body)])
+            for opcode, view in pieces(records) if self._unchecked else ():
+                at += HEAD.size
+                if opcode == Opcode.MESSAGE:
+                    self._take_messages(Record(opcode, at, b'', bytes(view)), [(opcode, view)])
                     count += 1
-                at += len(body)
+                at += len(view)
         except Exception:    # a parser may raise anything on arbitrary bytes
             pass
         return count
