@@ -11,9 +11,10 @@ from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.writer import CHECKPOINT
 from xpbd_ros.ros.clouds import positions_of
 from xpbd_ros.ros.inputs import input_of, unpacked
-from xpbd_ros.ros.recorder import CHECKPOINT, type_name
+from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.files import written_out
 from xpbd_ros.scene.load import parse_yaml, scene_from_text
 from xpbd_ros.scene.model import Scene
@@ -28,7 +29,7 @@ class Recording:
 
     Parameters
     ----------
-    run : path of the log
+    run : path of the log, or the log
     tell : is given a text for each damage of the log, which may then lack inputs
 
     Attributes
@@ -51,8 +52,8 @@ class Recording:
 
     """
 
-    def __init__(self, run: str, tell: Callable[[str], None] = lambda text: None):
-        self._reader = reader = LogReader(run)
+    def __init__(self, run: str | LogReader, tell: Callable[[str], None] = lambda text: None):
+        self._reader = reader = run if isinstance(run, LogReader) else LogReader(run)
         self.path = reader.path
         if reader.scene is None:
             raise InputError(f'{self.path}: is not a log of xpbd_ros: it holds no scene')

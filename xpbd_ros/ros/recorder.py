@@ -18,19 +18,17 @@ from std_msgs.msg import Float64
 
 from xpbd_ros.log.background import Background
 from xpbd_ros.log.qos import Qos
-from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.log.writer import CHECKPOINT, LogWriter, VECTOR_BITS
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
-from xpbd_ros.sim.backend.simd import PROCESSOR
+from xpbd_ros.sim.backend.simd import BITS, PROCESSOR
 from xpbd_ros.sim.checkpoint import checkpoint
 from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
-CHECKPOINT = 'checkpoint'
-"""name of the attachment"""
 SPLIT_SIZE = 4 * 10**9
 """size at which a log goes on in a new file [bytes]: it bounds the index in memory (0.7 kB per
 chunk), and a FAT32 volume holds no larger file"""
@@ -193,9 +191,9 @@ class Recorder:
 
 
 def environment() -> dict[str, str]:
-    """Return the versions and the processor that a run is computed with."""
+    """Return the versions, the processor and its vectors that a run is computed with."""
     return {'python': platform.python_version(), 'numpy': np.__version__,
-            'numba': numba.__version__, 'cpu': PROCESSOR}
+            'numba': numba.__version__, 'cpu': PROCESSOR, VECTOR_BITS: str(BITS)}
 
 
 def type_name(kind: type) -> str:
