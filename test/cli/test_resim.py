@@ -17,12 +17,14 @@ from std_msgs.msg import Float64
 
 from support.logs import COMMANDS, recorded, SHEET, state_hashes
 from support.meshes import disc, obj_text
+from support.node import TOWEL
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.resim import take_recorded_vectors
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.sim.backend.simd import BITS
+from xpbd_ros.sim.commands import MoveCollider, Pose
 
 
 @pytest.fixture(scope='module')
@@ -134,6 +136,25 @@ def test_one_bit_of_one_input_is_found_at_its_frame(log, tmp_path, frame, capsys
     assert code == 1
     assert found['first_difference']['frame'] == frame
     assert f'differs from the log from frame {frame} on' in said
+
+
+def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys):
+    """No state depends on it, but its recorded pose does."""
+    scene = tmp_path / 'towel.yaml'
+    scene.write_text(TOWEL)
+    log = recorded(scene, tmp_path / 'log', {4: [MoveCollider('ball', Pose((0.0, 1.0, 0.16)))]})
+    assert resim(log, capsys=capsys)[0] == 0
+
+    def changed(data: bytes) -> bytes:
+        message = deserialize_message(data, MultiDOFJointState)
+        place = message.transforms[0].translation
+        place.y = float(np.nextafter(place.y, 2.0))
+        return serialize_message(message)
+    other = rewritten(log, tmp_path / 'other', '/cloth/collider_states', changed)
+    code, found, said = resim(other, capsys=capsys)
+    assert (code, found['identical'], found['first_difference']) == (1, False, None)
+    assert found['first_collider'] == {'frame': 4, 'name': 'ball'}
+    assert "collider 'ball': its pose differs from the log from frame 4 on" in said
 
 
 def rewritten(log: Path, folder: Path, topic: str, change) -> Path:

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
@@ -19,7 +19,7 @@ from xpbd_ros.scene.files import written_out
 from xpbd_ros.scene.load import parse_yaml, scene_from_text
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.checkpoint import restore
-from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.commands import Command, Pose
 from xpbd_ros.sim.simulation import Simulation
 
 
@@ -124,6 +124,16 @@ class Recording:
         """Yield frame, topic and recorded positions [m] (float32, shape (particles, 3))."""
         for message in self._reader.messages(self._topics('particles', PointCloud2)):
             yield message.frame, message.topic, positions_of(unpacked(message.data, PointCloud2))
+
+    def collider_poses(self) -> Iterator[tuple[int, dict[str, Pose]]]:
+        """Yield frame and poses of the colliders, by name."""
+        for message in self._reader.messages(self._topics('collider_wrenches',
+                                                          MultiDOFJointState)):
+            states = unpacked(message.data, MultiDOFJointState)
+            yield message.frame, {
+                name: Pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+                for name, pose in zip(states.joint_names, states.transforms)
+                for at, turn in [(pose.translation, pose.rotation)]}
 
     def _topics(self, name: str, kind: type) -> list[str]:
         return [topic for topic, about in self._reader.topics.items()
