@@ -81,12 +81,9 @@ def run(arguments) -> int:
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = new_log(folder, scene, simulation, program='run')
-    step_ms, shots = [], None
+    step_ms, shots = [], shots_of(arguments, simulation, frames)
     refused: list[str] = []
     notes = [*([] if motion else notes_without_tf(scene)), *simulation.notes]
-    if arguments.picture:
-        from xpbd_ros.study.snapshots import Shots
-        shots = Shots(simulation, frames)
     monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                            most=scene.top.solver.max_substeps)
     try:
@@ -99,8 +96,7 @@ def run(arguments) -> int:
                 frame = simulation.step([*inputs, *monitor.commands()], keep=monitor.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 monitor.look(1e-3 * step_ms[-1])
-                refused += [f'frame {index}: {type(command).__name__} is refused: {reason}'
-                            for command, reason in frame.refused]
+                refused += refusals(frame)
                 if repeat:
                     repeat.look(frame)
                 if shots:
@@ -147,6 +143,14 @@ def check_outputs(arguments) -> None:
     if arguments.picture:
         from xpbd_ros.study.picture import need_view
         need_view('--picture')
+
+
+def shots_of(arguments, simulation, frames: int):
+    """Return what keeps the instants that ``--picture`` draws; None without it."""
+    if not arguments.picture:
+        return None
+    from xpbd_ros.study.snapshots import Shots
+    return Shots(simulation, frames)
 
 
 def commands_in(arguments) -> tuple[Any, Any]:
@@ -196,6 +200,12 @@ def scene_of(arguments, recording, foreign=None):
     length = (recording.last / scene.top.frame_rate if foreign is None else
               1e-9 * (foreign.end_ns - foreign.start_ns) - arguments.start_offset)
     return load_scene(arguments.scene, {**overrides, 'duration': length})
+
+
+def refusals(frame) -> list[str]:
+    """Return the refused commands of a frame, each with its reason."""
+    return [f'frame {frame.index}: {type(command).__name__} is refused: {reason}'
+            for command, reason in frame.refused]
 
 
 def verdict(repeat, quiet: bool) -> int:
