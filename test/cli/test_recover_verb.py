@@ -48,13 +48,16 @@ def test_lost_messages_are_told_by_the_exit_code(write_log, tmp_path, capsys):
     run = write_log(filling=5000)
     file = run / 'run_0.mcap'
     data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 0xff
+    data[len(data) // 2] ^= 0x01    # of a text, which is ASCII
     file.write_bytes(data)
     assert main(['recover', str(run), '-o', str(tmp_path / 'whole')]) == 1
     out = capsys.readouterr().out
     assert out.startswith(f'{file}: damaged\n')
     assert ' of 121 messages are lost\n' in out
     assert read_strictly(tmp_path / 'whole').total() < 121
+    assert main(['recover', str(run), '--unchecked', '-o', str(tmp_path / 'all')]) == 1
+    assert ' messages in it are taken unchecked\n' in capsys.readouterr().out
+    assert read_strictly(tmp_path / 'all').total() == 121
 
 
 def test_mistakes_are_one_line_and_write_nothing(write_log, tmp_path, capsys):

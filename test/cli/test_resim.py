@@ -1,8 +1,11 @@
 """``resim``: the same states from a log alone, forks of it, and the deviation it reports."""
 
 import json
+import os
 from pathlib import Path
 import shutil
+import subprocess
+import sys
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -14,10 +17,14 @@ from std_msgs.msg import Float64
 
 from support.logs import COMMANDS, recorded, SHEET, state_hashes
 from support.meshes import disc, obj_text
+from support.node import TOWEL
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
+from xpbd_ros.cli.resim import take_recorded_vectors
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
+from xpbd_ros.sim.backend.simd import BITS
+from xpbd_ros.sim.commands import MoveCollider, Pose
 
 
 @pytest.fixture(scope='module')
@@ -131,6 +138,25 @@ def test_one_bit_of_one_input_is_found_at_its_frame(log, tmp_path, frame, capsys
     assert f'differs from the log from frame {frame} on' in said
 
 
+def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys):
+    """No state depends on it, but its recorded pose does."""
+    scene = tmp_path / 'towel.yaml'
+    scene.write_text(TOWEL)
+    log = recorded(scene, tmp_path / 'log', {4: [MoveCollider('ball', Pose((0.0, 1.0, 0.16)))]})
+    assert resim(log, capsys=capsys)[0] == 0
+
+    def changed(data: bytes) -> bytes:
+        message = deserialize_message(data, MultiDOFJointState)
+        place = message.transforms[0].translation
+        place.y = float(np.nextafter(place.y, 2.0))
+        return serialize_message(message)
+    other = rewritten(log, tmp_path / 'other', '/cloth/collider_states', changed)
+    code, found, said = resim(other, capsys=capsys)
+    assert (code, found['identical'], found['first_difference']) == (1, False, None)
+    assert found['first_collider'] == {'frame': 4, 'name': 'ball'}
+    assert "collider 'ball': its pose differs from the log from frame 4 on" in said
+
+
 def rewritten(log: Path, folder: Path, topic: str, change) -> Path:
     """Copy a log with its messages on a topic changed."""
     folder.mkdir()
@@ -205,3 +231,43 @@ def test_a_damaged_checkpoint_is_refused(late, tmp_path, capsys):
     code, _, said = resim(copy, capsys=capsys)
     assert code == 2
     assert said.splitlines()[-1].endswith('and holds no checkpoint of it; record again')
+
+
+@pytest.mark.parametrize(('name', 'set_to', 'expected'), [
+    ('late', None, '256'), ('late', '128', '128'), ('log', None, None)])
+def test_a_checkpoint_is_continued_with_its_own_vector_width(request, monkeypatch, name, set_to,
+                                                             expected):
+    """Unless the variable is set; then ``restore`` names the width that is needed."""
+    log = LogReader(request.getfixturevalue(name))
+    assert log.settings['vector_bits'] == str(BITS)
+    log.settings['vector_bits'] = '256'
+    monkeypatch.setenv('XPBD_ROS_VECTOR_BITS', set_to or '')    # is undone whatever follows
+    if not set_to:
+        monkeypatch.delenv('XPBD_ROS_VECTOR_BITS')
+    take_recorded_vectors(log)
+    assert 'XPBD_ROS_VECTOR_BITS' not in os.environ or set_to, 'it is imported already'
+    monkeypatch.setattr('xpbd_ros.cli.resim.SIMD', 'not imported')
+    take_recorded_vectors(log)
+    assert os.environ.get('XPBD_ROS_VECTOR_BITS') == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('bits', ['128', '256'])
+def test_a_log_from_the_middle_of_a_run_continues_as_on_another_processor(tmp_path, scene, bits):
+    code = ('import sys; from support.logs import COMMANDS, recorded;'
+            'recorded(sys.argv[1], sys.argv[2], COMMANDS, begin=4)')
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))}
+    environment.pop('XPBD_ROS_VECTOR_BITS', None)
+    log = tmp_path / 'log'
+    subprocess.run([sys.executable, '-c', code, scene, log], check=True,
+                   env={**environment, 'XPBD_ROS_VECTOR_BITS': bits})
+    done = subprocess.run([sys.executable, '-m', 'xpbd_ros', 'resim', log, '--json', '-'],
+                          env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)['identical']
+    if bits != str(BITS):
+        done = subprocess.run([sys.executable, '-m', 'xpbd_ros', 'resim', log],
+                              env={**environment, 'XPBD_ROS_VECTOR_BITS': str(BITS)},
+                              capture_output=True, text=True)
+        assert done.returncode == 2
+        assert f'set the environment variable XPBD_ROS_VECTOR_BITS={bits}' in done.stderr

@@ -252,7 +252,8 @@ def test_a_repeated_run_is_compared_up_to_the_end_of_its_log(log, scene, capsys)
     assert (code, said) == (0, [])
     assert found == {'log': str(log / 'log_0.mcap'), 'identical': True, 'frames': 13,
                      'frames_without_hash': 0,
-                     'first_difference': None, 'max_deviation_m': 0.0, 'scene': [],
+                     'first_difference': None, 'first_collider': None,
+                     'max_deviation_m': 0.0, 'scene': [],
                      'refused': [], 'notes': []}
     told = log.parent / 'told'
     assert main(['run', str(scene), '-o', str(told), '--commands', str(log)]) == 0

@@ -127,6 +127,7 @@ def test_one_wrong_byte_costs_no_more_than_its_chunk(run, damaged):
 def test_any_damage_is_survived(run, damaged):
     data = (run / 'run_0.mcap').read_bytes()
     everything = set(LogReader(run).messages())
+    contents = {message.data for message in everything}
     some = random.Random(5)
     for _ in range(300):
         wrong = bytearray(data)
@@ -135,7 +136,9 @@ def test_any_damage_is_survived(run, damaged):
             wrong[at:at + length] = some.choice(
                 [b'', bytes(length), some.randbytes(length), some.randbytes(2 * length)])
         reader = damaged(wrong)
-        assert set(reader.messages()) <= everything
+        if not any('is from a damaged chunk' in text for text in reader.damage):
+            assert set(reader.messages()) <= everything
+        assert {message.data for message in reader.messages()} <= contents
         assert reader.whole == (wrong == data)
 
 
@@ -150,25 +153,107 @@ def test_a_damaged_chunk_is_named_and_its_messages_counted(run, damaged):
     assert reader.topics['/cloth/count'].type == 'std_msgs/msg/UInt64'    # from the summary
 
 
-def test_a_wrong_length_hides_no_chunk_but_its_own(run, damaged):
-    """The summary knows where the next one begins."""
+@pytest.mark.parametrize('summary', [True, False], ids=['whole', 'cut'])
+@pytest.mark.parametrize('wrong', ['length', 'opcode'])
+def test_a_wrong_head_hides_no_chunk(run, damaged, wrong, summary):
+    """A chunk repeats its length, and its checksum proves it."""
     data = bytearray((run / 'run_0.mcap').read_bytes())
-    first, _, third, *_ = chunks(run / 'run_0.mcap')
-    data[first + 1:first + 9] = (third - first).to_bytes(8, 'little')    # swallows the second
+    first, second, third, *_, last = chunks(run / 'run_0.mcap')
+    if wrong == 'length':
+        data[second + 1:second + 9] = (third - first).to_bytes(8, 'little')    # swallows the next
+    else:
+        data[second] = 0x05    # a message
+    reader = damaged(data if summary else data[:last])
+    assert reader.damage[0] == (
+        f'bytes {second} to {second + 9} are damaged: the head of a chunk that is whole')
+    assert not reader.lossy
+    assert reader.count == 121 - (0 if summary else 121 - damaged(data[:last]).count)
+    assert len(reader.damage) == 1 + (not summary)
+    assert [message.frame for message in reader.messages({'/cloth/count'})][:40] == [*range(40)]
+
+
+def test_reading_resumes_at_the_next_chunk_without_a_summary(run, damaged):
+    data, starts = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')
+    whole = damaged(data[:starts[-1]]).count
+    data[starts[2] + 1:starts[2] + 49] = b'\xff' * 48    # all lengths
+    reader = damaged(data[:starts[-1]])
+    assert reader.damage[0] == (
+        f'bytes {starts[2]} to {starts[3]} are unreadable: a record is damaged')
+    assert reader.lossy
+    assert 0 < whole - reader.count <= 10
+
+
+def test_an_attachment_behind_a_damaged_record_is_found(run, damaged):
+    data, starts = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')
+    at = data.index(b'xpbd_ros', 50) - 13    # the head of a record of metadata
+    data[at] = 0
+    reader = damaged(data[:starts[-1]])
+    assert reader.attachments == {'scene.yaml': b'gravity: [0.0, 0.0, -9.8]\n'}
+    assert [message.frame for message in reader.messages({'/cloth/count'})][:40] == [*range(40)]
+
+
+def test_the_last_chunk_of_a_log_cut_short_is_read_up_to_the_cut(run, damaged):
+    data, starts = (run / 'run_0.mcap').read_bytes(), chunks(run / 'run_0.mcap')
+    before = damaged(data[:starts[-3]]).count
+    after = damaged(data[:starts[-2]]).count
+    cut = (starts[-3] + starts[-2]) // 2
+    reader = damaged(data[:cut])
+    assert before < reader.count < after
+    assert reader.damage == [
+        f'bytes {reader._parts[0][1].spans[-1].start + reader._parts[0][1].spans[-1].length} to '
+        f'{cut} are unreadable: no whole record', NO_END,
+        f'no checksum covers {reader.count - before} messages of its last chunk, which is '
+        'incomplete']
+    assert not reader.lossy
+    everything = list(LogReader(run).messages())
+    assert list(reader.messages()) == everything[:reader.count]
+
+
+def test_without_a_summary_topics_are_described_by_a_damaged_chunk(run, damaged):
+    data = bytearray((run / 'run_0.mcap').read_bytes())
+    data[data.index(b'the scene')] ^= 0xff    # in the first chunk, which describes the topics
+    data[data.rindex(b'/cloth/count') + 8] ^= 0x01
     reader = damaged(data)
-    assert reader.damage[0].endswith('are unreadable: a record is damaged')
+    assert 'the summary before its end is damaged' in reader.damage
+    assert ('the description of /cloth/count, /cloth/text is from a damaged chunk'
+            in reader.damage)
     assert 0 < 121 - reader.count <= 10
 
 
-def test_a_damaged_summary_describes_nothing(run, damaged):
+def test_a_wrong_length_of_one_description_hides_no_other(run, damaged):
+    """Without a summary, where nothing else describes the topics."""
+    data, last = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')[-1]
+    at = data.index(b'std_msgs/msg/UInt64') - 15    # the head of its schema
+    assert data[at] == 0x03
+    data[at + 1] ^= 0xff
+    reader = damaged(data[:last])
+    text = 'the description of /cloth/text is from a damaged chunk'
+    assert text in reader.damage
+    assert reader.topics['/cloth/text'].type == 'std_msgs/msg/String'
+    assert reader.topics['/cloth/text'].count > 40
+
+
+def test_messages_of_a_damaged_chunk_are_read_on_request(run, tmp_path):
+    path = tmp_path / 'damaged.mcap'
+    data, starts = bytearray((run / 'run_0.mcap').read_bytes()), chunks(run / 'run_0.mcap')
+    data[starts[2] - 200] ^= 0x01
+    path.write_bytes(data)
+    reader, all_of_it = LogReader(path), LogReader(path, unchecked=True)
+    assert (all_of_it.count, all_of_it.lossy) == (121, True)
+    taken = 121 - reader.count
+    assert 0 < taken <= 10
+    assert all_of_it.damage == [
+        f'{reader.damage[0]}; {taken} messages in it are taken unchecked']
+    whole, found = list(LogReader(run).messages()), list(all_of_it.messages())
+    assert sum(one != other for one, other in zip(whole, found, strict=True)) <= 1
+
+
+def test_a_damaged_magic_at_the_start_hides_nothing(run, damaged):
     data = bytearray((run / 'run_0.mcap').read_bytes())
-    data[chunks(run / 'run_0.mcap')[0] + IN_CHUNK] ^= 0xff    # where the topics are described
-    data[data.rindex(b'/cloth/count') + 8] ^= 0x01
+    data[3] ^= 0xff
     reader = damaged(data)
-    assert reader.topics == {}
-    assert 'the summary before its end is damaged' in reader.damage
-    assert any('are of topics whose description is lost' in text for text in reader.damage)
-    assert list(reader.messages()) == []
+    assert reader.damage == ['the magic bytes at its start are damaged']
+    assert (reader.count, reader.lossy) == (121, False)
 
 
 def test_what_follows_the_end_is_no_part_of_the_log(run, damaged):

@@ -363,6 +363,20 @@ def test_a_silent_topic_releases_its_pin_and_is_told(tmp_path):
         'TF: topic:/tool_pose silent for more than 0.5 s: pin hand released']
 
 
+def test_a_refused_grasp_is_told_with_its_reason(tmp_path, capsys):
+    """The topic is silent, and back where the released cloth is not."""
+    far = Pose((5.0, 5.0, 5.0), (0.0, 0.0, 0.0, 1.0))
+    few = [pose_written(0.02 * k, '/tool_pose', 'world', tool(0.02 * k)) for k in range(10)]
+    few += [pose_written(1.5 + 0.02 * k, '/tool_pose', 'world', far) for k in range(20)]
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(scene_text('  /tool_pose: {pin: hand, frame_timeout: 0.5}'))
+    assert main(['run', str(scene), '--commands', str(write_bag(tmp_path / 'bag', few, 'mcap')),
+                 '-o', str(tmp_path / 'run'), '--json', '-']) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers['refused'] == 1
+    assert "Grasp is refused: pin 'hand': no free particle within" in numbers['notes'][-1]
+
+
 @pytest.mark.parametrize(('inputs', 'said'), [
     ('{/tool pose: {pin: hand}}', 'inputs./tool pose: is not the name of a topic'),
     ('{/a: {pin: hnd}}', "inputs./a.pin: unknown pin; did you mean 'hand'? (known: hand)"),

@@ -4,7 +4,6 @@
 What must not be missed is replayed in a loop, so that nothing depends on how long discovery takes.
 """
 
-import json
 import os
 import pty
 import re
@@ -12,112 +11,25 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 
 from mcap.writer import Writer
 import pytest
 from rcl_interfaces.srv import GetParameters, SetParameters
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String, UInt64
-from std_srvs.srv import Trigger
 
 from support.logs import cdr_string, cdr_uint64
+from support.replayed import nanoseconds, padded, PATIENCE
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros.replay import Replay
 
-PATIENCE = 60.0    # s; only a failure takes that long
 START = 1_700_000_000_000_000_000
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
-
-class Listener:
-    """A node in this process that hears messages as bytes and calls the replay's services."""
-
-    def __init__(self):
-        self.node = rclpy.create_node('listener')
-        self.executor = SingleThreadedExecutor()
-        self.executor.add_node(self.node)
-        self.heard: list[tuple[str, bytes]] = []
-        self._clients = {}
-
-    def listen(self, kind, topic, qos=1000, raw=True):
-        self.node.create_subscription(
-            kind, topic, lambda message: self.heard.append((topic, message)), qos, raw=raw)
-
-    def until(self, true):
-        """Spin until something is so."""
-        deadline = time.monotonic() + PATIENCE
-        while not true():
-            assert time.monotonic() < deadline, f'waited in vain; heard {self.heard[-5:]}'
-            self.executor.spin_once(timeout_sec=0.05)
-
-    def spin(self, seconds):
-        deadline = time.monotonic() + seconds
-        while time.monotonic() < deadline:
-            self.executor.spin_once(timeout_sec=0.01)
-
-    def call(self, name, *, after=0.0):
-        """Call a service, and look for its answer after some seconds."""
-        if name not in self._clients:
-            self._clients[name] = self.node.create_client(Trigger, f'/xpbd_ros_replay/{name}')
-            self.until(self._clients[name].service_is_ready)
-            self.spin(0.3)    # or the server may not know yet where to send its answer
-        client = self._clients[name]
-        self.until(client.service_is_ready)
-        future = client.call_async(Trigger.Request())
-        time.sleep(after)
-        self.until(future.done)
-        return future.result().success, future.result().message
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-
-
-@pytest.fixture
-def listener(own_domain):
-    rclpy.init()
-    listener = Listener()
-    yield listener
-    listener.close()
-    rclpy.shutdown()
-
-
-@pytest.fixture
-def replay(own_domain):
-    """Return a function that starts a replay."""
-    started = []
-
-    def start(run, *flags) -> subprocess.Popen:
-        started.append(subprocess.Popen(
-            [sys.executable, '-m', 'xpbd_ros', 'replay', str(run), *map(str, flags)],
-            env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))},
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
-        return started[-1]
-
-    yield start
-    for process in started:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-@pytest.fixture
-def ended(replay):
-    """Return a function that replays to the end; it gives JSON, stderr and the time it took."""
-    def run(run, *flags) -> tuple[dict, str, float]:
-        start = time.monotonic()
-        process = replay(run, '--json', '-', *flags)
-        out, err = process.communicate(timeout=PATIENCE)
-        assert process.returncode == 0, err
-        return json.loads(out), err, time.monotonic() - start
-    return run
 
 
 def test_every_message_comes_as_it_was_recorded(write_log, replay, listener):
@@ -444,6 +356,16 @@ def test_a_type_that_is_not_installed_is_left_out(tmp_path, ended):
                               '(got 7 s)'),
     (['--clock', '-4'], 'argument --clock: must be > 0 (got -4)'),
     (['--remap', '/a:='], 'argument -m/--remap: must be FROM:=TO'),
+    (['--playback-until-nsec', '5'], '--playback-until: must not be before '
+                                     '1700000000000000000 ns, where the replay starts (got 5 ns)'),
+    (['--clock', '40', '--clock-topics-all'], 'not allowed with argument --clock'),
+    (['--clock-topics', '/cloth/cuont'], '/cloth/cuont: the log has no such topic; did you mean '
+                                         '/cloth/count?'),
+    (['--regex', '['], 'argument -e/--regex: is no regular expression: unterminated character '
+                       'set at position 0 (got [)'),
+    (['--regex', '/cloth'], '--regex: leaves no topic of '),
+    (['--exclude-regex', '.*'], '--exclude-regex: leaves no topic of '),
+    (['--qos-profile-overrides-path', 'none.yaml'], 'none.yaml: cannot be read: No such file'),
     (['--playback-duration', '0'], 'argument --playback-duration: must be > 0 (got 0)'),
     (['--exclude-topics', '/cloth/cuont'], '/cloth/cuont: the log has no such topic; did you '
                                            'mean /cloth/count?'),
@@ -468,13 +390,3 @@ def test_without_ros_it_says_how_to_get_it(write_log):
     assert 'source /opt/ros/jazzy/setup.bash' in done.stderr
     assert "pip install 'xpbd_ros[ros]'" in done.stderr
     assert done.stderr.count('\n') == 1
-
-
-def padded(data: bytes) -> bytes:
-    """Return a message as it arrives: DDS fills up the last four bytes with zeros."""
-    return data + bytes(-len(data) % 4)
-
-
-def nanoseconds(message: Clock) -> int:
-    """Return what a clock message tells (ns)."""
-    return message.clock.sec * 10**9 + message.clock.nanosec

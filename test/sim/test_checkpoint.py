@@ -7,6 +7,7 @@ import pytest
 
 from support.scenes import FEW, with_effects
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.backend.simd import BITS
 from xpbd_ros.sim.checkpoint import checkpoint, restore
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Reset
 
@@ -97,3 +98,15 @@ def test_a_checkpoint_of_another_scene_is_refused():
     first, other = with_effects(), with_effects((5, 5))
     with pytest.raises(InputError, match='of another scene'):
         restore(other, checkpoint(first))
+
+
+def test_a_checkpoint_of_another_vector_width_is_refused_with_the_remedy(monkeypatch):
+    """Its arrays lie in memory as these vectors need them."""
+    first, other = with_effects(), with_effects()
+    data = checkpoint(first)
+    monkeypatch.setattr('xpbd_ros.sim.checkpoint.BITS', 64)
+    state = other.hash()
+    with pytest.raises(InputError, match=rf'vectors of {BITS} bits, and this process has vectors '
+                       rf'of 64; set the environment variable XPBD_ROS_VECTOR_BITS={BITS}'):
+        restore(other, data)
+    assert other.hash() == state

@@ -2,7 +2,8 @@
 Write the readable part of a damaged or incomplete log to a new log.
 
 The new log has the index and the metadata.yaml that strict readers need. The old one is not
-changed.
+changed. Checksums cover chunks (256 KiB, or a frame if that is larger): without --unchecked, a
+damaged byte costs the messages of its chunk.
 
 Exit code: 0 if nothing or only the end of the log was missing, as after a kill; 1 if other
 messages are lost.
@@ -24,6 +25,9 @@ def add_arguments(parser):
     parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap file in it')
     parser.add_argument('-o', '--output', metavar='RUN',
                         help='new folder for the new log; default: one named by time')
+    parser.add_argument('--unchecked', action='store_true',
+                        help='keep the messages of chunks with a wrong checksum too, at least '
+                             'one of which is damaged')
     add_json_argument(parser)
 
 
@@ -31,7 +35,7 @@ def run(arguments) -> int:
     """Read the log, write the new one, and print the damage and the new content."""
     check_output(arguments.json)
     refuse_existing(arguments.output)
-    log = LogReader(arguments.run)
+    log = LogReader(arguments.run, unchecked=arguments.unchecked)
     folder = Path(arguments.output) if arguments.output else fresh_folder('recover')
     whole = recover(log, folder)
     write_json(arguments.json, {

@@ -11,6 +11,7 @@ refused.
 """
 
 import argparse
+import os
 from pathlib import Path
 import sys
 import time
@@ -22,7 +23,11 @@ from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.cli.run import parse_keys
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.writer import CHECKPOINT, VECTOR_BITS
 
+WIDTHS = ('128', '256', '512')
+SIMD = 'xpbd_ros.sim.backend.simd'
 EXAMPLE = 'xpbd_ros resim drape_run --set solver.substeps=64 --picture fork.png'
 
 
@@ -45,14 +50,16 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Repeat the recorded run, compare and report."""
     need_ros('resim')
+    for file in (arguments.json, arguments.picture):
+        check_output(file)
+    refuse_existing(arguments.output)
+    log = LogReader(arguments.run)
+    take_recorded_vectors(log)
     from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.sim.commands import SetKey
 
-    for file in (arguments.json, arguments.picture):
-        check_output(file)
-    refuse_existing(arguments.output)
-    recording = recording_of('resim', arguments.run)
+    recording = recording_of('resim', log)
     keys = parse_keys(arguments.keys)
     fork = fork_frame(recording, arguments)
     late = keys if fork > 0 else {}
@@ -96,6 +103,17 @@ def run(arguments) -> int:
     for text in repeat.problems:
         print(f'xpbd_ros resim: {repeat.path}: {text}', file=sys.stderr)
     return 0 if repeat.identical else 1
+
+
+def take_recorded_vectors(log: LogReader) -> None:
+    """
+    Compute with vectors of the width that the checkpoint in a log has, also on other processors.
+
+    The width is fixed when the simulation is imported, so this comes before.
+    """
+    bits = log.settings.get(VECTOR_BITS)
+    if CHECKPOINT in log.attachments and bits in WIDTHS and SIMD not in sys.modules:
+        os.environ.setdefault('XPBD_ROS_VECTOR_BITS', bits)
 
 
 def fork_frame(recording, arguments) -> int:

@@ -7,6 +7,7 @@ import time
 
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
+from xpbd_ros.log.reader import LogReader
 
 
 def need_ros(verb: str) -> None:
@@ -31,7 +32,7 @@ def new_log(folder: Path, scene, simulation, **settings: str):
                     files=as_attachments(scene))
 
 
-def recording_of(verb: str, log: str):
+def recording_of(verb: str, log: str | LogReader):
     """Return a recorded run; print the damage of its log, since inputs may be lost."""
     need_ros(f'{verb} --commands')
     from xpbd_ros.ros.logged_commands import Recording

@@ -62,6 +62,7 @@ def run(arguments) -> int:
     from xpbd_ros.ros.error_monitor import ErrorMonitor
     from xpbd_ros.ros.repeat import Repeat
     from xpbd_ros.ros.signals import collected_signals
+    from xpbd_ros.scene.compare import first_texts
     from xpbd_ros.scene.compile import compile_scene
 
     check_outputs(arguments)
@@ -80,11 +81,9 @@ def run(arguments) -> int:
         repeat.look(simulation.frame())
     folder = Path(arguments.output) if arguments.output else fresh_folder('run')
     recorder = new_log(folder, scene, simulation, program='run')
-    step_ms, refused, shots = [], 0, None
+    step_ms, shots = [], shots_of(arguments, simulation, frames)
+    refused: list[str] = []
     notes = [*([] if motion else notes_without_tf(scene)), *simulation.notes]
-    if arguments.picture:
-        from xpbd_ros.study.snapshots import Shots
-        shots = Shots(simulation, frames)
     monitor = ErrorMonitor(simulation, target=scene.top.solver.error_target,
                            most=scene.top.solver.max_substeps)
     try:
@@ -97,7 +96,7 @@ def run(arguments) -> int:
                 frame = simulation.step([*inputs, *monitor.commands()], keep=monitor.due())
                 step_ms.append(1e3 * (time.perf_counter() - start))
                 monitor.look(1e-3 * step_ms[-1])
-                refused += len(frame.refused)
+                refused += refusals(frame)
                 if repeat:
                     repeat.look(frame)
                 if shots:
@@ -117,7 +116,7 @@ def run(arguments) -> int:
         'step_ms': {'p50': percentile(step_ms, 0.5), 'p95': percentile(step_ms, 0.95),
                     'max': max(step_ms, default=0.0)},
         'solver': vars(simulation.solver),
-        'refused': refused,
+        'refused': len(refused),
         'error': monitor.summary(),
         **{name: count for name, count in simulation.stats().items() if name in GUARDS},
         'notes': notes,
@@ -128,7 +127,7 @@ def run(arguments) -> int:
         notes += repeat.notes
         numbers['commands'] = repeat.numbers()
     if motion:
-        notes += motion.texts()
+        notes += [*motion.texts(), *first_texts(refused, 'commands are refused')]
     if shots:
         numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
@@ -144,6 +143,14 @@ def check_outputs(arguments) -> None:
     if arguments.picture:
         from xpbd_ros.study.picture import need_view
         need_view('--picture')
+
+
+def shots_of(arguments, simulation, frames: int):
+    """Return what keeps the instants that ``--picture`` draws; None without it."""
+    if not arguments.picture:
+        return None
+    from xpbd_ros.study.snapshots import Shots
+    return Shots(simulation, frames)
 
 
 def commands_in(arguments) -> tuple[Any, Any]:
@@ -193,6 +200,12 @@ def scene_of(arguments, recording, foreign=None):
     length = (recording.last / scene.top.frame_rate if foreign is None else
               1e-9 * (foreign.end_ns - foreign.start_ns) - arguments.start_offset)
     return load_scene(arguments.scene, {**overrides, 'duration': length})
+
+
+def refusals(frame) -> list[str]:
+    """Return the refused commands of a frame, each with its reason."""
+    return [f'frame {frame.index}: {type(command).__name__} is refused: {reason}'
+            for command, reason in frame.refused]
 
 
 def verdict(repeat, quiet: bool) -> int:

@@ -17,7 +17,8 @@ from mcap.records import Channel, Schema
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.qos import Qos, recorded_qos
 from xpbd_ros.log.records import pieces
-from xpbd_ros.log.scan import decompressed, MESSAGE, Scan, Span
+from xpbd_ros.log.resync import decompressed
+from xpbd_ros.log.scan import MESSAGE, Scan, Span
 from xpbd_ros.log.writer import METADATA, SCENE
 
 SPLIT = re.compile(r'(.*)_(0|[1-9]\d*)')
@@ -61,6 +62,8 @@ class LogReader:
     ----------
     path
         Folder of a run with its .mcap files, or one of these.
+    unchecked
+        Whether to read the messages of damaged chunks too, at least one of which is wrong.
 
     Attributes
     ----------
@@ -87,10 +90,10 @@ class LogReader:
 
     """
 
-    def __init__(self, path: Path | str):
+    def __init__(self, path: Path | str, *, unchecked: bool = False):
         files, missing = log_files(Path(path).absolute())
         self.path = files[0] if len(files) == 1 else files[0].parent
-        self._parts = [(file, scanned(file)) for file in files]
+        self._parts = [(file, scanned(file, unchecked)) for file in files]
         scans = [scan for _, scan in self._parts]
         self.topics: dict[str, Topic] = {}
         for scan in scans:
@@ -167,11 +170,11 @@ class LogReader:
             channel.metadata.get('topic_type_hash', ''))
 
 
-def scanned(path: Path) -> Scan:
+def scanned(path: Path, unchecked: bool = False) -> Scan:
     """Return the scan of a file; raise InputError if it cannot be read."""
     try:
         with open(path, 'rb') as file:
-            return Scan(file, path)
+            return Scan(file, path, unchecked=unchecked)
     except OSError as error:
         raise InputError(f'{path}: cannot be read: {error.strerror}') from None
 

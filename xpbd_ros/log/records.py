@@ -1,17 +1,10 @@
-"""
-Iterate over the records of an MCAP file, also of a damaged one.
+"""Records of an MCAP file: opcode, length and body; and the summary at its end."""
 
-A record is an opcode, a length and a body, so one wrong length hides all records behind it. If the
-summary at the end of the file is intact, its indexes give the offsets of chunks, attachments and
-metadata, and reading resumes at the next of them. Without a summary, as in a log cut short, it
-ends at the first incomplete record.
-"""
-
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 import struct
-from typing import BinaryIO, NamedTuple, TypeVar
+from typing import BinaryIO, TypeVar
 import zlib
 
 from mcap.data_stream import ReadDataStream
@@ -34,21 +27,6 @@ FOOT = FOOTER.size + len(MAGIC)     # length of the end of a whole file [bytes]
 Parsed = TypeVar('Parsed', bound=McapRecord)
 
 
-class Record(NamedTuple):
-    """A record and its position in the file."""
-
-    opcode: int
-    start: int
-    """Offset of its head [bytes]."""
-    head: bytes
-    body: bytes
-
-    @property
-    def end(self) -> int:
-        """Offset behind it [bytes]."""
-        return self.start + len(self.head) + len(self.body)
-
-
 @dataclass
 class Summary:
     """Content of an intact summary section."""
@@ -63,38 +41,6 @@ class Summary:
 def parse(record: type[Parsed], body: bytes | memoryview) -> Parsed:
     """Parse the body of a record of a given type."""
     return record.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
-
-
-def walk(file: BinaryIO, starts: list[int], lost: Callable[[int, int], None]) -> Iterator[Record]:
-    """
-    Yield the records of a file, from behind its first magic bytes to its footer.
-
-    Parameters
-    ----------
-    file
-        The file, open for reading.
-    starts
-        Offsets at which records are known to begin, and the length of the file, ascending [bytes].
-    lost
-        Called with the offsets of the start and the end of each unreadable range [bytes].
-
-    """
-    at, known = len(MAGIC), 0
-    while at < starts[-1]:
-        while starts[known] <= at:
-            known += 1
-        file.seek(at)
-        head = file.read(HEAD.size)
-        opcode, length = HEAD.unpack(head.ljust(HEAD.size, b'\0'))
-        if not is_opcode(opcode) or at + HEAD.size + length > starts[known]:
-            lost(at, starts[known])
-            at = starts[known]
-            continue
-        record = Record(opcode, at, head, file.read(length))
-        yield record
-        if opcode == Opcode.FOOTER:
-            return
-        at = record.end
 
 
 def is_opcode(number: int) -> bool:

@@ -6,19 +6,31 @@ Damage raises no error: readable records are indexed, and unreadable ones are de
 
 from collections import Counter
 from collections.abc import Iterable
+import re
 import struct
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, NamedTuple, Protocol
 import zlib
 
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, DataEnd, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+from mcap.records import Attachment, Channel, DataEnd, Metadata, Schema
+from mcap.stream_reader import CRCValidationError
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.log.records import MAGIC, parse, pieces, read_summary, Record, Summary, walk
+from xpbd_ros.log.records import HEAD, MAGIC, parse, pieces, read_summary, Summary
+from xpbd_ros.log.resync import CHUNK_HEAD, decompressed, descriptions, UNCOMPRESSED
+from xpbd_ros.log.walk import Record, walk
 
+TOPIC, TYPE = re.compile(r'[~/\w]+'), re.compile(r'\w+/msg/\w+')
 MESSAGE = struct.Struct('<HIQQ')    # channel, sequence, log time, publish time; then the data
+SURE_MAGIC = 4    # right bytes of the eight at its start by which a file is known
 MOST_PLACES = 20    # damaged ranges that are listed one by one
+
+
+class Described(Protocol):
+    """Something with schemas and channels by number."""
+
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
 
 
 class Span(NamedTuple):
@@ -43,6 +55,8 @@ class Scan:
         The file, open for reading.
     path
         Its path, for error messages.
+    unchecked
+        Whether to take the messages of uncompressed chunks with a wrong checksum too.
 
     Attributes
     ----------
@@ -65,7 +79,7 @@ class Scan:
 
     """
 
-    def __init__(self, file: BinaryIO, path: object):
+    def __init__(self, file: BinaryIO, path: object, *, unchecked: bool = False):
         self.spans: list[Span] = []
         self.counts: Counter[int] = Counter()
         self.frames: set[int] = set()
@@ -76,21 +90,29 @@ class Scan:
         self.metadata: dict[str, dict[str, str]] = {}
         self.attachments: dict[str, bytes] = {}
         self.lossy = False
+        self._unchecked = unchecked
+        self._doubtful = Summary()    # schemas and channels in damaged chunks
         self._places: list[str] = []    # damaged ranges of the file
         self._lacks: list[str] = []     # damage of the log as a whole
-        self._crc = zlib.crc32(MAGIC)
         self._data_ended = False
         size = file.seek(0, 2)
         file.seek(0)
         magic = file.read(len(MAGIC))
         if size < len(MAGIC) and MAGIC.startswith(magic):
             raise InputError(f'{path}: is empty')
-        if magic != MAGIC:
+        if sum(map(int.__eq__, magic, MAGIC)) < SURE_MAGIC:
             raise InputError(f'{path}: is not an MCAP file')
+        if magic != MAGIC:
+            self._lacks.append('the magic bytes at its start are damaged')
+        self._crc = zlib.crc32(MAGIC)
         summary = read_summary(file, size)
         end = self._read(file, size, summary)
         if end is None:
             self._lacks.append('it has no end: the writer was killed, or is still recording')
+            loose = sum(span.opcode == Opcode.MESSAGE for span in self.spans)
+            if loose and not unchecked:
+                self._lacks.append(f'no checksum covers {loose} messages of its last chunk, '
+                                   'which is incomplete')
         else:
             summary = self._check_end(file, size, end) or summary
         self._compare(summary or Summary())
@@ -111,11 +133,17 @@ class Scan:
 
         starts = [start for start in (summary.starts if summary else ()) if start < size]
         for record in walk(file, [*starts, size], lost):
+            if HEAD.unpack(record.head) != (record.opcode, len(record.body)):
+                self._places.append(f'bytes {record.start} to {record.start + HEAD.size} are '
+                                    'damaged: the head of a chunk that is whole')
             try:
                 self._take(record)
             except Exception as error:    # a parser may raise anything on arbitrary bytes
-                self._places.append(f'bytes {record.start} to {record.end} are unreadable: '
-                                    f'{title(record.opcode)} is damaged ({reason(error)})')
+                taken = self._take_damaged(record) if record.opcode == Opcode.CHUNK else 0
+                self._places.append(
+                    f'bytes {record.start} to {record.end} are unreadable: '
+                    f'{title(record.opcode)} is damaged ({reason(error)})' +
+                    f'; {taken} messages in it are taken unchecked' * bool(taken))
                 self.lossy = True
             self._crc = zlib.crc32(record.body, zlib.crc32(record.head, self._crc))
             if record.opcode == Opcode.FOOTER:
@@ -131,7 +159,7 @@ class Scan:
         elif record.opcode == Opcode.MESSAGE:
             self._take_messages(record, [(record.opcode, memoryview(record.body))])
         elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._take_description(record.opcode, record.body)
+            self._take_description(record.opcode, record.body, self)
         elif record.opcode == Opcode.METADATA:
             metadata = parse(Metadata, record.body)
             self.metadata[metadata.name] = metadata.metadata
@@ -153,7 +181,7 @@ class Scan:
         messages = [MESSAGE.unpack_from(body) for opcode, body in found
                     if opcode == Opcode.MESSAGE]
         for opcode, body in found:
-            self._take_description(opcode, body)
+            self._take_description(opcode, body, self)
         counts = Counter(channel for channel, _, _, _ in messages)
         self.counts.update(counts)
         self.spans.append(Span(record.opcode, record.start + len(record.head), len(record.body),
@@ -164,14 +192,33 @@ class Scan:
             self.start_ns = min(times + [self.start_ns] * (self.start_ns is not None))
             self.end_ns = max(times + [self.end_ns] * (self.end_ns is not None))
 
-    def _take_description(self, opcode: int, body: bytes | memoryview) -> None:
+    def _take_damaged(self, chunk: Record) -> int:
+        """Take topics, and on request messages, of a damaged chunk; return their number."""
+        count, at = 0, chunk.start + UNCOMPRESSED
+        records = chunk.body[UNCOMPRESSED - HEAD.size:]
+        try:
+            if CHUNK_HEAD.unpack_from(chunk.body)[-1]:
+                return 0    # compressed
+            for opcode, body in descriptions(records):
+                self._take_description(opcode, body, self._doubtful)
+            for opcode, view in pieces(records) if self._unchecked else ():
+                at += HEAD.size
+                if opcode == Opcode.MESSAGE:
+                    self._take_messages(Record(opcode, at, b'', bytes(view)), [(opcode, view)])
+                    count += 1
+                at += len(view)
+        except Exception:    # a parser may raise anything on arbitrary bytes
+            pass
+        return count
+
+    def _take_description(self, opcode: int, body: bytes | memoryview, to: Described) -> None:
         """Keep a schema or channel, if it is the first one of its number."""
         if opcode == Opcode.SCHEMA:
             schema = parse(Schema, body)
-            self.schemas.setdefault(schema.id, schema)
+            to.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
             channel = parse(Channel, body)
-            self.channels.setdefault(channel.id, channel)
+            to.channels.setdefault(channel.id, channel)
 
     def _check_end(self, file: BinaryIO, size: int, end: int) -> Summary | None:
         """Check the end of the file, from the footer's end at ``end`` on; return the summary."""
@@ -187,10 +234,25 @@ class Scan:
             self._lacks.append('the summary before its end is damaged')
         return summary
 
+    def _use_doubtful(self) -> list[str]:
+        """Take lost descriptions from damaged chunks; return the topics."""
+        found = []
+        for number in self.counts.keys() - self.channels.keys():
+            channel = self._doubtful.channels.get(number)
+            schema = None if channel is None else self.schemas.get(
+                channel.schema_id, self._doubtful.schemas.get(channel.schema_id))
+            if channel and schema and is_plausible(channel, schema):
+                self.channels[number], self.schemas[channel.schema_id] = channel, schema
+                found.append(channel.topic)
+        return sorted(found)
+
     def _compare(self, summary: Summary) -> None:
         """Compare the counts with the summary's; take lost schemas and channels from it."""
         self.schemas = {**summary.schemas, **self.schemas}
         self.channels = {**summary.channels, **self.channels}
+        doubtful = self._use_doubtful()
+        if doubtful:
+            self._lacks.append(f'the description of {", ".join(doubtful)} is from a damaged chunk')
         nameless = sum(count for channel, count in self.counts.items()
                        if channel not in self.channels)
         if nameless:
@@ -204,10 +266,9 @@ class Scan:
                 self.lossy = True
 
 
-def decompressed(chunk: bytes) -> bytes:
-    """Return the records in a chunk, decompressed; raise if its checksum is wrong."""
-    stream, length = get_chunk_data_stream(parse(Chunk, chunk), validate_crc=True)
-    return stream.read(length)
+def is_plausible(channel: Channel, schema: Schema) -> bool:
+    """Return whether a description from a damaged chunk has names of a topic and a type."""
+    return bool(TOPIC.fullmatch(channel.topic) and TYPE.fullmatch(schema.name))
 
 
 def title(opcode: int) -> str:

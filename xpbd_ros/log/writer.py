@@ -24,6 +24,10 @@ from xpbd_ros.log.schemas import message_definition, type_hash
 
 METADATA = 'xpbd_ros'
 SCENE = 'scene.yaml'
+CHECKPOINT = 'checkpoint'
+"""name of the attachment with the state from which a log continues a run"""
+VECTOR_BITS = 'vector_bits'
+"""key of the width of vectors in the metadata"""
 
 Answer = TypeVar('Answer')
 

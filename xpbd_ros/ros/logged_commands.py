@@ -6,19 +6,20 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import UInt64
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.log.writer import CHECKPOINT
 from xpbd_ros.ros.clouds import positions_of
 from xpbd_ros.ros.inputs import input_of, unpacked
-from xpbd_ros.ros.recorder import CHECKPOINT, type_name
+from xpbd_ros.ros.recorder import type_name
 from xpbd_ros.scene.files import written_out
 from xpbd_ros.scene.load import parse_yaml, scene_from_text
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.checkpoint import restore
-from xpbd_ros.sim.commands import Command
+from xpbd_ros.sim.commands import Command, Pose
 from xpbd_ros.sim.simulation import Simulation
 
 
@@ -28,7 +29,7 @@ class Recording:
 
     Parameters
     ----------
-    run : path of the log
+    run : path of the log, or the log
     tell : is given a text for each damage of the log, which may then lack inputs
 
     Attributes
@@ -51,8 +52,8 @@ class Recording:
 
     """
 
-    def __init__(self, run: str, tell: Callable[[str], None] = lambda text: None):
-        self._reader = reader = LogReader(run)
+    def __init__(self, run: str | LogReader, tell: Callable[[str], None] = lambda text: None):
+        self._reader = reader = run if isinstance(run, LogReader) else LogReader(run)
         self.path = reader.path
         if reader.scene is None:
             raise InputError(f'{self.path}: is not a log of xpbd_ros: it holds no scene')
@@ -123,6 +124,16 @@ class Recording:
         """Yield frame, topic and recorded positions [m] (float32, shape (particles, 3))."""
         for message in self._reader.messages(self._topics('particles', PointCloud2)):
             yield message.frame, message.topic, positions_of(unpacked(message.data, PointCloud2))
+
+    def collider_poses(self) -> Iterator[tuple[int, dict[str, Pose]]]:
+        """Yield frame and poses of the colliders, by name."""
+        for message in self._reader.messages(self._topics('collider_wrenches',
+                                                          MultiDOFJointState)):
+            states = unpacked(message.data, MultiDOFJointState)
+            yield message.frame, {
+                name: Pose((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+                for name, pose in zip(states.joint_names, states.transforms)
+                for at, turn in [(pose.translation, pose.rotation)]}
 
     def _topics(self, name: str, kind: type) -> list[str]:
         return [topic for topic, about in self._reader.topics.items()

@@ -51,8 +51,8 @@ TABLE = (
         minimum=0.01, maximum=3600.0, live=True),
     Row('record.checkpoint_period', 10.0, 'period at which the complete state is logged, in s of '
         'simulation time', minimum=0.01, maximum=1e6, live=True),
-    Row('record.split_size', 0.0, 'size at which a log goes on in a new file, in MB; 0: one file',
-        minimum=0.0, maximum=1e6, live=True),
+    Row('record.split_size', 4000.0, 'size at which a log goes on in a new file, in MB; 0: one '
+        'file', minimum=0.0, maximum=1e6, live=True),
     Row('record.split_duration', 0.0, 'simulated time after which a log goes on in a new file, in '
         's; 0: one file', minimum=0.0, maximum=1e6, live=True),
     Row('publish_clock', False, 'publish simulation time on /clock'),

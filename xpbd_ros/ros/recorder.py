@@ -18,19 +18,20 @@ from std_msgs.msg import Float64
 
 from xpbd_ros.log.background import Background
 from xpbd_ros.log.qos import Qos
-from xpbd_ros.log.writer import LogWriter
+from xpbd_ros.log.writer import CHECKPOINT, LogWriter, VECTOR_BITS
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.command_messages import as_messages
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
-from xpbd_ros.sim.backend.simd import PROCESSOR
+from xpbd_ros.sim.backend.simd import BITS, PROCESSOR
 from xpbd_ros.sim.checkpoint import checkpoint
 from xpbd_ros.sim.simulation import Frame
 
 INPUT = Qos(depth=10)
-CHECKPOINT = 'checkpoint'
-"""name of the attachment"""
+SPLIT_SIZE = 4 * 10**9
+"""size at which a log goes on in a new file [bytes]: it bounds the index in memory (0.7 kB per
+chunk), and a FAT32 volume holds no larger file"""
 GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
           'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
           'self_without_room', 'self_squeezed')
@@ -62,7 +63,7 @@ class Recorder:
 
     def __init__(self, folder: Path, outputs: Outputs, *, name: str = '/cloth',
                  epoch_ns: int, flush_period: float = 1.0, checkpoint_period: float = 10.0,
-                 split_size: int = 0, split_duration: int = 0,
+                 split_size: int = SPLIT_SIZE, split_duration: int = 0,
                  settings: dict[str, str] | None = None,
                  files: Mapping[str, bytes] = MappingProxyType({})):
         self.folder = folder
@@ -190,9 +191,9 @@ class Recorder:
 
 
 def environment() -> dict[str, str]:
-    """Return the versions and the processor that a run is computed with."""
+    """Return the versions, the processor and its vectors that a run is computed with."""
     return {'python': platform.python_version(), 'numpy': np.__version__,
-            'numba': numba.__version__, 'cpu': PROCESSOR}
+            'numba': numba.__version__, 'cpu': PROCESSOR, VECTOR_BITS: str(BITS)}
 
 
 def type_name(kind: type) -> str:

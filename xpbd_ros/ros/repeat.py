@@ -7,6 +7,7 @@ import numpy as np
 from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.scene.compare import as_text, difference_texts, differences, first_texts, with_solver
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.simulation import Frame, Simulation
 
 
@@ -50,6 +51,8 @@ class Repeat:
         """particle with the largest deviation in that frame, in natural order"""
         self.deviation: float | None = 0.0
         """largest deviation of all frames [m]; None if unknown"""
+        self.moved: tuple[int, str] | None = None
+        """first frame in which a collider is elsewhere, and its name; it may touch nothing"""
         self.track: list[Deviation] = []
         """deviation of each compared frame"""
         self.refused: list[str] = []
@@ -59,6 +62,8 @@ class Repeat:
                               f'{frames}')
         self._clouds = recording.clouds()
         self._next = next(self._clouds, None)
+        self._poses = recording.collider_poses()
+        self._colliders = next(self._poses, None)
 
     def commands(self, index: int) -> list:
         """Return the inputs that act on a frame."""
@@ -68,6 +73,7 @@ class Repeat:
         """Compare the frame just computed with the recorded one."""
         self.refused += [f'frame {frame.index}: {type(command).__name__} is refused: {reason}'
                          for command, reason in frame.refused]
+        self._look_at_colliders(frame)
         expected = self._recording.hashes.get(frame.index)
         if expected is None:
             self.missing += frame.index < self._recording.last
@@ -88,6 +94,18 @@ class Repeat:
             self.deviation = None
         elif self.deviation is not None:
             self.deviation = max(self.deviation, float(apart.max()))
+
+    def _look_at_colliders(self, frame: Frame) -> None:
+        """Compare the poses of colliders with the recorded ones."""
+        while self._colliders is not None and self._colliders[0] <= frame.index:
+            index, poses = self._colliders
+            self._colliders = next(self._poses, None)
+            if index == frame.index and self.moved is None:
+                names = sorted(name for name in poses.keys() | frame.colliders.keys()
+                               if name not in poses or name not in frame.colliders
+                               or not same_pose(frame.colliders[name].pose, poses[name]))
+                if names:
+                    self.moved = index, names[0]
 
     def _distances(self, frame: Frame) -> np.ndarray | None:
         """
@@ -132,9 +150,12 @@ class Repeat:
                 + (f', there most at particle {self.particle}' if self.particle is not None
                    else '')
                 + (f', by up to {self.deviation:.3g} m' if self.deviation else ''))
-        elif not self.compared:
+        if self.moved is not None:
+            found.append(f"collider '{self.moved[1]}': its pose differs from the log from frame "
+                         f'{self.moved[0]} on')
+        if self.first is None and not self.compared:
             found.append('no frame could be compared')
-        elif self.missing:
+        elif self.first is None and self.missing:
             found.append(f'{self.missing} of {self.missing + self.compared} frames have no state '
                          'hash in the log and are not compared')
         return found + first_texts(self.refused, 'inputs are refused')
@@ -146,7 +167,15 @@ class Repeat:
             'frames_without_hash': self.missing,
             'first_difference': None if self.first is None else {
                 'frame': self.first, 'particle': self.particle},
+            'first_collider': None if self.moved is None else {
+                'frame': self.moved[0], 'name': self.moved[1]},
             'max_deviation_m': self.deviation,
             'scene': [{'key': key, 'here': as_text(ours), 'log': as_text(theirs)}
                       for key, ours, theirs in self.differences],
             'refused': self.refused, 'notes': self.notes}
+
+
+def same_pose(one: Pose, other: Pose) -> bool:
+    """Return whether two poses are equal bit for bit."""
+    return (tuple(one.position) == tuple(other.position)
+            and tuple(one.orientation) == tuple(other.orientation))

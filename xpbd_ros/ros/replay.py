@@ -8,12 +8,13 @@ messages.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 import importlib
 import math
 import re
 import time
+from types import MappingProxyType
 
 from builtin_interfaces.msg import Time
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
@@ -51,7 +52,7 @@ ANSWER_TIME = 1.0      # time for a service's answer to arrive, which is not ack
 
 
 def replay(log: LogReader, *, remap: Collection[str] = (), keyboard: bool = False,
-           **options) -> tuple[Counter[str], bool]:
+           log_level: str = 'info', **options) -> tuple[Counter[str], bool]:
     """
     Publish a log until its end or until SIGINT or SIGTERM.
 
@@ -63,6 +64,8 @@ def replay(log: LogReader, *, remap: Collection[str] = (), keyboard: bool = Fals
         Rules FROM:=TO for topics and services.
     keyboard
         Whether keys of the terminal control the replay.
+    log_level
+        Least severity of messages that are printed.
     options
         Options of Replay.
 
@@ -76,7 +79,8 @@ def replay(log: LogReader, *, remap: Collection[str] = (), keyboard: bool = Fals
     """
     rules = [word for rule in remap for word in ('--remap', rule)]
     with stop_flag() as stopped, pressed_keys(keyboard) as keys:
-        rclpy.init(args=['--ros-args', *rules], signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=['--ros-args', *rules, '--log-level', log_level],
+                   signal_handler_options=SignalHandlerOptions.NO)
         try:
             node = Replay(log, keys=keys, **options)
             try:
@@ -118,10 +122,21 @@ class Replay:
         Log time to skip [s]; the last messages of latched topics in it are published first.
     duration
         Log time to publish from ``start_offset`` on [s]; None for all of it.
+    until_ns
+        Log time after which nothing is published [ns]; with ``duration`` the later one holds.
+    delay
+        Wall time to wait before each round [s].
     paused
         Whether to wait for ~/resume, ~/play_next or ~/stop.
     clock_hz
         Rate of /clock [Hz], which replaces a recorded one; None for no clock.
+    clock_topics
+        Topics whose messages are preceded by their log time on /clock, in place of ``clock_hz``;
+        all if empty, none if None.
+    qos
+        Quality of service in place of the recorded one, by topic.
+    ack_timeout
+        Longest wait at the end for acknowledgements by subscribers [s]; None for no limit.
     keys
         Function that returns the keys pressed since its last call; None without a keyboard.
 
@@ -129,13 +144,22 @@ class Replay:
 
     def __init__(self, log: LogReader, *, topics: Collection[str] | None = None,
                  rate: float = 1.0, loop: bool = False, start_offset: float = 0.0,
-                 duration: float | None = None, paused: bool = False,
-                 clock_hz: float | None = None, keys: Callable[[], list[str]] | None = None):
+                 duration: float | None = None, until_ns: int | None = None, delay: float = 0.0,
+                 paused: bool = False, clock_hz: float | None = None,
+                 clock_topics: Collection[str] | None = None,
+                 qos: Mapping[str, QoSProfile] = MappingProxyType({}),
+                 ack_timeout: float | None = ACK_TIMEOUT,
+                 keys: Callable[[], list[str]] | None = None):
         self.published: Counter[str] = Counter()
         self._log = log
         self._loop = loop
         self._start_ns = (log.start_ns or 0) + round(start_offset * 1e9)
-        self._end_ns = math.inf if duration is None else self._start_ns + round(duration * 1e9)
+        ends = [*([] if duration is None else [self._start_ns + round(duration * 1e9)]),
+                *([] if until_ns is None else [until_ns])]
+        self._end_ns: float = max(ends, default=math.inf)
+        self._delay, self._ack_timeout, self._qos = delay, ack_timeout, qos
+        self._timed = frozenset(log.topics if clock_topics is not None and not clock_topics
+                                else clock_topics or ())
         self._node = rclpy.create_node(NODE)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -143,7 +167,8 @@ class Replay:
         self._inputs: list[str] = []
         self._listeners: Counter[str] = Counter()
         for topic in log.topics:
-            if (topics is None or topic in topics) and not (clock_hz and topic == CLOCK):
+            if (topics is None or topic in topics) and not (
+                    topic == CLOCK and (clock_hz or self._timed)):
                 self._add_publisher(topic)
         for name, answer in (('pause', self._pause), ('resume', self._resume),
                              ('toggle_paused', self._toggle), ('is_paused', self._tell_paused),
@@ -152,8 +177,9 @@ class Replay:
         self._stopped = False
         self._playhead = Playhead(self._start_ns, rate=rate, paused=paused)
         self._declare(rate, start_offset)
-        if clock_hz:
+        if clock_hz or self._timed:
             self._clock = self._node.create_publisher(ClockMessage, CLOCK, 10)
+        if clock_hz:
             self._node.create_timer(1.0 / clock_hz, self._publish_clock,
                                     clock=Clock(clock_type=ClockType.STEADY_TIME))
         if keys is not None:
@@ -166,20 +192,23 @@ class Replay:
         self._go(self._start_ns)
 
     def _declare(self, rate: float, start_offset: float) -> None:
-        """Declare the parameters that set rate and position, which have no type in std_srvs."""
+        """Declare parameters for the requests of rosbag2 that have no type in std_srvs."""
         for name, value, what in (
                 ('rate', rate, 'log time per wall time; > 0'),
-                ('seek', start_offset, 'goes to this time of the log when it is set [s]')):
+                ('seek', start_offset, 'goes to this time of the log when it is set [s]'),
+                ('burst', 0, 'publishes so many messages at once when it is set, while paused')):
             self._node.declare_parameter(name, value, ParameterDescriptor(description=what))
         self._node.add_on_set_parameters_callback(self._check_parameters)
         self._node.add_post_set_parameters_callback(self._apply_parameters)
 
     def run(self, stopped: Callable[[], bool]) -> None:
         """Publish until the end of the log (never, if it loops), ~/stop, or ``stopped()``."""
+        self._wait_before_round(stopped)
         served = time.monotonic()
         while not stopped() and not self._stopped:
             if self._next is None and not self._playhead.paused:
                 if self._loop:
+                    self._wait_before_round(stopped)
                     self._go(self._start_ns)
                 if self._next is None:
                     break
@@ -193,6 +222,14 @@ class Replay:
         self._look_for_listeners(last=True)
         if not stopped():
             self._settle()
+
+    def _wait_before_round(self, stopped: Callable[[], bool]) -> None:
+        """Wait for the delay; services are served."""
+        if self._delay:
+            end = time.monotonic() + self._delay
+            while (left := end - time.monotonic()) > 0 and not stopped() and not self._stopped:
+                self._executor.spin_once(timeout_sec=min(left, STOP_PERIOD))
+            self._playhead.jump(self._next.time_ns if self._next else self._start_ns)
 
     def close(self) -> None:
         """Destroy the node."""
@@ -210,7 +247,7 @@ class Replay:
                 raise ValueError('not the name of a message type')
             message_type = getattr(importlib.import_module(f'{found[1]}.msg'), found[2])
             self._publishers[topic] = self._node.create_publisher(
-                message_type, topic, profile(about.qos))
+                message_type, topic, self._qos.get(topic) or profile(about.qos))
             if is_input(topic, about.type):
                 self._inputs.append(topic)
         except (ImportError, AttributeError, ValueError, NameValidationException) as error:
@@ -255,7 +292,9 @@ class Replay:
         self._next = message if message and message.time_ns <= self._end_ns else None
 
     def _publish(self, message: Message) -> None:
-        """Publish a recorded message, and count it."""
+        """Publish a recorded message, after its time where it sets the clock, and count it."""
+        if message.topic in self._timed:
+            self._publish_time(message.time_ns)
         self._publishers[message.topic].publish(message.data)
         self.published[message.topic] += 1
 
@@ -267,14 +306,21 @@ class Replay:
 
     def _publish_clock(self) -> None:
         """Publish the present log time on /clock."""
-        seconds, nanoseconds = divmod(self._playhead.time_ns, 10**9)
+        self._publish_time(self._playhead.time_ns)
+
+    def _publish_time(self, time_ns: int) -> None:
+        """Publish a log time on /clock."""
+        seconds, nanoseconds = divmod(time_ns, 10**9)
         self._clock.publish(ClockMessage(clock=Time(sec=seconds, nanosec=nanoseconds)))
 
     def _settle(self) -> None:
         """Wait until subscribers and service clients have received all that was sent."""
-        deadline = time.monotonic() + ACK_TIMEOUT
+        begin = time.monotonic()
         for publisher in self._publishers.values():
-            left = max(0.0, deadline - time.monotonic())
+            if self._ack_timeout is None:
+                publisher.wait_for_all_acked()
+                continue
+            left = max(0.0, begin + self._ack_timeout - time.monotonic())
             publisher.wait_for_all_acked(Duration(seconds=left))
         time.sleep(max(0.0, self._answered + ANSWER_TIME - time.monotonic()))
 
@@ -317,15 +363,25 @@ class Replay:
                 return SetParametersResult(successful=False, reason=(
                     f'seek: must be within the log, which is {duration:.3f} s long (got '
                     f'{each.value})'))
+            if each.name == 'burst' and (each.value < 1 or not self._playhead.paused):
+                return SetParametersResult(successful=False, reason=(
+                    f'burst: must be >= 1 (got {each.value})' if each.value < 1 else
+                    'burst: is playing; pause first'))
         return SetParametersResult(successful=True)
 
     def _apply_parameters(self, parameters: list[Parameter]) -> None:
-        """Play at a rate, or from a time, that was set."""
+        """Play at a rate, or from a time, or publish a number of messages, that was set."""
         for each in parameters:
             if each.name == 'rate':
                 self._playhead.set_rate(each.value)
             elif each.name == 'seek':
                 self._go((self._log.start_ns or 0) + round(each.value * 1e9))
+            elif each.name == 'burst':
+                for _ in range(each.value):
+                    if self._next is None:
+                        break
+                    self._playhead.jump(self._next.time_ns)
+                    self._publish_next()
 
     def _play_next(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         """Publish the next message; refused unless paused."""

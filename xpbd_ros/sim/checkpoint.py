@@ -3,7 +3,8 @@ A simulation's whole state as bytes, from which another process continues bit fo
 
 Besides positions and velocities it contains all that the next frame depends on: the integrator's
 history, pins and their targets, colliders and their motion, lists of candidates, counters. Meshes,
-kernels and threads are left out; the simulation that restores it has its own. The bytes are a
+kernels and threads are left out; the simulation that restores it has its own. Arrays are stored as
+they lie in memory, which depends on the width of vectors: that must be the same. The bytes are a
 pickle whose classes are restricted to those of the simulation, so that a log of unknown origin
 runs no code.
 """
@@ -18,6 +19,7 @@ import zlib
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.backend.simd import BITS, WIDTH_VARIABLE
 from xpbd_ros.sim.simulation import Simulation
 
 PROTOCOL = 5
@@ -35,7 +37,7 @@ LARGEST = 2**32
 def checkpoint(simulation: Simulation) -> bytes:
     """Return the whole state of a simulation, between two frames."""
     stream = BytesIO()
-    _Pickler(stream, simulation).dump(simulation.__dict__)
+    _Pickler(stream, simulation).dump((BITS, simulation.__dict__))
     return zlib.compress(stream.getbuffer(), 1)
 
 
@@ -50,18 +52,22 @@ def restore(simulation: Simulation, data: bytes) -> None:
 
     Raises
     ------
-    InputError : the checkpoint is damaged, or of another scene or version; nothing has changed
+    InputError : the checkpoint is damaged, or of another scene, version or width of vectors;
+        nothing has changed
 
     """
     try:
         raw = zlib.decompressobj().decompress(data, LARGEST)
-        found = _Unpickler(BytesIO(raw), simulation).load()
+        bits, found = _Unpickler(BytesIO(raw), simulation).load()
         same = (list(found) == list(simulation.__dict__)
                 and np.array_equal(found['slot'], simulation.slot)
                 and list(found['effects']) == list(simulation.effects))
     except Exception as error:    # unpickling raises anything on arbitrary bytes
         raise InputError(f'the checkpoint cannot be read: it is damaged, or of another version '
                          f'({type(error).__name__}: {error})') from None
+    if bits != BITS:
+        raise InputError(f'the checkpoint has vectors of {bits} bits, and this process has vectors'
+                         f' of {BITS}; set the environment variable {WIDTH_VARIABLE}={bits}')
     if not same:
         raise InputError('the checkpoint is of another scene')
     simulation.__dict__.update(found)

@@ -26,7 +26,9 @@ import numpy as np
 PROCESSOR = binding.get_host_cpu_name()
 """LLVM's name of this machine's processor, such as znver4"""
 _FEATURES = binding.get_host_cpu_features()
-BITS = int(os.environ.get('XPBD_ROS_VECTOR_BITS') or (
+WIDTH_VARIABLE = 'XPBD_ROS_VECTOR_BITS'
+"""environment variable that overrides the width"""
+BITS = int(os.environ.get(WIDTH_VARIABLE) or (
     512 if _FEATURES.get('avx512f') else 256 if _FEATURES.get('avx') else 128))
 """width of a vector"""
 
