@@ -175,7 +175,6 @@ def test_impulses_add_up_whatever_the_method(setting, name):
     explicit = method == 'explicit'
     found = told(name, method=method, integrator=integrator, substeps=64 if explicit else 8,
                  iterations=1 if explicit else 2)
-    print(method, integrator, name, found.worst(6), found.worst())
     if explicit:
         assert found.worst() < EXACT
         return
