@@ -91,7 +91,7 @@ class PairContacts(NamedTuple):
     push: np.ndarray
     """d, accumulated in this substep [m], shape (capacity,)"""
     found: np.ndarray
-    """scratch: particles of the near pairs of one kind, in the list's order, shape (capacity, 4)"""
+    """scratch: particles of near pairs of one kind, in the list's order, shape (capacity, 4)"""
     found_keep: np.ndarray
     """scratch: distances that these have to keep [m], shape (capacity,)"""
     touched: np.ndarray
