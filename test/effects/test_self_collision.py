@@ -123,7 +123,7 @@ def cross_or_pass(near, x, travel, pairs):
     """Return those of edges whose closest points are no ends, or that are within ``travel``."""
     def inside(a, b, c, d):
         share = np.linalg.lstsq(np.stack([b - a, c - d], 1), c - a, rcond=None)[0]
-        return (0.0 < share).all() and (share < 1.0).all()
+        return (share > 0.0).all() and (share < 1.0).all()
     return [pair for pair in pairs if inside(*x[list(pair)]) or of_edges(*x[list(pair)])
             < travel[list(pair[:2])].max() + travel[list(pair[2:])].max()]
 
