@@ -7,7 +7,7 @@ import pytest
 
 from sim.test_packs import AROUND as AROUND_LISTS, LISTS
 from sim.test_runs import EFFECTS, GRIDS
-from support.scenes import disc_file, EXAMPLES, numbers
+from support.scenes import disc_file, EXAMPLES
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene

@@ -1,6 +1,7 @@
 """Batches from the constraints of each cloth: their arrays in sweep order."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -95,11 +96,12 @@ class Rows:
         self.families = [families * n + shape.family
                          for n, shapes in enumerate(lists) for shape in shapes]
         """family of each shape: those of the first grid, of the second, and so on"""
-        runs_of, joined = (coloured_runs, join_coloured) if world.coloured else (grid_runs, join)
-        self.runs = joined([
+        runs_of: Any = coloured_runs if world.coloured else grid_runs
+        runs: list[Any] = [
             runs_of(block, shapes, world.slots, families=families * n,
-                      shapes_before=len(shapes) * n)
-            for n, (block, shapes) in enumerate(zip(blocks, lists))])
+                    shapes_before=len(shapes) * n)
+            for n, (block, shapes) in enumerate(zip(blocks, lists))]
+        self.runs: Any = join_coloured(runs) if world.coloured else join(runs)
         self._world, self._size = world, families * len(blocks) * world.slots
 
     def common(self, compliance: list[np.ndarray], multipliers: tuple[int, ...] = (),
