@@ -52,6 +52,9 @@ class Area(NamedTuple):
     multipliers are not kept"""
     held: Held | None
     """triangles at pinned particles; None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     rest_area: np.ndarray
     """A0 [m²], shape (triangles,)"""
     compliance: np.ndarray

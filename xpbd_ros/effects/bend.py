@@ -116,6 +116,9 @@ class MeshBend(NamedTuple):
     """f [N m], shape (3, hinges); None if multipliers are not kept"""
     held: Held | None
     """None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     weight: np.ndarray
     """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
     compliance: np.ndarray

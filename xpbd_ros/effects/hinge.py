@@ -81,6 +81,9 @@ class Hinge(NamedTuple):
     """f [N m], shape (hinges,); None if multipliers are not kept"""
     held: Held | None
     """hinges at pinned particles; None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     rest_angle: np.ndarray
     """[rad], shape (hinges,)"""
     compliance: np.ndarray

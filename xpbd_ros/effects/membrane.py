@@ -113,6 +113,9 @@ class Membrane(NamedTuple):
     """f [N m], shape (3, triangles); None if multipliers are not kept"""
     held: Held | None
     """triangles at pinned particles; None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     inverse: np.ndarray
     """D⁻¹, row after row: p1, q1, p2, q2 [1/m], shape (4, triangles)"""
     compliance: np.ndarray

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.constraints import distance, line_solver, mesh_paths, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import Shape
@@ -158,6 +159,9 @@ def _on_meshes(cloths, world) -> MeshStretch | PathStretch:
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
     time = distance.times(cloths, world)
+    if world.lines and world.coloured:
+        raise InputError('solver.order: coloured does not go with the paths that the methods line '
+                         'and auto solve on meshes; take order sequential, or method gauss_seidel')
     if not world.lines or time is not None:
         return MeshStretch(distance.mesh_edges(particles, rest, alpha, world=world, time=time))
     x = np.zeros((world.slots, 3))

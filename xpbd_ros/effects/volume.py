@@ -97,6 +97,9 @@ class Volume(NamedTuple):
     not kept"""
     held: Held | None
     """tetrahedra at pinned particles; None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     inverse: np.ndarray
     """Dm⁻¹ [1/m], row after row, shape (9, tetrahedra)"""
     compliance: np.ndarray

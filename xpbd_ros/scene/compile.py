@@ -148,7 +148,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
                   or solver.method not in ONE_PASS, lines=solver.method in LINES,
-                  iterations=solver.iterations,
+                  coloured=solver.order == 'coloured', iterations=solver.iterations,
                   threads=solver.threads)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':

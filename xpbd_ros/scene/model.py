@@ -24,6 +24,9 @@ class SolverKeys:
                                     doc='per frame; chosen by auto unless given')
     iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
     precision: str = quantity('float64', choices=('float64', 'float32'))
+    order: str = quantity('sequential', choices=('sequential', 'coloured'),
+                          doc='of the constraints in a sweep: neighbours one after another, or '
+                          'batches without a common particle')
     threads: int = quantity(1, minimum=0, maximum=MOST_THREADS,
                             doc='0: as many as pay on this machine')
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')

@@ -95,6 +95,9 @@ class BuildContext:
     lines: bool = False
     """True if the solver may solve whole lines: method ``line``, or ``auto``"""
 
+    coloured: bool = False
+    """True if constraints are swept by colours (``constraints.coloured_batches``)"""
+
     iterations: int = 1
     """of the solver"""
     threads: int = 1

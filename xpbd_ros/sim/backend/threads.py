@@ -47,6 +47,22 @@ def share(team, count):
     """Return where this thread's share of so many pieces begins and ends."""
 
 
+def turns(team, count):
+    """Return this thread's first piece of so many, the end, and the step to its next one."""
+
+
+def across(team, rows):
+    """Return the same for the rows of a table that the threads share."""
+
+
+def along(team, columns):
+    """Return the same for the columns of one of these rows."""
+
+
+def wait_within(team):
+    """Go on when all threads of a CPU are here; those of a GPU need not wait."""
+
+
 def alone(team):
     """Return whether this is the main thread, which does serial work."""
 
@@ -69,6 +85,26 @@ def _share(team, count):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,
                                 count * (team.worker + 1) // team.workers)
+
+
+@inline(turns)
+def _turns(team, count):
+    return lambda team, count: (*share(team, count), 1)
+
+
+@inline(across)
+def _across(team, rows):
+    return lambda team, rows: (*share(team, rows), 1)
+
+
+@inline(along)
+def _along(team, columns):
+    return lambda team, columns: (0, columns, 1)
+
+
+@inline(wait_within)
+def _wait_within(team):
+    return lambda team: wait(team)
 
 
 @inline(alone)

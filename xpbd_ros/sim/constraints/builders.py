@@ -1,9 +1,15 @@
 """Batches from the constraints of each cloth: their arrays in sweep order."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from xpbd_ros.sim.constraints.coloured_batches import (
+    coloured_packs,
+    coloured_runs,
+    join_coloured,
+)
 from xpbd_ros.sim.constraints.grid_batches import by_place, grid_runs, join, Shape
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.pinned import room_for, stops_for
@@ -13,21 +19,27 @@ from xpbd_ros.sim.particles.memory_layout import Block, zeros
 
 class Packing:
     """
-    Constraints of meshes in the order of ``pack``, and the arrays of their batch.
+    Constraints of meshes in the order of ``pack``, or coloured, and the arrays of their batch.
 
     Parameters
     ----------
     particles : slots of the constraints of each cloth, shapes (constraints, particles of each)
     world : build context
     order : the constraint in each place, EMPTY where there is none, in packs of PACK that share no
-        particle; None for the order of ``pack``
+        particle; None for the order that the scene asks for
 
     """
 
     def __init__(self, particles: list[np.ndarray], world, order: np.ndarray | None = None):
         self.particles = np.concatenate(particles)
         self._world, self._dtype = world, world.state.x.dtype
-        self._order = pack(self.particles) if order is None else order
+        self._colours = None
+        if order is not None:
+            self._order = order
+        elif world.coloured:
+            self._order, self._colours = coloured_packs(self.particles)
+        else:
+            self._order = pack(self.particles)
 
     def column(self, numbers: np.ndarray | list[np.ndarray], empty=0.0) -> np.ndarray:
         """
@@ -63,7 +75,7 @@ class Packing:
                                self.particles.max(initial=-1) + 1]),
             'particles': padded(self.particles, self._order, world.slots - 1, np.int32).T.copy(),
             'force': zeros((*multipliers, count), self._dtype) if world.forces else None,
-            'held': room(count, width) if world.pins else None}
+            'held': room(count, width) if world.pins else None, 'colours': self._colours}
 
 
 class Rows:
@@ -84,10 +96,12 @@ class Rows:
         self.families = [families * n + shape.family
                          for n, shapes in enumerate(lists) for shape in shapes]
         """family of each shape: those of the first grid, of the second, and so on"""
-        self.runs = join([
-            grid_runs(block, shapes, world.slots, families=families * n,
-                      shapes_before=len(shapes) * n)
-            for n, (block, shapes) in enumerate(zip(blocks, lists))])
+        runs_of: Any = coloured_runs if world.coloured else grid_runs
+        runs: list[Any] = [
+            runs_of(block, shapes, world.slots, families=families * n,
+                    shapes_before=len(shapes) * n)
+            for n, (block, shapes) in enumerate(zip(blocks, lists))]
+        self.runs: Any = join_coloured(runs) if world.coloured else join(runs)
         self._world, self._size = world, families * len(blocks) * world.slots
 
     def common(self, compliance: list[np.ndarray], multipliers: tuple[int, ...] = (),

@@ -74,6 +74,9 @@ class MeshEdges(NamedTuple):
     """f [N], shape (edges,); None if multipliers are not kept"""
     held: Held | None
     """edges at pinned particles; None in a scene without pins"""
+    colours: np.ndarray | None
+    """first constraint of each colour, and the number of places, shape (colours + 1,); None in
+    sequential order"""
     rest_length: np.ndarray
     """[m], shape (edges,)"""
     compliance: np.ndarray

@@ -10,7 +10,7 @@ A sweep takes a grid in strips of rows and two phases: first every other strip, 
 constraint couples, then those in between. Several threads share the strips of a phase.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -86,7 +86,7 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
     table, strip, phase = [], [0], [0]
     present = np.zeros((len(shapes), block.row_stride), bool)
     for number, shape in enumerate(shapes):
-        present[number, [_place(block, c) for c in shape.columns]] = True
+        present[number, [place_of(block, c) for c in shape.columns]] = True
     for first in range(PHASES):
         for top in range(first * STRIP, block.rows, PHASES * STRIP):
             for number, shape in enumerate(shapes):
@@ -94,7 +94,7 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
                 if not rows:
                     continue
                 start = block.first + rows[0] * block.row_stride
-                for place, count, offset in _spans(block, shape):
+                for place, count, offset in spans(block, shape):
                     table.append((start + place, count, len(rows),
                                   shape.rows.step * block.row_stride, *offset,
                                   (families + shape.family) * slots, shapes_before + number,
@@ -109,26 +109,29 @@ def grid_runs(block: Block, shapes: list[Shape], slots: int, *, families: int = 
                 np.array(strip), np.array(phase), present)
 
 
-def _place(block: Block, column: int) -> int:
+def place_of(block: Block, column: int) -> int:
+    """Return the slot of a column relative to the start of its row."""
     return block.slot(0, column) - block.first
 
 
-def _spans(block: Block, shape: Shape) -> list[tuple[int, int, tuple[int, ...]]]:
+def spans(block: Block, shape: Shape, *,
+          merge: bool = True) -> list[tuple[int, int, tuple[int, ...]]]:
     """
     Return a shape's anchors in a row as spans of consecutive slots: (first place, count, offsets).
 
     Adjacent parts with equal offsets are merged into one span, which includes slots without a
     constraint at the end of a part. Short parts of constraints within one row are not merged,
     since each vector would wait for the stores of the one before; they are swept down their rows.
+    Without ``merge`` no parts are merged.
     """
-    waits = block.short and len({j for j, _ in shape.particles}) == 1
+    waits = not merge or block.short and len({j for j, _ in shape.particles}) == 1
     found: list[tuple[int, int, tuple]] = []
     last_part = block.parts
     for part in range(block.parts):
         columns = [c for c in shape.columns if c % block.parts == part]
         if not columns:
             continue
-        place, end = _place(block, columns[0]), _place(block, columns[-1]) + 1
+        place, end = place_of(block, columns[0]), place_of(block, columns[-1]) + 1
         offset = tuple(block.slot(j, columns[0] + c) - block.slot(0, columns[0])
                        for j, c in shape.particles)
         if part == last_part + 1 and offset == found[-1][2] and not waits:
@@ -152,7 +155,7 @@ def join(runs: list[Runs]) -> Runs:
     return Runs._make((*columns, strip, phase, present))
 
 
-def by_place(runs: Runs, compliance: list, dtype) -> np.ndarray:
+def by_place(runs: Any, compliance: list, dtype) -> np.ndarray:
     """
     Return the compliances of grids as one table, ABSENT where there is no constraint.
 
@@ -190,14 +193,14 @@ def share_of(runs, team, phase, reverse):
     return runs.strip[begin + first], runs.strip[begin + last]
 
 
-def first_of_runs(runs: Runs) -> np.ndarray:
+def first_of_runs(runs: Any) -> np.ndarray:
     """Return the index of each run's first constraint in ``listed``, shape (runs + 1,)."""
     count = [runs.rows[r] * runs.present[runs.shape[r], runs.place[r]:][:runs.count[r]].sum()
              for r in range(len(runs.start))]
     return np.concatenate([[0], np.cumsum(count, dtype=np.int64)])
 
 
-def listed(runs: Runs) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def listed(runs: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """
     Return all constraints of some runs as arrays, in sweep order.
 

@@ -91,6 +91,11 @@ def _batch_of(data):
     return lambda data: data
 
 
+def batch_type(data):
+    """Return the type of ``batch_of``, from the type of the data."""
+    return data[data.fields.index('edges')] if 'edges' in data.fields else data
+
+
 def held_of(batch):
     """Return the list of a batch's constraints at pinned particles."""
 
@@ -103,9 +108,8 @@ def _held_of(batch):
     return (lambda batch: None) if none else (lambda batch: batch.stops.held)
 
 
-def sweep_packs(data, state, substep, reverse):
+def sweep_packs(batch, state, substep, reverse):
     """Project all constraints of meshes once, pack by pack, in reverse order if ``reverse``."""
-    batch = batch_of(data)
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
     to_records(state, records, begin, end)
@@ -123,9 +127,8 @@ def sweep_packs(data, state, substep, reverse):
     from_records(state, records, begin, end)
 
 
-def sweep_runs(data, state, substep, reverse):
+def sweep_runs(batch, state, substep, reverse):
     """Project all constraints of grids once, run by run, in reverse order if ``reverse``."""
-    batch = batch_of(data)
     part, runs, held = substep.end - substep.begin, batch.runs, held_of(batch)
     mobility = state.mobility
     places, step = batch.compliance.shape[1], lanes(mobility)

@@ -9,8 +9,9 @@ four by four: any other order takes twice the shuffles.
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import lanes, load, store
+from xpbd_ros.sim.backend.simd import lanes, load, splat, store
 from xpbd_ros.sim.backend.simd_records import _FIELDS, load_row, store_row
+from xpbd_ros.sim.backend.threads import turns, wait
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 
@@ -77,3 +78,57 @@ def _back(state, apart, records, first, last):
         _collect(state.rounding, first, last)
     else:
         _add(apart.move, apart.records, first, last)
+
+
+@jit
+def shared_to_records(state, records, first, last):
+    """Do the same as ``to_records``, on all threads."""
+    x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
+    step = lanes(m)
+    left, right, over = turns(state.team, (last - first + step - 1) // step)
+    for k in range(left, right, over):
+        i = first + k * step
+        store_row(records, i, load(x, i), load(y, i), load(z, i), load(m, i))
+        _zero_row(state.apart, i)
+    wait(state.team)
+
+
+@jit
+def shared_from_records(state, records, first, last):
+    """Do the same as ``from_records``, on all threads."""
+    step = lanes(state.mobility)
+    left, right, over = turns(state.team, (last - first + step - 1) // step)
+    for k in range(left, right, over):
+        _row_back(state, state.apart, records, first + k * step)
+    wait(state.team)
+
+
+@jit
+def _row_back(state, apart, records, i):
+    if apart is None:
+        x, y, z, _ = load_row(records, i)
+        store(state.x[0], i, x)
+        store(state.x[1], i, y)
+        store(state.x[2], i, z)
+        _collect_row(state.rounding, i)
+    else:
+        _add(apart.move, apart.records, i, i + 1)
+
+
+@jit
+def _collect_row(rounding, i):
+    if rounding is not None:
+        _add(rounding.move, rounding.records, i, i + 1)
+        _clear_row(rounding.records, i)
+
+
+@jit
+def _zero_row(apart, i):
+    if apart is not None:
+        _clear_row(apart.records, i)
+
+
+@jit
+def _clear_row(records, i):
+    zero = splat(records, 0.0)
+    store_row(records, i, zero, zero, zero, zero)

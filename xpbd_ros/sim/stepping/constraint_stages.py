@@ -12,12 +12,17 @@ their batch, the stages ``prepare``, ``project`` and ``project_back``.
 from collections.abc import Callable
 from types import FunctionType
 
-from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.constraints.distance import GridEdges
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.constraints.coloured_sweeps import (
+    is_coloured,
+    sweep_coloured_packs,
+    sweep_coloured_runs,
+)
 from xpbd_ros.sim.constraints.pinned_edges import react_edges
 from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.constraints.sweeps import (
     batch_of,
+    batch_type,
     held_of,
     projection,
     sweep_packs,
@@ -43,6 +48,28 @@ def _react(data, state, substep):
     react_edges(held_of(batch), batch.force, state, substep)
 
 
+def _project(data, state, substep, reverse):
+    """Project all constraints once, in reverse order if ``reverse``."""
+    sweep(batch_of(data), state, substep, reverse)
+
+
+def sweep(batch, state, substep, reverse):
+    """Project the constraints of a batch, on grids or meshes, in sequential or coloured order."""
+
+
+@inline(sweep)
+def _sweep(batch, state, substep, reverse):
+    if 'runs' in batch.fields:
+        return sweep_coloured_runs if is_coloured(batch) else sweep_runs
+    return sweep_coloured_packs if is_coloured(batch) else sweep_packs
+
+
+def _is_shared(data) -> bool:
+    """Return True if threads share a sweep of an effect's data, given as Numba types it."""
+    batch = batch_type(data)
+    return 'runs' in batch.fields or is_coloured(batch)
+
+
 def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
     """
     Return a kernel for one type of data, with a name of its own.
@@ -55,23 +82,22 @@ def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
     return jit(own)
 
 
-def _sweep(kind: type, *, on_grids: bool) -> None:
+def _register(kind: type) -> None:
     stage(prepare, kind)(_kernel_for(kind, 'prepare', _prepare))
-    stage_of_sweeps(kind, _kernel_for(kind, 'project', sweep_runs if on_grids else sweep_packs),
-                    shared=on_grids)
+    stage_of_sweeps(kind, _kernel_for(kind, 'project', _project), shared=_is_shared)
 
 
 def constraint(kind: type, *, particles: int) -> Callable:
     """Register the kernel for a vector of constraints, and the stages of their batch."""
     def register(kernel):
-        _sweep(kind, on_grids='runs' in kind._fields)    # type: ignore[attr-defined]
+        _register(kind)
         return projection(kind, particles=particles)(kernel)
     return register
 
 
 def elastic_edges(kind: type) -> type:
     """Register the stages of data whose field ``edges`` holds elastic edges."""
-    _sweep(kind, on_grids=kind.__annotations__['edges'] is GridEdges)
+    _register(kind)
     kernel = _kernel_for(kind, 'react', _react)
     for stub in (accumulate_reactions, react_to_half_kick):
         stage(stub, kind)(kernel)

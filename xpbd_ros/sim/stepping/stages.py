@@ -109,26 +109,26 @@ def lap_integration(effects, state):
 
 
 _KERNELS: dict[tuple[Callable, type | None], Callable] = {}
-_SHARED: set[Callable] = set()
+_SHARED: dict[Callable, bool | Callable] = {}
 _SWEEPS: set[Callable] = set()
 
 
-def stage(stub: Callable, kind: type, *, shared: bool = False) -> Callable:
+def stage(stub: Callable, kind: type, *, shared: bool | Callable = False) -> Callable:
     """
     Register a compiled kernel as the given stage of one effect's type.
 
     One that is ``shared`` does this thread's part of the work and waits for the others
-    (``team``); what is not shared is done by one thread.
+    (``team``); what is not shared is done by one thread. It may be a function that says so for
+    an effect as Numba types it.
     """
     def register(kernel):
         _KERNELS[stub, kind] = kernel
-        if shared:
-            _SHARED.add(kernel)
+        _SHARED[kernel] = shared
         return kernel
     return register
 
 
-def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool = False) -> None:
+def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool | Callable = False) -> None:
     """
     Register one kernel for ``project`` and ``project_back``.
 
@@ -137,6 +137,12 @@ def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool = False) -> No
     for stub in (project, project_back):
         stage(stub, kind, shared=shared)(kernel)
     _SWEEPS.add(kernel)
+
+
+def is_shared(kernel: Callable, effect) -> bool:
+    """Return True if threads share a kernel's work for an effect, given as Numba types it."""
+    shared = _SHARED.get(kernel, False)
+    return shared(effect) if callable(shared) else shared
 
 
 def kernel_of(stub: Callable, effect) -> Callable | None:
@@ -156,7 +162,7 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
         kernels = [(k, kernel) for k, kernel in kernels if kernel is not None]
         team = writer.item(state, 'team')
         for shared, group in groupby(kernels[::-1] if backwards else kernels,
-                                     lambda each: each[1] in _SHARED):
+                                     lambda each: is_shared(each[1], effects[0][each[0]])):
             apart = not (shared or isinstance(team[0], types.NoneType))
             with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
                 for k, kernel in group:
