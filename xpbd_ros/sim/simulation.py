@@ -314,6 +314,8 @@ class Simulation:
         self.effects.update(change.effects)
         if change.solver is not None and _lengths(change.solver) != _lengths(self.solver):
             forget(self.state)    # a history in steps of another length
+            for built in self.effects.values():
+                built.forget()
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity
