@@ -17,6 +17,7 @@ from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
+from xpbd_ros.sim.stepping.device import DeviceCrew
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
@@ -88,7 +89,7 @@ class Simulation:
         self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
-        self._crew = ThreadPool(solver.threads)
+        self._crew: ThreadPool | DeviceCrew = ThreadPool(solver.threads)
         self._tuple: tuple[Any, ...] = ()
         self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
@@ -145,6 +146,7 @@ class Simulation:
             built.begin(clock, self.state)
         if any(built.pinned_changed for built in self.effects.values()):
             self._hold()
+            self._crew.host_changed()
         self.start = self._keep() if keep else None
         self._last.keep()
         if self._guard is None:
@@ -166,6 +168,8 @@ class Simulation:
         The next frame has them in ``applied``, before its own.
         """
         refused: list[tuple[Command, str]] = []
+        if commands:
+            self._crew.host_changed()
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
             try:
@@ -200,6 +204,14 @@ class Simulation:
         setting = setting or self.solver
         self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
                        self.frame_dt, substeps)
+
+    def fetch(self) -> None:
+        """Bring all arrays to the host, where those of ``solver.device: cuda`` may be older."""
+        self._crew.fetch()
+
+    def use_card(self, card) -> None:
+        """Compute the frames on a card (``backend.cuda.Card``, or one that is emulated)."""
+        self._crew = DeviceCrew(self, card)
 
     def _keep(self) -> Start:
         setting = self.setting
@@ -329,6 +341,7 @@ class Simulation:
 
     def __deepcopy__(self, memo: dict) -> 'Simulation':
         """Return a simulation of its own that continues from here; only meshes are shared."""
+        self.fetch()
         other = memo[id(self)] = object.__new__(type(self))
         other._continue_from(self, memo)
         return other
@@ -367,6 +380,7 @@ class Simulation:
 
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
+        self.fetch()
         state = self.state
         return hashed([state.x, state.v, state.inv_mass, *full_history(state)], self.slot)
 

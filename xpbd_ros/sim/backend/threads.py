@@ -4,7 +4,8 @@ Several threads on one step: all run the same code, each on its share of the par
 What can be shared out is such that no share reads what another one writes; where the next piece of
 work needs all of the last one, all ``wait`` for one another. What cannot be shared is done by one
 of them ``alone``. So the bits do not depend on how many there are. A state without a team
-(``state.team`` is None) belongs to one thread, and nothing of this is in its machine code.
+(``state.team`` is None) belongs to one thread, and nothing of this is in its machine code. The
+threads of a GPU (``DeviceTeam``) take every n-th piece, so that neighbours work side by side.
 
 A thread whose core is busy with other programs delays the others at each barrier, for a whole time
 slice of the system. Therefore the main thread goes on alone for a while after such a step.
@@ -18,6 +19,7 @@ from numba import types
 from numba.extending import intrinsic
 import numpy as np
 
+from xpbd_ros.sim.backend.device_team import DeviceTeam, meet_all
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import place
 
@@ -79,6 +81,10 @@ def _none(team) -> bool:
     return isinstance(team, types.NoneType)
 
 
+def _on_device(team) -> bool:
+    return getattr(team, 'instance_class', None) is DeviceTeam
+
+
 @inline(share)
 def _share(team, count):
     if _none(team):
@@ -89,38 +95,52 @@ def _share(team, count):
 
 @inline(turns)
 def _turns(team, count):
+    if _on_device(team):
+        return lambda team, count: (team.y * team.width + team.x, count, team.width * team.height)
     return lambda team, count: (*share(team, count), 1)
 
 
 @inline(across)
 def _across(team, rows):
+    if _on_device(team):
+        return lambda team, rows: (team.y, rows, team.height)
     return lambda team, rows: (*share(team, rows), 1)
 
 
 @inline(along)
 def _along(team, columns):
+    if _on_device(team):
+        return lambda team, columns: (team.x, columns, team.width)
     return lambda team, columns: (0, columns, 1)
 
 
 @inline(wait_within)
 def _wait_within(team):
+    if _on_device(team):
+        return lambda team: None
     return lambda team: wait(team)
 
 
 @inline(alone)
 def _alone(team):
+    if _on_device(team):
+        return lambda team: team.x + team.y == 0
     return (lambda team: True) if _none(team) else lambda team: team.worker == 0
 
 
 @inline(worker)
 def _worker(team):
-    return (lambda team: 0) if _none(team) else lambda team: team.worker
+    if _none(team) or _on_device(team):
+        return lambda team: 0
+    return lambda team: team.worker
 
 
 @inline(wait)
 def _wait(team):
     if _none(team):
         return lambda team: None
+    if _on_device(team):
+        return lambda team: meet_all(team.gate)
     return lambda team: _meet(team.gate, team.worker, team.workers)
 
 
@@ -216,6 +236,12 @@ class ThreadPool:
             self._rest, self._next_rest = self._next_rest, min(2 * self._next_rest, REST[1])
         else:
             self._next_rest = REST[0]
+
+    def host_changed(self) -> None:
+        """Do nothing: the state lies in the host's memory (see ``stepping.device``)."""
+
+    def fetch(self) -> None:
+        """Do nothing likewise."""
 
     def _join(self, worker: int, step, effects, state, *arguments) -> None:
         """Call a step on one thread; if that fails, the others do not wait for it."""

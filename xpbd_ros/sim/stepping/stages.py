@@ -102,6 +102,7 @@ def lap_integration(effects, state):
 _KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: dict[Callable, bool | Callable] = {}
 _SWEEPS: set[Callable] = set()
+_QUESTIONS: dict[Callable, Callable] = {}
 
 
 def stage(stub: Callable, kind: type, *, shared: bool | Callable = False) -> Callable:
@@ -139,6 +140,23 @@ def is_shared(kernel: Callable, effect) -> bool:
 def kernel_of(stub: Callable, effect) -> Callable | None:
     """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
     return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+
+
+def answer(question: Callable, effects) -> bool:
+    """Return the constant that Numba compiles for a question, for effects as it types them."""
+    return any(kernel_of(_QUESTIONS[question], effect) is not None for effect in effects)
+
+
+def name_of(kernel: Callable) -> tuple[str, type] | None:
+    """Return the name of a kernel's stage and its type; None for one that is no stage."""
+    return next(((stub.__name__, kind) for (stub, kind), each in _KERNELS.items()
+                 if each is kernel and kind is not None), None)
+
+
+def named(stage_: str, kind: type) -> Callable:
+    """Return the kernel of a name that ``name_of`` gave."""
+    return next(kernel for (stub, each), kernel in _KERNELS.items()
+                if each is kind and stub.__name__ == stage_)
 
 
 def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
@@ -184,12 +202,12 @@ def _is_none(state, name: str) -> bool:
 
 def _tells_of(stub: Callable, question: Callable) -> None:
     """Let Numba compile ``question`` as a constant: whether an effect takes part in ``stub``."""
+    _QUESTIONS[question] = stub
     type_callable(question)(lambda typing: lambda effects: types.boolean)
 
     @lower_builtin(question, types.Any)
     def tell(context, builder, signature, arguments):
-        return context.get_constant(types.boolean, any(
-            kernel_of(stub, effect) is not None for effect in signature.args[0]))
+        return context.get_constant(types.boolean, answer(question, signature.args[0]))
 
 
 def _asks_all(stub: Callable) -> None:
