@@ -21,7 +21,7 @@ from support.ptx_code import DONE, IN_BLOCK, MET, NUMBER, Translation
 RACE = ('memory', 'end', 'readers', 'writers', 'epoch', 'races', 'place', 'astray')
 """fields of the record of races, 8 bytes each"""
 FLUSH = 0x8040
-TOUCH = '''
+TOUCH = """
 define internal void @touch(ptr %p, i64 %size, i1 %writes, i64 %place, ptr %special, ptr %race) {
   %arena = load i64, ptr %race
   %end_p = getelementptr i64, ptr %race, i64 1
@@ -98,8 +98,8 @@ next:
 done:
   ret void
 }
-'''.replace('NUMBER', str(NUMBER))
-MODE = '''
+""".replace('NUMBER', str(NUMBER))
+MODE = """
 define i32 @swap(i32 %new) {
   %p = alloca i32
   call void @llvm.x86.sse.stmxcsr(ptr %p)
@@ -110,7 +110,7 @@ define i32 @swap(i32 %new) {
 }
 declare void @llvm.x86.sse.stmxcsr(ptr)
 declare void @llvm.x86.sse.ldmxcsr(ptr)
-'''
+"""
 
 
 def compiled(code: str, opt: int = 1):
@@ -149,6 +149,9 @@ class EmulatedKernel:
             self._engine.get_function_address('run'))
 
 
+kernel_of = cache(EmulatedKernel)
+
+
 class EmulatedCard:
     """
     A card whose threads take turns on this CPU.
@@ -176,7 +179,7 @@ class EmulatedCard:
 
     def load(self, ptx: str) -> EmulatedKernel:
         """Return a kernel."""
-        return EmulatedKernel(ptx, **self.options)
+        return kernel_of(ptx, **self.options)
 
     def allocate(self, size: int) -> int:
         """Return the address of memory, aligned as on a card; there is one piece of it."""

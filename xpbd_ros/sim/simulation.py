@@ -55,12 +55,13 @@ class Simulation:
     """
     All cloths of one scene, with the effects that it calls for.
 
-    ``retune`` maps a live scene key and its value to a ``Change``.
+    ``retune`` maps a live scene key and its value to a ``Change``; ``card`` computes the frames
+    where it is not None (``stepping.device``).
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: 'Retune | None' = None,
+                 retune: 'Retune | None' = None, card: Any = None,
                  notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
@@ -89,7 +90,8 @@ class Simulation:
         self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
-        self._crew: ThreadPool | DeviceCrew = ThreadPool(solver.threads)
+        self._crew: ThreadPool | DeviceCrew = (
+            ThreadPool(solver.threads) if card is None else DeviceCrew(self, card))
         self._tuple: tuple[Any, ...] = ()
         self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
@@ -209,11 +211,8 @@ class Simulation:
         """Bring all arrays to the host, where those of ``solver.device: cuda`` may be older."""
         self._crew.fetch()
 
-    def use_card(self, card) -> None:
-        """Compute the frames on a card (``backend.cuda.Card``, or one that is emulated)."""
-        self._crew = DeviceCrew(self, card)
-
     def _keep(self) -> Start:
+        self.fetch()
         setting = self.setting
         self._kept = Start(self._tuple, self._view(setting), self._step, self._method(setting),
                            self.frame_dt, setting.substeps).copy(self._kept)
@@ -324,7 +323,7 @@ class Simulation:
         except ValueError as error:
             return str(error)
         self.effects.update(change.effects)
-        if change.solver is not None and _lengths(change.solver) != _lengths(self.solver):
+        if change.solver is not None and change.solver.lengths != self.solver.lengths:
             forget(self.state)    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
@@ -394,11 +393,6 @@ class Simulation:
         if self._guard is not None:
             found.update(self._guard.stats())
         return found
-
-
-def _lengths(solver: Solver) -> tuple:
-    """Return all that a history's steps depend on."""
-    return solver.method, solver.substeps, solver.rough_substeps
 
 
 class SavedState:

@@ -93,7 +93,7 @@ def _leaves(kind) -> list:
 
 
 def _teams(kinds, at: int = 0, inside: bool = False) -> list[int]:
-    """Return the parameters where a DeviceTeam begins, if the first of these types is at ``at``."""
+    """Return the parameters where a DeviceTeam begins; the first type is at ``at``."""
     found = []
     for kind in kinds:
         if getattr(kind, 'instance_class', None) is DeviceTeam:

@@ -11,7 +11,6 @@ from inspect import signature
 from numba import types
 from numba.extending import lower_builtin, type_callable
 
-
 WRITTEN: dict[Callable, Callable] = {}
 """what each stub calls, as registered"""
 

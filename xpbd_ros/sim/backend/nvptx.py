@@ -4,9 +4,9 @@ Kernels as PTX, NVIDIA's assembly language, by LLVM's NVPTX back end, which llvm
 No CUDA toolkit, driver or card takes part. A kernel that others call is LLVM code that nobody has
 optimised (``linking``). With one lane (XPBD_ROS_VECTOR_BITS=32), the triple of a GPU and an entry
 function, which asks for the thread's place, it is a kernel for a GPU: the same source, rounded the
-same way. LLVM contracts no a*b + c without fast-math, so the bits are the CPU's; ``check_rounding``
-refuses PTX that would round otherwise. Denormal float32 numbers count as 0, as in the CPU's step
-(``denormals``). Denormal float64 numbers, below 1e-307, are kept.
+same way. LLVM contracts no a*b + c without fast-math, so the bits are the CPU's, and
+``check_rounding`` refuses PTX that would round otherwise. Denormal float32 numbers count as 0, as
+in the CPU's step (``denormals``). Denormal float64 numbers, below 1e-307, are kept.
 """
 
 import re
@@ -25,7 +25,7 @@ THREADS = 256
 """threads of a block, at most"""
 SLOT = 8
 """bytes that each parameter of a kernel takes"""
-EXACT = 'add sub mul fma div sqrt rcp'.split()
+EXACT = ['add', 'sub', 'mul', 'fma', 'div', 'sqrt', 'rcp']
 PLACES = ('x', 'y')
 REGISTERS = ('tid', 'ntid', 'ctaid', 'nctaid')
 OF_LIBM = ('sqrt', 'fabs', 'floor', 'ceil', 'trunc', 'rint')

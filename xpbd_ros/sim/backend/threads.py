@@ -53,12 +53,28 @@ def turns(team, count):
     """Return this thread's first piece of so many, the end, and the step to its next one."""
 
 
+def turns_of_few(team, count, most):
+    """Return the same where at most so many threads of a GPU may work: each has scratch memory."""
+
+
 def across(team, rows):
     """Return the same for the rows of a table that the threads share."""
 
 
 def along(team, columns):
     """Return the same for the columns of one of these rows."""
+
+
+def turns_on_device(team, count):
+    """Return ``turns`` on a GPU, and all pieces on a CPU, for what one of its threads does."""
+
+
+def alone_on_device(team):
+    """Return False for the other threads of a GPU, in what one thread of a CPU does."""
+
+
+def wait_on_device(team):
+    """Go on when all threads of a GPU are here, in what one thread of a CPU does."""
 
 
 def wait_within(team):
@@ -81,12 +97,15 @@ def _none(team) -> bool:
     return isinstance(team, types.NoneType)
 
 
-def _on_device(team) -> bool:
+def is_on_device(team) -> bool:
+    """Return True for the type of a ``DeviceTeam``."""
     return getattr(team, 'instance_class', None) is DeviceTeam
 
 
 @inline(share)
 def _share(team, count):
+    if is_on_device(team):    # right for any kernel, and slow: one thread does it all
+        return lambda team, count: (0, count if team.x + team.y == 0 else 0)
     if _none(team):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,
@@ -95,51 +114,79 @@ def _share(team, count):
 
 @inline(turns)
 def _turns(team, count):
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team, count: (team.y * team.width + team.x, count, team.width * team.height)
     return lambda team, count: (*share(team, count), 1)
 
 
+@inline(turns_of_few)
+def _turns_of_few(team, count, most):
+    if not is_on_device(team):
+        return lambda team, count, most: (*share(team, count), 1)
+
+    def few(team, count, most):
+        number, step = team.y * team.width + team.x, min(team.width * team.height, most)
+        return number, count if number < step else 0, step
+    return few
+
+
 @inline(across)
 def _across(team, rows):
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team, rows: (team.y, rows, team.height)
     return lambda team, rows: (*share(team, rows), 1)
 
 
 @inline(along)
 def _along(team, columns):
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team, columns: (team.x, columns, team.width)
     return lambda team, columns: (0, columns, 1)
 
 
+@inline(turns_on_device)
+def _turns_on_device(team, count):
+    if is_on_device(team):
+        return lambda team, count: turns(team, count)
+    return lambda team, count: (0, count, 1)
+
+
+@inline(alone_on_device)
+def _alone_on_device(team):
+    return (lambda team: alone(team)) if is_on_device(team) else lambda team: True
+
+
+@inline(wait_on_device)
+def _wait_on_device(team):
+    return (lambda team: wait(team)) if is_on_device(team) else lambda team: None
+
+
 @inline(wait_within)
 def _wait_within(team):
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team: None
     return lambda team: wait(team)
 
 
 @inline(alone)
 def _alone(team):
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team: team.x + team.y == 0
     return (lambda team: True) if _none(team) else lambda team: team.worker == 0
 
 
 @inline(worker)
 def _worker(team):
-    if _none(team) or _on_device(team):
-        return lambda team: 0
-    return lambda team: team.worker
+    if is_on_device(team):
+        return lambda team: team.y * team.width + team.x
+    return (lambda team: 0) if _none(team) else lambda team: team.worker
 
 
 @inline(wait)
 def _wait(team):
     if _none(team):
         return lambda team: None
-    if _on_device(team):
+    if is_on_device(team):
         return lambda team: meet_all(team.gate)
     return lambda team: _meet(team.gate, team.worker, team.workers)
 

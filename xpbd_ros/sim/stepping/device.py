@@ -81,6 +81,7 @@ class DeviceCrew:
     def fetch(self) -> None:
         """Bring all arrays to the host, which may change them then."""
         if self._memory is not None:
+            self._memory.upload(self._all)    # changes that are not there yet
             self._memory.download(self._all)
         self._changed = True
 

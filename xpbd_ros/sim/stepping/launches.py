@@ -49,7 +49,7 @@ def name_of(kernel: Callable) -> tuple:
 
 
 def find(module: str, name: Any) -> Callable:
-    """Return the kernel of a name: of a module, or of a stage of a type, whose effect registers it."""
+    """Return the kernel of a name: of a module, or of a stage of a type."""
     if isinstance(name, str):
         return getattr(importlib.import_module(module), name)
     return stages.named(module, name)
@@ -74,7 +74,8 @@ class Recorder:
         elif function is alone:
             return None
         elif function is not wait:    # a launch begins when the one before is done
-            self.launches.append(Launch(function, found, not self._alone))
+            shared = not self._alone or function in stages.ON_DEVICE
+            self.launches.append(Launch(function, found, shared))
         return None
 
     def item(self, value, k):

@@ -101,21 +101,27 @@ def lap_integration(effects, state):
 
 _KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: dict[Callable, bool | Callable] = {}
+ON_DEVICE: set[Callable] = set()
+"""kernels of one thread of a CPU that all threads of a GPU share"""
 _SWEEPS: set[Callable] = set()
 _QUESTIONS: dict[Callable, Callable] = {}
 
 
-def stage(stub: Callable, kind: type, *, shared: bool | Callable = False) -> Callable:
+def stage(stub: Callable, kind: type, *, shared: bool | Callable = False,
+          on_device: bool = False) -> Callable:
     """
     Register a compiled kernel as the given stage of one effect's type.
 
     One that is ``shared`` does this thread's part of the work and waits for the others
-    (``team``); what is not shared is done by one thread. It may be a function that says so for
-    an effect as Numba types it.
+    (``backend.threads``); what is not shared is done by one thread. It may be a function that says
+    so for an effect as Numba types it. One that is ``on_device`` is shared by the threads of a GPU
+    only.
     """
     def register(kernel):
         _KERNELS[stub, kind] = kernel
         _SHARED[kernel] = shared
+        if on_device:
+            ON_DEVICE.add(kernel)
         return kernel
     return register
 
