@@ -113,16 +113,14 @@ declare void @llvm.x86.sse.ldmxcsr(ptr)
 """
 
 
-def compiled(code: str, opt: int = 1):
-    """Return the machine code of an LLVM module for this machine."""
+def compiled(code: str):
+    """Return the machine code of an LLVM module for this machine, not optimised: made sooner."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     module = llvm.parse_assembly(code)
     module.verify()
     machine = llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=opt)
-    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(opt))
-    passes.getModulePassManager().run(module, passes)
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=0)
     engine = llvm.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine

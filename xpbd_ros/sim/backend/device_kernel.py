@@ -16,7 +16,6 @@ import subprocess
 import sys
 from typing import Any, NamedTuple
 
-import numba
 from numba import types
 from numba.core import datamodel
 import numpy as np
@@ -132,11 +131,6 @@ def flat(value: Any, kind: types.Type, *, inside: bool = False) -> list:
     if _is_compact(kind, inside):
         return [value, *value.shape]
     return [None, None, value.size, value.itemsize, value, *value.shape, *value.strides]
-
-
-def signature_of(arguments: Sequence[Any]) -> tuple:
-    """Return the types of some arguments, as Numba has them."""
-    return tuple(numba.typeof(argument) for argument in arguments)
 
 
 def packed(parameters: Sequence[Any], address) -> np.ndarray:

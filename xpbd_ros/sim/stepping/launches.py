@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from xpbd_ros.sim.backend.device_kernel import Request, signature_of
+from xpbd_ros.sim.backend.device_kernel import Request
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.emit import WRITTEN
 from xpbd_ros.sim.backend.threads import alone, wait
@@ -30,12 +30,14 @@ class Launch(NamedTuple):
 
     kernel: Callable
     arguments: tuple
+    signature: tuple
+    """types of the arguments, as Numba has them"""
     shared: bool
     """True if all threads share its work; else one thread does it"""
 
     def request(self, arch: str) -> Request:
         """Return what to compile."""
-        return Request(find, name_of(self.kernel), signature_of(self.arguments), arch)
+        return Request(find, name_of(self.kernel), self.signature, arch)
 
     @property
     def name(self) -> str:
@@ -61,6 +63,16 @@ class Recorder:
     def __init__(self):
         self.launches: list[Launch] = []
         self._alone = False
+        self._types: dict[int, tuple] = {}
+
+    def typed(self, value):
+        """Return a value with its type, as Numba has it."""
+        if not isinstance(value, tuple):
+            return numba.typeof(value), value
+        known = self._types.get(id(value))
+        if known is None:
+            known = self._types[id(value)] = numba.typeof(value), value
+        return known
 
     def call(self, function: Callable, *values):
         """Record a kernel, or all that a stub calls."""
@@ -70,17 +82,18 @@ class Recorder:
         elif function in COMPOSITE:
             self.run(function, *found)
         elif function in VALUES:
-            return typed(VALUES[function](*found))
+            return self.typed(VALUES[function](*found))
         elif function is alone:
             return None
         elif function is not wait:    # a launch begins when the one before is done
             shared = not self._alone or function in stages.ON_DEVICE
-            self.launches.append(Launch(function, found, shared))
+            kinds = tuple(kind for kind, _ in values)
+            self.launches.append(Launch(function, found, kinds, shared))
         return None
 
     def item(self, value, k):
         """Return an item of a tuple, by its place or its name."""
-        return typed(getattr(value[1], k) if isinstance(k, str) else value[1][k])
+        return self.typed(getattr(value[1], k) if isinstance(k, str) else value[1][k])
 
     @contextmanager
     def only_if(self, value):
@@ -113,15 +126,10 @@ class Recorder:
         if found in ANSWERS:
             return ANSWERS[found]
         if found in stages._QUESTIONS:
-            return lambda effects: stages.answer(found, typed(effects)[0])
+            return lambda effects: stages.answer(found, self.typed(effects)[0])
         if found in WRITTEN or found in VALUES or found in COMPOSITE or hasattr(found, 'part'):
-            return lambda *arguments: (self.call(found, *map(typed, arguments)) or (None, None))[1]
+            return lambda *values: (self.call(found, *map(self.typed, values)) or (None, None))[1]
         return found
-
-
-def typed(value):
-    """Return a value with its type, as Numba has it."""
-    return numba.typeof(value), value
 
 
 def turned(state: State) -> State:
