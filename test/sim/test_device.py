@@ -5,6 +5,9 @@ import pytest
 
 from sim.test_coloured import BOTH, cloths, crumpled, FEW
 from support.ptx_emulator import EmulatedCard
+from support.scenes import SMALL_SHEET
+from xpbd_ros.cli.main import main
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend import cuda
 from xpbd_ros.sim.commands import (
     Grasp,
@@ -160,3 +163,34 @@ def test_little_goes_up_and_down_in_a_frame(on_card):
     assert card.up < 0.2 * card.down
     assert card.down <= sum(array.nbytes for array in (
         state.x, state.v, state.inv_mass, state.reaction, *pin)) + card.up
+
+
+def refusal(**options) -> str:
+    with pytest.raises(InputError) as told:
+        on_cpu([(3, 2)], device='cuda', **options)
+    return str(told.value)
+
+
+def test_without_a_card_there_is_one_line(monkeypatch, tmp_path, capfd):
+    monkeypatch.setattr(cuda, 'LIBRARY', 'libcuda_of_no_machine.so')
+    assert refusal().startswith('x: solver.device: cuda needs an NVIDIA card and its driver (')
+    file = tmp_path / 'scene.yaml'
+    solver = 'solver: {device: cuda, order: coloured, method: gauss_seidel}'
+    file.write_text(solver + SMALL_SHEET)
+    assert main(['run', str(file)]) == 2
+    said, = capfd.readouterr().err.splitlines()
+    assert said.endswith('; take device: cpu')
+
+
+@pytest.mark.parametrize('options, expected', [
+    ({'order': 'sequential'}, 'solver.device: cuda sweeps constraints by colours; add '
+     'solver.order: coloured'),
+    ({'method': 'explicit', 'integrator': 'leapfrog'},
+     'solver.method: explicit does not run on a GPU; take one of gauss_seidel, '),
+    ({'error_target': 1e-3}, 'solver.error_target: changes substeps as it runs'),
+    ({'effects': {**FEW, 'strain_limit': {'max': 0.1}}},
+     'solver.device: cuda does not have the effects strain_limit yet (it has pin, '),
+])
+def test_what_a_gpu_cannot_do_is_told_with_the_way_out(options, expected, monkeypatch):
+    monkeypatch.setattr(cuda, 'Card', EmulatedCard)
+    assert refusal(**options).startswith(f'x: {expected}')

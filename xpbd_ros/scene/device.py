@@ -5,8 +5,10 @@ from typing import Any
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.model import Scene
 
-EFFECTS = ('pin', 'stretch', 'shear', 'bend')
-"""effects whose kernels have the CPU's bits as PTX (test/sim/test_device.py)"""
+EFFECTS = ('pin', 'wind', 'drag', 'force', 'damping', 'rayleigh', 'bend', 'cross_bend', 'hinge',
+           'volume', 'area', 'pressure', 'shear', 'membrane', 'stretch', 'tether', 'contact',
+           'friction')
+"""effects whose kernels have the CPU's bits as PTX (test/sim/test_device_effects.py)"""
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'jacobi', 'line')
 
 

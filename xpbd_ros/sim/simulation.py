@@ -90,8 +90,7 @@ class Simulation:
         self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
-        self._crew: ThreadPool | DeviceCrew = (
-            ThreadPool(solver.threads) if card is None else DeviceCrew(self, card))
+        self._crew = ThreadPool(solver.threads) if card is None else DeviceCrew(self, card)
         self._tuple: tuple[Any, ...] = ()
         self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
@@ -208,7 +207,7 @@ class Simulation:
                        self.frame_dt, substeps)
 
     def fetch(self) -> None:
-        """Bring all arrays to the host, where those of ``solver.device: cuda`` may be older."""
+        """Bring all arrays to the host; those of ``solver.device: cuda`` are older there."""
         self._crew.fetch()
 
     def _keep(self) -> Start:

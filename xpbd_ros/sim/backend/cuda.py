@@ -138,7 +138,10 @@ class Card:
 
     def sequence(self, launches: Sequence[tuple]) -> Callable[[], None]:
         """Return what runs (kernel, parameters, shared) in order, to the end, as one graph."""
-        begin = self.graph(lambda: [self.launch(*each) for each in launches])
+        def all_launches() -> None:
+            for each in launches:
+                self.launch(*each)
+        begin = self.graph(all_launches)
 
         def run() -> None:
             self._enter()

@@ -10,6 +10,7 @@ The PTX lies beside Numba's cache, in a folder named by a hash of the package's 
 
 from collections.abc import Sequence
 import hashlib
+import importlib
 import os
 import pickle
 import subprocess
@@ -27,6 +28,8 @@ from xpbd_ros.sim.backend.jit import WHY_PLAIN
 from xpbd_ros.sim.backend.simd import WIDTH_VARIABLE
 
 ONE_LANE = '32'
+REGISTERING = f'{__name__.partition(".")[0]}.effects.'
+"""modules that register kernels as they are imported"""
 
 
 class Request(NamedTuple):
@@ -58,8 +61,9 @@ def compile_kernels(requests: Sequence[Request]) -> list[str]:
     missing = {file: request for file, request in zip(files, requests) if not file.exists()}
     if missing:
         done = subprocess.run(
-            [sys.executable, '-m', __name__], input=pickle.dumps(list(missing.values())),
-            stdout=subprocess.PIPE,
+            [sys.executable, '-m', __name__], stdout=subprocess.PIPE,
+            input=pickle.dumps(([name for name in sys.modules if name.startswith(REGISTERING)],
+                                pickle.dumps(list(missing.values())))),
             env={**os.environ, WIDTH_VARIABLE: ONE_LANE, 'PYTHONPATH': os.pathsep.join(sys.path)})
         if done.returncode:
             raise RuntimeError(f'PTX: the compiler failed with status {done.returncode}')
@@ -146,6 +150,13 @@ def packed(parameters: Sequence[Any], address) -> np.ndarray:
     return found
 
 
+def main() -> None:
+    """Compile what another process asks for."""
+    modules, requests = pickle.load(sys.stdin.buffer)
+    for name in modules:
+        importlib.import_module(name)
+    sys.stdout.buffer.write(pickle.dumps(list(map(compiled, pickle.loads(requests)))))
+
+
 if __name__ == '__main__':
-    sys.stdout.buffer.write(pickle.dumps(
-        [compiled(request) for request in pickle.load(sys.stdin.buffer)]))
+    main()

@@ -103,7 +103,7 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
     teams : parameters where a ``DeviceTeam`` begins, whose place each thread fills in
 
     """
-    place = {}
+    place: dict[int, str] = {}
     for at in teams:
         place.update(zip(range(at, at + len(DeviceTeam._fields) - 1),
                          ('%atx', '%aty', '%allx', '%ally')))

@@ -71,7 +71,7 @@ class DeviceCrew:
         assert self._memory is not None
         self._memory.upload(self._all if self._changed else self._up)
         self._changed = False
-        self._frame()
+        self.frame()
         self._memory.download(self._down)
 
     def host_changed(self) -> None:
@@ -99,7 +99,7 @@ class DeviceCrew:
         self._memory = DeviceMemory(self._card, self._all)
         self._memory.remember(self._all)
         self._exchange(state)
-        self._frame = self._card.sequence(self._loaded(launches))
+        self.frame = self._card.sequence(self._loaded(launches))
         self._made = wanted
 
     def _loaded(self, launches: list[Launch]) -> list[tuple]:
