@@ -54,6 +54,7 @@ from xpbd_ros.sim.self_collision.motion_limit import (
     rest_step,
 )
 from xpbd_ros.sim.self_collision.narrow_phase import find_contacts, list_planes
+from xpbd_ros.sim.self_collision.near_pairs import choose_near
 from xpbd_ros.sim.self_collision.neighbour_list import (
     common_step,
     gone,
@@ -65,7 +66,6 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     track_motion,
     TRAVEL,
 )
-from xpbd_ros.sim.self_collision.packing import complete_packs, INCOMPLETE
 from xpbd_ros.sim.self_collision.pair_contacts import (
     new_pair_contacts,
     new_pair_friction,
@@ -97,8 +97,8 @@ ROUNDS = 24
 """most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
 """most repetitions of holding back"""
-LISTED, PACKED = 4, 2
-"""room in the neighbour list and in the packs, per pair that may touch"""
+LISTED, NEAR = 4, 2
+"""room in the neighbour list and for near pairs, per pair that may touch"""
 
 
 @dataclass(frozen=True)
@@ -188,9 +188,10 @@ def find_pairs(effect, state, substep, both):
     if not both:
         list_planes(near, effect.planes, thickness)
         return most
-    complete_packs(near, pairs, thickness, slack)
+    lost = choose_near(near, pairs, thickness)
     find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
-    if pairs.count[2] == INCOMPLETE:
+    project_pairs(near, pairs)
+    if lost:
         list_planes(near, effect.planes, thickness)
     pairs.count[0] = SOUGHT
     return most
@@ -268,12 +269,11 @@ def mark_all(planes, near, contacts, state, again):
 @jit
 def settle(effect, state, substep):
     """Remove velocities from old overlaps, and advance the common motion."""
-    near, pairs = effect.near, effect.pairs
-    remove_depenetration_velocity(pairs, near, state, substep)
+    near = effect.near
+    remove_depenetration_velocity(effect.pairs, near, state, substep)
     for a in range(3):
         near.drift[a] += near.step[a]
         near.origin[a] += near.step[a]
-        pairs.drift[a] += near.step[a]
 
 
 @stage(add_explicit_forces, SelfCollision)
@@ -315,7 +315,7 @@ class BuiltSelfCollision(Built):
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(), kin(world))
         self.data = SelfCollision(
-            np.array([parameters.thickness]), near, new_pair_contacts(PACKED * room, count),
+            np.array([parameters.thickness]), near, new_pair_contacts(NEAR * room, count),
             new_planes(near.corners.shape[1], count, world.slots) if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
@@ -334,7 +334,6 @@ class BuiltSelfCollision(Built):
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT
-        self.data.pairs.count[2] = 0
         self.data.near.margin[:] = 0.0
 
     def reset(self, state, now_ns):

@@ -213,6 +213,8 @@ def prevented(backing, n, k, i, share, x, y, z):
         return 0.0, 0.0, 0.0
     else:    # Numba prunes the branch that is not taken
         axis, side = backing.axis, 0
+        if not backing.behind[i]:
+            return 0.0, 0.0, 0.0
         held = share * (axis[i, 0] * x + axis[i, 1] * y + axis[i, 2] * z)
         if share * (axis[i, 0] * n[0, k] + axis[i, 1] * n[1, k] + axis[i, 2] * n[2, k]) >= 0.0:
             side = 1

@@ -1,5 +1,5 @@
 """
-Narrow phase: which packed pairs may touch, or pass through each other, in a substep; their normal.
+Narrow phase: which near pairs may touch, or pass through each other, in a substep; their normal.
 
 A pair contact acts along the direction between the pair's closest points. At the substep's start
 this direction may oppose a sliding motion: cloth that slides over cloth approaches the triangle
@@ -25,20 +25,17 @@ from xpbd_ros.sim.backend.simd import (
 )
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
+from xpbd_ros.sim.self_collision.near_pairs import closest, is_inside, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.neighbour_list import (
     at,
     EDGES,
     length,
     POINTS,
 )
-from xpbd_ros.sim.self_collision.packing import closest, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.pair_contacts import (
-    load_axes,
     load_corners,
-    load_vector,
     mobility_of,
     NEVER,
-    project_some,
     store_vector,
     store_weights,
     weighted,
@@ -50,7 +47,7 @@ from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 @jit
 def find_contacts(near, planes, pairs, x, apart):
     """
-    Set normals, weights and gaps of the packed pairs, project them once, and list the planes.
+    Set normals, weights and gaps of the near pairs, and list the planes.
 
     Parameters
     ----------
@@ -70,8 +67,7 @@ def find_contacts(near, planes, pairs, x, apart):
 @jit(inline=True)
 def find_some(near, planes, pairs, x, kind, q, apart):
     """Do so for a vector of pairs."""
-    starts = load_corners(near.start, pairs.particles, q)
-    a, b, c, d = starts
+    a, b, c, d = load_corners(near.start, pairs.particles, q)
     v, weight = closest(kind, a, b, c, d)
     distance, reach = root(dot(v, v)), travel_of(kind, a, b, c, d)
     zero = distance - distance
@@ -110,9 +106,6 @@ def find_some(near, planes, pairs, x, kind, q, apart):
         while together:
             separate(near, pairs, kind, q + lowest_bit(together))
             together &= together - 1
-        n, gap = load_vector(pairs.normal, q), load(pairs.gap, q)
-    project_some(near, pairs, q, starts, moves, load_axes(pairs.backing, pairs.particles, q), n,
-                 weight, gap)
 
 
 @jit(inline=True)
@@ -126,19 +119,6 @@ def zero_slip(friction, q, zero):
     """Zero the displacement by friction."""
     if friction is not None:
         store_vector(friction.slip, q, (zero, zero, zero))
-
-
-@jit(inline=True)
-def is_inside(kind, b):
-    """
-    Return True unless the closest points of two edges include an end point.
-
-    Pairs of a particle and a triangle cover those.
-    """
-    inside = both(both(b[0] > 0.0, b[1] > 0.0), both(b[2] < 0.0, b[3] < 0.0))
-    if kind == EDGES:
-        return inside
-    return either(inside, b[0] > -1.0)
 
 
 @jit(inline=True)

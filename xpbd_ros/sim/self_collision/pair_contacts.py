@@ -6,8 +6,8 @@ Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with
 
     Δd = max(-C, -d),   d += Δd,   x += w b n Δd / W        (d ≥ 0: the push so far, never a pull)
 
-Pairs stand in packs of PACK that share no particle, so that the pairs of a pack are projected side
-by side, in the lanes of vectors, and the result does not depend on the number of lanes.
+Pairs stand in groups of PACK, and those of a round of a group share no particle
+(``self_collision.near_pairs``), so they are projected side by side, in the lanes of vectors.
 
 Depenetration of an earlier overlap must not become velocity: that part is removed from v at the
 substep's end.
@@ -64,17 +64,18 @@ class PairFriction(NamedTuple):
 
 
 class PairContacts(NamedTuple):
-    """Pairs that may touch, in packs; those with push > 0 are in contact."""
+    """Near pairs of a substep, in groups; those with push > 0 are in contact."""
 
     end: np.ndarray
-    """end of the pairs, a multiple of PACK; and when all packs were filled; shape (2,)"""
+    """end of the pairs, a multiple of PACK; shape (1,)"""
     kind: np.ndarray
-    """kind of the pairs of each pack, shape (capacity / PACK,)"""
+    """kind of the pairs of each group, shape (capacity / PACK,)"""
+    rounds: np.ndarray
+    """number of rounds of each group, shape (capacity / PACK,)"""
+    turn: np.ndarray
+    """round in which a pair is projected, from 0; shape (capacity,)"""
     count: np.ndarray
-    """
-    1 if they are those of this substep; pairs beyond the capacity in this frame; state of the
-    packs (``self_collision.packing``); shape (3,)
-    """
+    """1 if they are those of this substep; pairs beyond the capacity in this frame; shape (2,)"""
     particles: np.ndarray
     """particles in natural order, one side first, unused ones a dummy, shape (4, capacity)"""
     keep: np.ndarray
@@ -89,21 +90,12 @@ class PairContacts(NamedTuple):
     """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
     """d, accumulated in this substep [m], shape (capacity,)"""
-    seen: np.ndarray
-    """
-    positions when the pairs of a particle were packed, less ``drift`` then [m], shape
-    (particles, 3)
-    """
-    drift: np.ndarray
-    """common displacement since all packs were filled [m], shape (3,)"""
-    allowed: np.ndarray
-    """largest motion for which the packs are complete [m], shape (particles,)"""
-    renewed: np.ndarray
-    """True for particles whose pairs have to be packed again, shape (particles + 1,)"""
-    busy: np.ndarray
-    """scratch: bits of the open packs that a particle is in, shape (particles + 1,)"""
-    open: np.ndarray
-    """scratch: first place of each open pack, and pairs in it, shape (2, OPEN)"""
+    found: np.ndarray
+    """scratch: particles of near pairs of one kind, in the list's order, shape (capacity, 4)"""
+    found_keep: np.ndarray
+    """scratch: distances that these have to keep [m], shape (capacity,)"""
+    touched: np.ndarray
+    """scratch: last round that has a particle, shape (particles + 1,)"""
     impulse: np.ndarray
     """scratch: impulse of a vector of pairs, shape (3, PACK)"""
     friction: PairFriction | None
@@ -112,23 +104,17 @@ class PairContacts(NamedTuple):
     """None in a scene without pads"""
 
 
-OPEN = 63
-"""packs that are filled at the same time"""
-
-
 def new_pair_contacts(room: int, particles: int) -> PairContacts:
     """Return no pairs, with the capacity of ``room`` pairs."""
-    room = (room + PACK - 1) // PACK * PACK + OPEN * PACK
+    room = (room + 4 * PACK - 1) // PACK * PACK    # the last group of each kind may not be full
 
     def rows(*shape):
         return np.zeros((*shape, room), np.float32)
     return PairContacts(
-        np.zeros(2, np.int64), np.zeros(room // PACK, np.int64), np.zeros(3, np.int64),
-        np.zeros((4, room), np.int32), rows(),
-        rows(4), rows(3), rows(), rows(), rows(), np.zeros((particles, 3)), np.zeros(3),
-        np.zeros(particles), np.zeros(particles + 1, np.bool_),
-        np.zeros(particles + 1, np.int64), np.zeros((2, OPEN), np.int64),
-        np.zeros((3, PACK), np.float32), None, None)
+        np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
+        rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
+        rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
+        np.zeros(particles + 1, np.int64), np.zeros((3, PACK), np.float32), None, None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
@@ -223,24 +209,34 @@ def store_weights(pairs, q, b):
 @jit
 def project_pairs(near, pairs):
     """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
-    for q in range(0, pairs.end[0], lanes(near.move)):
-        found = bits(load(pairs.gap, q) > NEVER)
-        if found and may_take_part(pairs.backing, pairs.particles, pairs.weight, q, found):
-            axes, weight = load_axes(pairs.backing, pairs.particles, q), load_weights(pairs, q)
-            project_some(near, pairs, q, load_corners(near.start, pairs.particles, q),
-                         load_corners(near.move, pairs.particles, q), axes,
-                         load_vector(pairs.normal, q), weight, load(pairs.gap, q))
+    for group in range(0, pairs.end[0], PACK):
+        for turn in range(pairs.rounds[group // PACK]):
+            for q in range(group, group + PACK, lanes(near.move)):
+                project_round(near, pairs, q, float(turn))
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, starts, moves, axes, n, weight, gap):
+def project_round(near, pairs, q, turn):
+    """Project those of a vector of pairs that are contacts, and that belong to a round."""
+    now, gap = load(pairs.turn, q), load(pairs.gap, q)
+    mine = both(gap > NEVER, both(now >= turn, now <= turn))
+    found = bits(mine)
+    if found and may_take_part(pairs.backing, pairs.particles, pairs.weight, q, found):
+        project_some(near, pairs, q, mine, load_corners(near.start, pairs.particles, q),
+                     load_corners(near.move, pairs.particles, q),
+                     load_axes(pairs.backing, pairs.particles, q),
+                     load_vector(pairs.normal, q), load_weights(pairs, q), gap)
+
+
+@jit(inline=True)
+def project_some(near, pairs, q, mine, starts, moves, axes, n, weight, gap):
     """
     Project a vector of pairs.
 
     Parameters
     ----------
     near : neighbour list, with the records of the displacements in this substep
-    pairs, q : the pairs are q to q + lanes
+    pairs, q, mine : the pairs are those of the mask ``mine`` in q to q + lanes
     starts, moves : records of their particles at the substep's start, and of the displacements
     axes : records of the colliders behind them (``self_collision.backing``)
     n, weight, gap : normals, weights and gaps [m]
@@ -254,10 +250,11 @@ def project_some(near, pairs, q, starts, moves, axes, n, weight, gap):
     along, before = dot(n, way), load(pairs.push, q)
     push = larger(by_backing(pairs.backing, gap - distance - along, axes, n, weight, moves, total),
                   -before)
-    there = take_part(pairs.backing, axes, n, weight, total > 0.0)
+    there = take_part(pairs.backing, axes, n, weight, both(mine, total > 0.0))
     push = select(there, push, 0.0)
     slip = load_slip(friction, q, push)
-    active = bits(either(absolute(push) > 0.0, either(before > 0.0, dot(slip, slip) > 0.0)))
+    active = bits(both(mine, either(absolute(push) > 0.0,
+                                    either(before > 0.0, dot(slip, slip) > 0.0))))
     if active == 0:
         return
     store(pairs.push, q, before + push)

@@ -12,6 +12,7 @@ from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps, update_boxes
 from xpbd_ros.sim.geometry.closest_points_simd import dot
+from xpbd_ros.sim.self_collision.near_pairs import closest, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.neighbour_list import (
     are_welded,
     CANDIDATES,
@@ -25,7 +26,6 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     UNKNOWN,
     UP,
 )
-from xpbd_ros.sim.self_collision.packing import closest, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners
 
 FEW = 0.25
