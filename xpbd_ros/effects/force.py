@@ -23,7 +23,13 @@ from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import step_of
 from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, force, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    force,
+    react_to_half_kick,
+    stage,
+)
 
 Vector = tuple[float, float, float]
 
@@ -82,6 +88,7 @@ def kick_force(data, state, substep):
             store(move, i, fma(load(m, q), load(f, i), load(move, i)))
 
 
+@stage(react_to_half_kick, Force)
 @stage(accumulate_reactions, Force, on_device=True)
 @jit
 def react_force(data, state, substep):

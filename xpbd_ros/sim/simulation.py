@@ -324,6 +324,8 @@ class Simulation:
         self.effects.update(change.effects)
         if change.solver is not None and change.solver.lengths != self.solver.lengths:
             forget(self.state)    # a history in steps of another length
+            for built in self.effects.values():
+                built.forget()
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity

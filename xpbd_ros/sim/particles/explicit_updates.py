@@ -62,6 +62,12 @@ def apply_leapfrog_kick(state, substep):
 
 
 @jit(inline=True)
+def half_of(substep):
+    """Return the part of a substep by which ``half_kick`` goes: back where a frame begins."""
+    return 0.5 if substep.end > substep.begin else -0.5
+
+
+@jit(inline=True)
 def stay(state, i, h):
     """Let the next ``half_kick`` leave the velocity of particle i unchanged."""
     for k in range(3):

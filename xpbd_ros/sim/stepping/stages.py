@@ -83,6 +83,15 @@ def accumulate_reactions(effects, state, substep):
     """
 
 
+def react_to_half_kick(effects, state, substep):
+    """
+    Do what ``accumulate_reactions`` does, where the leapfrog moves v by half a substep.
+
+    ``substep.end - substep.begin`` is the share of the frame, negative at the frame's start. For
+    the effects that take part in these half kicks (doc/numerics.md 2.3).
+    """
+
+
 def accumulate_impulses(effects, state, substep):
     """
     Add up the impulses on outside bodies, once the positions of a substep are final.
@@ -240,5 +249,6 @@ for _stub in (force, prepare, project, project_inequalities, limit_motion, finis
               add_explicit_forces, accumulate_impulses):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
-walk(accumulate_reactions, lambda effect, state: None if _is_none(state, 'reaction') else
-     kernel_of(accumulate_reactions, effect), backwards=True)
+for _stub in (accumulate_reactions, react_to_half_kick):
+    walk(_stub, lambda effect, state, stub=_stub: None if _is_none(state, 'reaction') else
+         kernel_of(stub, effect), backwards=True)
