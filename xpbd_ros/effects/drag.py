@@ -33,6 +33,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import triangle_areas
@@ -92,12 +93,14 @@ def _air(wind, k):    # Numba prunes a branch on None where that is an argument
     return wind[k]
 
 
-@stage(force, Drag)
+@stage(force, Drag, on_device=True)
 @jit
 def drag_triangles(drag, state, substep):
     """Sum the matrices of the triangles, then change the velocity of each particle."""
     _add_up(drag, state, substep.h)
-    for i in range(drag.slots[0], drag.slots[1]):
+    begin, end, turn = turns_on_device(state.team, drag.slots[1] - drag.slots[0])
+    for n in range(begin, end, turn):
+        i = drag.slots[0] + n
         step = step_at(state.history, i, substep.h)
         (dx, dy, dz), trace = _change(drag, state, i, step)
         state.v[0, i] += dx
@@ -126,7 +129,9 @@ def _add_up(drag, state, h):
     first, last = drag.slots[0], drag.slots[1]
     x, v, gravity = state.x, state.v, state.gravity
     wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
-    for i in range(first, last):
+    begin, end, turn = turns_on_device(state.team, last - first)
+    for n in range(begin, end, turn):
+        i = first + n
         fall = step_at(state.history, i, h) if state.inv_mass[i] > 0.0 else 0.0
         drag.x[i, 0], drag.x[i, 1], drag.x[i, 2] = x[0, i], x[1, i], x[2, i]
         drag.u[i, 0] = wx - (v[0, i] - fall * gravity[0])
@@ -135,7 +140,10 @@ def _add_up(drag, state, h):
         for k in range(4):
             drag.along[i, k] = 0.0
             drag.across[i, k] = 0.0
-    _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
+    wait_on_device(state.team)
+    if alone_on_device(state.team):
+        _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
+    wait_on_device(state.team)
 
 
 @jit

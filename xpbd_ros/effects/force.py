@@ -18,6 +18,7 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, load, select, store
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import step_of
@@ -61,12 +62,14 @@ class Force(NamedTuple):
     """[N], shape (3, slots)"""
 
 
-@stage(force, Force)
+@stage(force, Force, on_device=True)
 @jit
 def push(data, state, substep):
     """Add the force to the velocity of every free particle."""
     v, w, f, slots = state.v, state.inv_mass, data.f, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    begin, end, turn = turns_on_device(state.team, slots // lanes(w))
+    for n in range(begin, end, turn):
+        q = n * lanes(w)
         step = step_of(state.history, w, q, substep.h)
         rate = step * load(w, q)
         for k in range(3):
@@ -86,13 +89,15 @@ def kick_force(data, state, substep):
 
 
 @stage(react_to_half_kick, Force)
-@stage(accumulate_reactions, Force)
+@stage(accumulate_reactions, Force, on_device=True)
 @jit
 def react_force(data, state, substep):
     """Add the force on pinned particles to the load of their pins."""
     r, w, f, slots = state.reaction, state.inv_mass, data.f, len(state.inv_mass)
     part = substep.end - substep.begin
-    for q in range(0, slots, lanes(w)):
+    begin, end, turn = turns_on_device(state.team, slots // lanes(w))
+    for n in range(begin, end, turn):
+        q = n * lanes(w)
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q

@@ -37,6 +37,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.commands import Click, Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
@@ -114,21 +115,23 @@ def place_of(pin, k, s):
             a[2] + s * (b[2] - a[2]) + rz)
 
 
-@stage(prepare, Pin)
+@stage(prepare, Pin, on_device=True)
 @jit
 def move_pinned(pin, state, substep):
     """Place every pinned particle at its pin's pose at the substep's end."""
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         state.x[0, i], state.x[1, i], state.x[2, i] = place_of(pin, k, substep.end)
 
 
-@stage(prepare, Spring)
+@stage(prepare, Spring, on_device=True)
 @jit
 def pull_to_pins(spring, state, substep):
     """Minimise each particle's inertia and spring together."""
     pin, x = spring.pin, state.x
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i, alpha = pin.particle[k], spring.compliance[k]
         m = state.mobility[i]
         share = m / (m + alpha)
@@ -162,12 +165,13 @@ def deliver(pin, k, axis, f, part, a, b, share):
 
 
 @stage(react_to_half_kick, Pin)
-@stage(accumulate_reactions, Pin)
+@stage(accumulate_reactions, Pin, on_device=True)
 @jit
 def take_reactions(pin, state, substep):
     """Add the constraint forces on pinned particles in this substep."""
     part = substep.end - substep.begin
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         share, a, b = weights_at(state.history, i)
         for axis in range(3):
@@ -176,12 +180,13 @@ def take_reactions(pin, state, substep):
 
 
 @stage(react_to_half_kick, Spring)
-@stage(accumulate_reactions, Spring)
+@stage(accumulate_reactions, Spring, on_device=True)
 @jit
 def stretch_springs(spring, state, substep):
     """Add the forces on the springs: (x - p - R q) / (n α)."""
     pin, part = spring.pin, substep.end - substep.begin
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         share, a, b = weights_at(state.history, i)
         for axis in range(3):

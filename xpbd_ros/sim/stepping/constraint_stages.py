@@ -39,7 +39,7 @@ from xpbd_ros.sim.stepping.stages import (
 
 def _prepare(data, state, substep):
     """Zero the multipliers."""
-    zero_multipliers(state.apart, batch_of(data).force)
+    zero_multipliers(state.apart, batch_of(data).force, state.team)
 
 
 def _react(data, state, substep):
@@ -83,7 +83,7 @@ def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
 
 
 def _register(kind: type) -> None:
-    stage(prepare, kind)(_kernel_for(kind, 'prepare', _prepare))
+    stage(prepare, kind, on_device=True)(_kernel_for(kind, 'prepare', _prepare))
     stage_of_sweeps(kind, _kernel_for(kind, 'project', _project), shared=_is_shared)
 
 
