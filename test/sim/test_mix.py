@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.newton import balance
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
@@ -13,7 +14,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import explicit
 from xpbd_ros.sim.checkpoint import checkpoint, restore
-from xpbd_ros.sim.commands import Reset, SetKey, SetState
+from xpbd_ros.sim.commands import MovePin, Pose, Reset, SetKey, SetState
 from xpbd_ros.sim.measure import angular_momentum, momentum
 from xpbd_ros.sim.stepping import explicit_guard
 
@@ -93,6 +94,32 @@ def test_a_switch_loses_no_momentum(monkeypatch):
     assert mixed.stats()['method_switches'] == 3
     turned = np.abs(angular_momentum(state) - before[1]).max()
     assert turned < 0.05 * np.abs(before[1]).max()
+
+
+@pytest.mark.parametrize('compliance', [0.0, slow(0.01)])
+def test_pins_give_the_momentum_in_the_frames_of_a_switch(compliance, monkeypatch):
+    """Newton's law in each frame, to rounding, as pins are shaken; in those of a switch too."""
+    rough_in(monkeypatch, {5, 12, 50})
+    mixed = sheet(pins={name: {**pin, 'compliance': compliance} for name, pin in PINS.items()})
+    places = {name: np.array(pin.pose.position) for name, pin in mixed.frame().pins.items()}
+
+    def shaken(frame):
+        way = 0.05 * np.sin(20.0 * 1e-9 * frame.time_ns) * np.array([1.0, 0.5, 0.8])
+        return [MovePin(name, Pose(tuple(place + way))) for name, place in places.items()]
+    found = balance(mixed, [shaken] * 60)
+    assert mixed.stats()['method_switches'] == 3
+    assert found.worst() < 1e-10
+
+
+def test_a_sheet_falls_through_air_at_its_last_speed_with_either_method(monkeypatch):
+    """½ ρ c v² A = M g; published velocities belong to the ends of frames."""
+    mixed = sheet(pins={}, scene_effects={'drag': {}})
+    last = np.sqrt(0.2 * GRAVITY / (0.5 * 1.2 * 1.2))    # with the defaults of drag
+    mixed.state.v[2, mixed.slot] = -last
+    rough_in(monkeypatch, {3})
+    for _ in range(6 + CALM_FRAMES):
+        np.testing.assert_allclose(mixed.step().v[:, 2], -last, rtol=1e-9)
+    assert mixed.stats()['method_switches'] == 2
 
 
 def test_pins_carry_the_weight_in_the_frames_of_a_switch(monkeypatch):
@@ -214,12 +241,20 @@ def test_rigid_edges_leave_auto_with_line():
 
 @pytest.mark.parametrize('options', [
     {'effects': {**EFFECTS, 'strain_limit': {'max': 0.1}}},
-    {'scene_effects': {'wind': {'velocity': [0.0, 3.0, 0.0]}, 'drag': {}}},
+    {'scene_effects': {'self_collision': {'thickness': 0.01}}},
     {'effects': {**EFFECTS, 'tether': {'slack': 0.1}}},
     {'effects': {'membrane': {'warp': 2.0, 'weft': 1.5, 'shear': 0.6, 'poisson': 0.3}}},
     {'effects': {**EFFECTS, 'area': {'stiffness': 5.0}}}])
 def test_effects_with_lagging_velocities_or_unseen_strain_leave_auto_with_line(options):
     assert sheet(**options).solver.method == 'line'
+
+
+@pytest.mark.parametrize('options', [
+    {'scene_effects': {'wind': {'velocity': [0.0, 3.0, 0.0]}, 'drag': {}}},
+    {'scene_effects': {'contact': {'thickness': 0.01}, 'friction': {}},
+     'colliders': {'floor': {'plane': {}}}}])
+def test_contact_and_air_mix(options):
+    assert sheet(**options).solver.mixes
 
 
 @pytest.mark.parametrize('solver, text', [

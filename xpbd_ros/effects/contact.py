@@ -73,7 +73,7 @@ from xpbd_ros.sim.contact.contacts import (
 )
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
-from xpbd_ros.sim.contact.multistep_impulses import forget_multistep, spread_impulses
+from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, forget_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import (
     Bounce,
@@ -82,10 +82,9 @@ from xpbd_ros.sim.contact.restitution import (
     rebound,
 )
 from xpbd_ros.sim.contact.shape_data import shape_data
-from xpbd_ros.sim.contact.wrenches import begin_wrenches
+from xpbd_ros.sim.contact.wrenches import bear_half_kick, begin_wrenches, work_of_colliders
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.stepping.stages import (
     accumulate_impulses,
     add_explicit_forces,
@@ -170,7 +169,6 @@ def push_out(contact, state, substep):
 def react(contact, state, substep):
     """Add the impulses of all contacts of this substep to the colliders' wrenches."""
     add_impulses(contact.contacts, state, substep)
-    spread_impulses(contact.contacts, state, substep)
 
 
 @stage(finish, Contact)
@@ -188,11 +186,8 @@ def calm(contact, state, substep):
 @stage(add_explicit_forces, Contact)
 @jit
 def rest_on_colliders(contact, state, substep):
-    """Particles in contact keep their velocity: pushes are impulses in every substep."""
-    contacts = contact.contacts
-    for k in range(contacts.count[0]):
-        if contacts.push[k] > 0.0:
-            stay(state, contacts.particle[k], substep.h)
+    """Particles in contact keep their velocity: colliders bear what would change it."""
+    bear_half_kick(contact.contacts, state, substep)
 
 
 class BuiltContact(Built):
@@ -201,7 +196,6 @@ class BuiltContact(Built):
     ns_per_particle = 9.0
     ns_per_substep = 13_600.0
     pulls_taut = True
-    explicit_velocity_lags = True
 
     def __init__(self, parameters: Parameters, world):
         super().__init__()
@@ -243,7 +237,13 @@ class BuiltContact(Built):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
         self.contacts.wrenches.impulse[:] = 0.0
-        forget_multistep(self.contacts.wrenches.multistep)
+        self.forget()
+
+    def forget(self):
+        begin_multistep(self.contacts.wrenches.multistep)
+
+    def work(self, state, dt):
+        return work_of_colliders(self.contacts.wrenches.impulse, self.colliders, dt)
 
     def reset(self, state, now_ns):
         self.again()
@@ -298,6 +298,7 @@ class BuiltContact(Built):
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
         colliders.count[0] = len(self.placed)
+        self.contacts.count[0] = 0    # those found have numbers of colliders
         self.contacts.near.valid[0] = 0
         forget_multistep(self.contacts.wrenches.multistep)
         self.changes += 1
@@ -415,6 +416,7 @@ class BuiltContact(Built):
                 if placed.expires_ns is not None and placed.expires_ns <= clock.begin_ns]
         if gone:
             self._remove(gone)
+        self.contacts.wrenches.impulse[:] = 0.0
         for c, placed in enumerate(self.placed.values()):
             motion = placed.motion
             motion.advance(clock.end_ns, clock.dt)

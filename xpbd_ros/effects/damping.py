@@ -18,6 +18,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import step_of
@@ -38,12 +39,14 @@ class Damping(NamedTuple):
     """[1/s], shape (1,)"""
 
 
-@stage(force, Damping)
+@stage(force, Damping, on_device=True)
 @jit
 def damp(damping, state, substep):
     """Scale the velocity and the mobility of every free particle."""
     v, w, slots = state.v, state.inv_mass, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    begin, end, turn = turns_on_device(state.team, slots // lanes(w))
+    for n in range(begin, end, turn):
+        q = n * lanes(w)
         step = step_of(state.history, w, q, substep.h)
         share = 1.0 / (1.0 + damping.rate[0] * step)
         free = load(w, q) > 0.0

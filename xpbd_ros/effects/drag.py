@@ -33,6 +33,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
+from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import triangle_areas
@@ -40,7 +41,13 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import discard_history, step_at
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import new_records
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, force, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    force,
+    react_to_half_kick,
+    stage,
+)
 
 RESOLVED = 0.5
 """largest trace Z that ``auto`` allows in the scene's wind; beyond it a particle's history ends"""
@@ -86,15 +93,46 @@ def _air(wind, k):    # Numba prunes a branch on None where that is an argument
     return wind[k]
 
 
-@stage(force, Drag)
+@stage(force, Drag, on_device=True)
 @jit
 def drag_triangles(drag, state, substep):
     """Sum the matrices of the triangles, then change the velocity of each particle."""
+    _add_up(drag, state, substep.h)
+    begin, end, turn = turns_on_device(state.team, drag.slots[1] - drag.slots[0])
+    for n in range(begin, end, turn):
+        i = drag.slots[0] + n
+        step = step_at(state.history, i, substep.h)
+        (dx, dy, dz), trace = _change(drag, state, i, step)
+        state.v[0, i] += dx
+        state.v[1, i] += dy
+        state.v[2, i] += dz
+        if trace > RESOLVED:
+            discard_history(state.history, i)
+
+
+@stage(add_explicit_forces, Drag)
+@jit
+def kick_drag(drag, state, substep):
+    """H² F / m, from the velocities as they are."""
+    _add_up(drag, state, 0.0)
+    move = state.apart.move
+    for i in range(drag.slots[0], drag.slots[1]):
+        (dx, dy, dz), _ = _change(drag, state, i, substep.h)
+        move[0, i] += substep.h * dx
+        move[1, i] += substep.h * dy
+        move[2, i] += substep.h * dz
+
+
+@jit
+def _add_up(drag, state, h):
+    """Write Σ D and u; v has changed by gravity in a substep of h since u's time."""
     first, last = drag.slots[0], drag.slots[1]
     x, v, gravity = state.x, state.v, state.gravity
     wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
-    for i in range(first, last):
-        fall = step_at(state.history, i, substep.h) if state.inv_mass[i] > 0.0 else 0.0
+    begin, end, turn = turns_on_device(state.team, last - first)
+    for n in range(begin, end, turn):
+        i = first + n
+        fall = step_at(state.history, i, h) if state.inv_mass[i] > 0.0 else 0.0
         drag.x[i, 0], drag.x[i, 1], drag.x[i, 2] = x[0, i], x[1, i], x[2, i]
         drag.u[i, 0] = wx - (v[0, i] - fall * gravity[0])
         drag.u[i, 1] = wy - (v[1, i] - fall * gravity[1])
@@ -102,11 +140,10 @@ def drag_triangles(drag, state, substep):
         for k in range(4):
             drag.along[i, k] = 0.0
             drag.across[i, k] = 0.0
-    _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
-    for i in range(first, last):
-        step = step_at(state.history, i, substep.h)
-        if _carry(drag, state, i, step) > RESOLVED:
-            discard_history(state.history, i)
+    wait_on_device(state.team)
+    if alone_on_device(state.team):
+        _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
+    wait_on_device(state.team)
 
 
 @jit
@@ -157,19 +194,17 @@ def _times(z, x, y, w):
 
 
 @jit(inline=True)
-def _carry(drag, state, i, step):
-    """Δv = Z u / max(1, trace Z); return trace Z."""
+def _change(drag, state, i, step):
+    """Return Δv = Z u / max(1, trace Z) and trace Z."""
     s = step * state.inv_mass[i] * drag.share[i]
     a, b, u = drag.along[i], drag.across[i], drag.u[i]
     trace = s * (a[0] + a[1] + a[2])
     s /= max(1.0, trace)
     dx, dy, dz = _times((a[0], a[1], a[2], b[0], b[1], b[2]), u[0], u[1], u[2])
-    state.v[0, i] += s * dx
-    state.v[1, i] += s * dy
-    state.v[2, i] += s * dz
-    return trace
+    return (s * dx, s * dy, s * dz), trace
 
 
+@stage(react_to_half_kick, Drag)
 @stage(accumulate_reactions, Drag)
 @jit
 def react_drag(drag, state, substep):
@@ -202,7 +237,6 @@ class BuiltDrag(Built):
     """The triangles of all cloths."""
 
     ns_per_particle = 56.0
-    explicit_velocity_lags = True
 
     def __init__(self, parameters, world):
         super().__init__()

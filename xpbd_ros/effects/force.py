@@ -18,11 +18,18 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, load, select, store
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import step_of
 from xpbd_ros.sim.particles.memory_layout import zeros
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, force, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    force,
+    react_to_half_kick,
+    stage,
+)
 
 Vector = tuple[float, float, float]
 
@@ -55,12 +62,14 @@ class Force(NamedTuple):
     """[N], shape (3, slots)"""
 
 
-@stage(force, Force)
+@stage(force, Force, on_device=True)
 @jit
 def push(data, state, substep):
     """Add the force to the velocity of every free particle."""
     v, w, f, slots = state.v, state.inv_mass, data.f, len(state.inv_mass)
-    for q in range(0, slots, lanes(w)):
+    begin, end, turn = turns_on_device(state.team, slots // lanes(w))
+    for n in range(begin, end, turn):
+        q = n * lanes(w)
         step = step_of(state.history, w, q, substep.h)
         rate = step * load(w, q)
         for k in range(3):
@@ -79,13 +88,16 @@ def kick_force(data, state, substep):
             store(move, i, fma(load(m, q), load(f, i), load(move, i)))
 
 
-@stage(accumulate_reactions, Force)
+@stage(react_to_half_kick, Force)
+@stage(accumulate_reactions, Force, on_device=True)
 @jit
 def react_force(data, state, substep):
     """Add the force on pinned particles to the load of their pins."""
     r, w, f, slots = state.reaction, state.inv_mass, data.f, len(state.inv_mass)
     part = substep.end - substep.begin
-    for q in range(0, slots, lanes(w)):
+    begin, end, turn = turns_on_device(state.team, slots // lanes(w))
+    for n in range(begin, end, turn):
+        q = n * lanes(w)
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q

@@ -2,9 +2,8 @@
 Pin: a named set of particles held at a moving target, as a gripper holds cloth.
 
 A pinned particle has inv_mass 0, so no constraint moves it. Each substep it is placed at
-x = p + R q, where p, R is the pin's pose, interpolated between the frame's start and end, and q
-its offset in the pin's axes, kept from the grasp. So it has a velocity, and rotating the pin
-rotates the cloth that it holds. A release restores the particles' inverse mass.
+x = p + R q, p, R the pin's pose, interpolated through the frame, q its offset in the pin's axes,
+kept from the grasp: it has a velocity, and turns with the pin. A release restores inv_mass.
 
 A pin with a compliance α holds each of its n particles by a spring of compliance n α to that
 place, so the whole pin gives way by α per newton. The spring is part of the particle's own
@@ -24,8 +23,7 @@ weights a and b (``particles.history``), the impulse of a force f in substep n i
 
     J_n = H f + a J_{n-1} - b J_{n-2}.
 
-So f is the mean of J / h, and the impulses of pins and weight add up to the cloth's momentum
-(doc/numerics.md 6.3).
+So f is the mean of J / h; pins and weight give the cloth its momentum (doc/numerics.md 6.3).
 
 Limits: no cloth and no collider stops a pin, and its velocity jumps between frames. Particles on
 the springs of a compliant pin count as free: colliders push them, and tethers do not start there.
@@ -39,6 +37,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.commands import Click, Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
@@ -50,7 +49,13 @@ from xpbd_ros.sim.pins.entry import Entry
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, add_explicit_forces, prepare, stage
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    add_explicit_forces,
+    prepare,
+    react_to_half_kick,
+    stage,
+)
 from xpbd_ros.sim.target_motion import delays, MonotoneCubic, Motion
 
 
@@ -110,21 +115,23 @@ def place_of(pin, k, s):
             a[2] + s * (b[2] - a[2]) + rz)
 
 
-@stage(prepare, Pin)
+@stage(prepare, Pin, on_device=True)
 @jit
 def move_pinned(pin, state, substep):
     """Place every pinned particle at its pin's pose at the substep's end."""
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         state.x[0, i], state.x[1, i], state.x[2, i] = place_of(pin, k, substep.end)
 
 
-@stage(prepare, Spring)
+@stage(prepare, Spring, on_device=True)
 @jit
 def pull_to_pins(spring, state, substep):
     """Minimise each particle's inertia and spring together."""
     pin, x = spring.pin, state.x
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i, alpha = pin.particle[k], spring.compliance[k]
         m = state.mobility[i]
         share = m / (m + alpha)
@@ -144,6 +151,7 @@ def kick_springs(spring, state, substep):
         i = pin.particle[k]
         per, goal = state.mobility[i] / spring.compliance[k], place_of(pin, k, substep.end)
         for a in range(3):
+            spring.place[k, a] = goal[a]
             move[a, i] += per * (goal[a] - x[a, i])
 
 
@@ -156,12 +164,14 @@ def deliver(pin, k, axis, f, part, a, b, share):
     pin.force[k, axis] += part * now
 
 
-@stage(accumulate_reactions, Pin)
+@stage(react_to_half_kick, Pin)
+@stage(accumulate_reactions, Pin, on_device=True)
 @jit
 def take_reactions(pin, state, substep):
     """Add the constraint forces on pinned particles in this substep."""
     part = substep.end - substep.begin
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         share, a, b = weights_at(state.history, i)
         for axis in range(3):
@@ -169,12 +179,14 @@ def take_reactions(pin, state, substep):
             state.reaction[axis, i] = 0.0
 
 
-@stage(accumulate_reactions, Spring)
+@stage(react_to_half_kick, Spring)
+@stage(accumulate_reactions, Spring, on_device=True)
 @jit
 def stretch_springs(spring, state, substep):
     """Add the forces on the springs: (x - p - R q) / (n α)."""
     pin, part = spring.pin, substep.end - substep.begin
-    for k in range(pin.count[0]):
+    begin, end, turn = turns_on_device(state.team, pin.count[0])
+    for k in range(begin, end, turn):
         i = pin.particle[k]
         share, a, b = weights_at(state.history, i)
         for axis in range(3):

@@ -34,6 +34,7 @@ from xpbd_ros.sim.stepping.stages import (
     add_explicit_forces,
     prepare,
     project_inequalities,
+    react_to_half_kick,
     stage,
 )
 
@@ -123,6 +124,7 @@ def kick_seams(seam, state, substep):
             move[a, j] -= m[j] * seam.force[p, a]
 
 
+@stage(react_to_half_kick, Seam)
 @stage(accumulate_reactions, Seam)
 @jit
 def react_seams(seam, state, substep):

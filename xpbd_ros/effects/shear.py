@@ -29,7 +29,7 @@ from xpbd_ros.sim.effect import Built, by_kind, Effect
 from xpbd_ros.sim.geometry.mesh import is_square, Mesh
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint, elastic_edges
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, stage
+from xpbd_ros.sim.stepping.stages import accumulate_reactions, react_to_half_kick, stage
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class Shear(NamedTuple):
 
 constraint(Slant, particles=4)(shear_cells.solve_slants)
 stage(accumulate_reactions, Slant)(shear_cells.react_slants)
+stage(react_to_half_kick, Slant)(shear_cells.react_slants)
 
 
 def has_square_cells(mesh: Mesh) -> bool:

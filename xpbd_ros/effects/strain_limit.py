@@ -135,7 +135,7 @@ class MeshStrainLimit(NamedTuple):
 @jit
 def prepare_limit(limit, state, substep):
     """Zero the forces, except of overextended lines."""
-    zero_multipliers(None, limit.force)
+    zero_multipliers(None, limit.force, None)
     overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
 
 
@@ -143,7 +143,7 @@ def prepare_limit(limit, state, substep):
 @jit
 def prepare_edges(limit, state, substep):
     """Zero the forces."""
-    zero_multipliers(None, limit.force)
+    zero_multipliers(None, limit.force, None)
 
 
 @stage(project_inequalities, StrainLimit)

@@ -25,6 +25,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import alone_on_device, wait_on_device
 from xpbd_ros.sim.constraints import distance, line_solver, mesh_paths, overextended_lines
 from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.projection import zero_multipliers
@@ -77,12 +78,14 @@ class PathStretch(NamedTuple):
     paths: mesh_paths.Paths
 
 
-@stage(prepare, Stretch)
+@stage(prepare, Stretch, on_device=True)
 @jit
 def prepare_stretch(stretch, state, substep):
     """Zero the multipliers, except of overextended lines."""
-    zero_multipliers(state.apart, stretch.edges.force)
-    overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
+    zero_multipliers(state.apart, stretch.edges.force, state.team)
+    wait_on_device(state.team)
+    if alone_on_device(state.team):
+        overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
 @stage(solve_lines, Stretch, shared=True)

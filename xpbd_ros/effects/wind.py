@@ -21,7 +21,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import SetWind
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
-from xpbd_ros.sim.stepping.stages import force, stage
+from xpbd_ros.sim.stepping.stages import add_explicit_forces, force, stage
 
 FASTEST = 1e4
 """largest velocity component that is accepted [m/s]"""
@@ -50,6 +50,7 @@ class Wind(NamedTuple):
     """velocity at the substep's end [m/s], shape (3,)"""
 
 
+@stage(add_explicit_forces, Wind)
 @stage(force, Wind)
 @jit
 def blow(wind, state, substep):

@@ -9,6 +9,7 @@ import numpy as np
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.auto import resolve, rounds_away
+from xpbd_ros.scene.device import card_of
 from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
@@ -27,6 +28,8 @@ ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
 LINES = ('line', 'auto')
 """methods that may solve whole lines"""
+LINES_AT_ONCE = 1024
+"""threads of a GPU that solve lines, each with scratch memory for one"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
 CHOSEN_SUBSTEPS = ('solver.substeps', 'solver.rough_substeps')
@@ -37,6 +40,7 @@ COARSE = 1e-3
 
 def compile_scene(scene: Scene) -> Simulation:
     """Return a simulation at the scene's start; ``Simulation.compile`` compiles its kernels."""
+    card = card_of(scene)
     cloths, x, mass = [], [], []
     dtype = np.dtype(scene.top.solver.precision)
     try:
@@ -76,7 +80,7 @@ def compile_scene(scene: Scene) -> Simulation:
         rough = solver.rough if solver.mixes and solver.method == 'explicit' else solver
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
-            retune=Retune(scene, tuple(cloths), state, effects),
+            retune=Retune(scene, tuple(cloths), state, effects), card=card,
             notes=[*(f'cloths.{cloth.name}.mesh: {text}' for cloth in cloths
                      for text in cloth.mesh.notes),
                    *(text for built in effects.values() for text in built.notes),
@@ -149,7 +153,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   forces='pin' in scene.effects or solver.iterations > 1
                   or solver.method not in ONE_PASS, lines=solver.method in LINES,
                   coloured=solver.order == 'coloured', iterations=solver.iterations,
-                  threads=solver.threads)
+                  threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE)
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]

@@ -27,6 +27,8 @@ class SolverKeys:
     order: str = quantity('sequential', choices=('sequential', 'coloured'),
                           doc='of the constraints in a sweep: neighbours one after another, or '
                           'batches without a common particle')
+    device: str = quantity('cpu', choices=('cpu', 'cuda'),
+                           doc='cuda: an NVIDIA card (doc/gpu.md)')
     threads: int = quantity(1, minimum=0, maximum=MOST_THREADS,
                             doc='0: as many as pay on this machine')
     budget_ms: float = quantity(8.0, unit='ms', above=0.0, doc='time that auto may use per frame')

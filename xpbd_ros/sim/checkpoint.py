@@ -36,6 +36,7 @@ LARGEST = 2**32
 
 def checkpoint(simulation: Simulation) -> bytes:
     """Return the whole state of a simulation, between two frames."""
+    simulation.fetch()
     stream = BytesIO()
     _Pickler(stream, simulation).dump((BITS, simulation.__dict__))
     return zlib.compress(stream.getbuffer(), 1)

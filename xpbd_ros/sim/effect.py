@@ -215,6 +215,9 @@ class Built:
     def again(self) -> None:
         """Forget a frame that will be done again from its start."""
 
+    def forget(self) -> None:
+        """Forget what earlier substeps left to the next ones: no particle has a history."""
+
     def moved(self) -> None:
         """Forget the positions before: the particles have been placed elsewhere, at rest."""
         self.again()

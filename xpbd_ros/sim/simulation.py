@@ -17,6 +17,7 @@ from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
+from xpbd_ros.sim.stepping.device import DeviceCrew
 from xpbd_ros.sim.stepping.error_estimate import Start
 from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
@@ -54,12 +55,13 @@ class Simulation:
     """
     All cloths of one scene, with the effects that it calls for.
 
-    ``retune`` maps a live scene key and its value to a ``Change``.
+    ``retune`` maps a live scene key and its value to a ``Change``; ``card`` computes the frames
+    where it is not None (``stepping.device``).
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: 'Retune | None' = None,
+                 retune: 'Retune | None' = None, card: Any = None,
                  notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
@@ -88,7 +90,7 @@ class Simulation:
         self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
-        self._crew = ThreadPool(solver.threads)
+        self._crew = ThreadPool(solver.threads) if card is None else DeviceCrew(self, card)
         self._tuple: tuple[Any, ...] = ()
         self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
@@ -145,6 +147,7 @@ class Simulation:
             built.begin(clock, self.state)
         if any(built.pinned_changed for built in self.effects.values()):
             self._hold()
+            self._crew.host_changed()
         self.start = self._keep() if keep else None
         self._last.keep()
         if self._guard is None:
@@ -166,6 +169,8 @@ class Simulation:
         The next frame has them in ``applied``, before its own.
         """
         refused: list[tuple[Command, str]] = []
+        if commands:
+            self._crew.host_changed()
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
             try:
@@ -201,7 +206,12 @@ class Simulation:
         self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
                        self.frame_dt, substeps)
 
+    def fetch(self) -> None:
+        """Bring all arrays to the host; those of ``solver.device: cuda`` are older there."""
+        self._crew.fetch()
+
     def _keep(self) -> Start:
+        self.fetch()
         setting = self.setting
         self._kept = Start(self._tuple, self._view(setting), self._step, self._method(setting),
                            self.frame_dt, setting.substeps).copy(self._kept)
@@ -312,8 +322,10 @@ class Simulation:
         except ValueError as error:
             return str(error)
         self.effects.update(change.effects)
-        if change.solver is not None and _lengths(change.solver) != _lengths(self.solver):
+        if change.solver is not None and change.solver.lengths != self.solver.lengths:
             forget(self.state)    # a history in steps of another length
+            for built in self.effects.values():
+                built.forget()
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity
@@ -329,6 +341,7 @@ class Simulation:
 
     def __deepcopy__(self, memo: dict) -> 'Simulation':
         """Return a simulation of its own that continues from here; only meshes are shared."""
+        self.fetch()
         other = memo[id(self)] = object.__new__(type(self))
         other._continue_from(self, memo)
         return other
@@ -367,6 +380,7 @@ class Simulation:
 
     def hash(self) -> int:
         """Return 64 bits that change with any bit of the state."""
+        self.fetch()
         state = self.state
         return hashed([state.x, state.v, state.inv_mass, *full_history(state)], self.slot)
 
@@ -380,11 +394,6 @@ class Simulation:
         if self._guard is not None:
             found.update(self._guard.stats())
         return found
-
-
-def _lengths(solver: Solver) -> tuple:
-    """Return all that a history's steps depend on."""
-    return solver.method, solver.substeps, solver.rough_substeps
 
 
 class SavedState:

@@ -5,10 +5,14 @@ A function of its own would be handed all the arrays of a scene, one number afte
 longer to compile than all that it calls.
 """
 
+from collections.abc import Callable
 from inspect import signature
 
 from numba import types
 from numba.extending import lower_builtin, type_callable
+
+WRITTEN: dict[Callable, Callable] = {}
+"""what each stub calls, as registered"""
 
 
 class Writer:
@@ -73,5 +77,6 @@ def written_out(stub):
             return context.get_dummy_value()
         type_callable(stub)(lambda typing: typer)
         lower_builtin(stub, *[types.Any] * len(known.parameters))(lower)
+        WRITTEN[stub] = write
         return write
     return register

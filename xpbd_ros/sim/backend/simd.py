@@ -11,6 +11,7 @@ turns float32 into float64. There are no fast-math flags: every operation is IEE
 not depend on the width of the registers.
 
 The width is that of the machine's registers; XPBD_ROS_VECTOR_BITS = 128, 256 or 512 overrides it.
+With 32 a vector has one lane, whatever the dtype: code for a GPU, whose threads are the lanes.
 Built on Numba's public extension API and on llvmlite's IR builder.
 """
 
@@ -35,7 +36,12 @@ BITS = int(os.environ.get(WIDTH_VARIABLE) or (
 
 def lane_count(dtype) -> int:
     """Return how many numbers of a dtype a vector holds."""
-    return BITS // (8 * np.dtype(dtype).itemsize)
+    return lanes_of(8 * np.dtype(dtype).itemsize)
+
+
+def lanes_of(bits: int) -> int:
+    """Return how many numbers of so many bits a vector holds."""
+    return max(BITS // bits, 1)
 
 
 class Vector(types.Type):
@@ -64,7 +70,7 @@ class _VectorModel(models.PrimitiveModel):
 def vector_of(array) -> Vector:
     """Return the vector type that belongs to an array's type."""
     assert isinstance(array, types.Array) and array.layout == 'C', f'not C-contiguous: {array}'
-    return Vector(array.dtype, BITS // array.dtype.bitwidth)
+    return Vector(array.dtype, lanes_of(array.dtype.bitwidth))
 
 
 def place(context, builder, array_type, array, index, count: int = 1):

@@ -9,9 +9,9 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from xpbd_ros.sim.backend.simd import BITS, place, pointer_at, splatted, Vector, widened
+from xpbd_ros.sim.backend.simd import lanes_of, place, pointer_at, splatted, Vector, widened
 
-WIDE = Vector(types.float64, BITS // 64)
+WIDE = Vector(types.float64, lanes_of(64))
 WIDTH = WIDE.count
 """numbers in a vector"""
 _ROW = 3

@@ -4,7 +4,8 @@ Several threads on one step: all run the same code, each on its share of the par
 What can be shared out is such that no share reads what another one writes; where the next piece of
 work needs all of the last one, all ``wait`` for one another. What cannot be shared is done by one
 of them ``alone``. So the bits do not depend on how many there are. A state without a team
-(``state.team`` is None) belongs to one thread, and nothing of this is in its machine code.
+(``state.team`` is None) belongs to one thread, and nothing of this is in its machine code. The
+threads of a GPU (``DeviceTeam``) take every n-th piece, so that neighbours work side by side.
 
 A thread whose core is busy with other programs delays the others at each barrier, for a whole time
 slice of the system. Therefore the main thread goes on alone for a while after such a step.
@@ -18,6 +19,7 @@ from numba import types
 from numba.extending import intrinsic
 import numpy as np
 
+from xpbd_ros.sim.backend.device_team import DeviceTeam, meet_all
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import place
 
@@ -51,12 +53,28 @@ def turns(team, count):
     """Return this thread's first piece of so many, the end, and the step to its next one."""
 
 
+def turns_of_few(team, count, most):
+    """Return the same where at most so many threads of a GPU may work: each has scratch memory."""
+
+
 def across(team, rows):
     """Return the same for the rows of a table that the threads share."""
 
 
 def along(team, columns):
     """Return the same for the columns of one of these rows."""
+
+
+def turns_on_device(team, count):
+    """Return ``turns`` on a GPU, and all pieces on a CPU, for what one of its threads does."""
+
+
+def alone_on_device(team):
+    """Return False for the other threads of a GPU, in what one thread of a CPU does."""
+
+
+def wait_on_device(team):
+    """Go on when all threads of a GPU are here, in what one thread of a CPU does."""
 
 
 def wait_within(team):
@@ -79,8 +97,15 @@ def _none(team) -> bool:
     return isinstance(team, types.NoneType)
 
 
+def is_on_device(team) -> bool:
+    """Return True for the type of a ``DeviceTeam``."""
+    return getattr(team, 'instance_class', None) is DeviceTeam
+
+
 @inline(share)
 def _share(team, count):
+    if is_on_device(team):    # right for any kernel, and slow: one thread does it all
+        return lambda team, count: (0, count if team.x + team.y == 0 else 0)
     if _none(team):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,
@@ -89,31 +114,71 @@ def _share(team, count):
 
 @inline(turns)
 def _turns(team, count):
+    if is_on_device(team):
+        return lambda team, count: (team.y * team.width + team.x, count, team.width * team.height)
     return lambda team, count: (*share(team, count), 1)
+
+
+@inline(turns_of_few)
+def _turns_of_few(team, count, most):
+    if not is_on_device(team):
+        return lambda team, count, most: (*share(team, count), 1)
+
+    def few(team, count, most):
+        number, step = team.y * team.width + team.x, min(team.width * team.height, most)
+        return number, count if number < step else 0, step
+    return few
 
 
 @inline(across)
 def _across(team, rows):
+    if is_on_device(team):
+        return lambda team, rows: (team.y, rows, team.height)
     return lambda team, rows: (*share(team, rows), 1)
 
 
 @inline(along)
 def _along(team, columns):
+    if is_on_device(team):
+        return lambda team, columns: (team.x, columns, team.width)
     return lambda team, columns: (0, columns, 1)
+
+
+@inline(turns_on_device)
+def _turns_on_device(team, count):
+    if is_on_device(team):
+        return lambda team, count: turns(team, count)
+    return lambda team, count: (0, count, 1)
+
+
+@inline(alone_on_device)
+def _alone_on_device(team):
+    return (lambda team: alone(team)) if is_on_device(team) else lambda team: True
+
+
+@inline(wait_on_device)
+def _wait_on_device(team):
+    return (lambda team: wait(team)) if is_on_device(team) else lambda team: None
 
 
 @inline(wait_within)
 def _wait_within(team):
+    if is_on_device(team):
+        return lambda team: None
     return lambda team: wait(team)
 
 
 @inline(alone)
 def _alone(team):
+    if is_on_device(team):
+        return lambda team: team.x + team.y == 0
     return (lambda team: True) if _none(team) else lambda team: team.worker == 0
 
 
 @inline(worker)
 def _worker(team):
+    if is_on_device(team):
+        return lambda team: team.y * team.width + team.x
     return (lambda team: 0) if _none(team) else lambda team: team.worker
 
 
@@ -121,6 +186,8 @@ def _worker(team):
 def _wait(team):
     if _none(team):
         return lambda team: None
+    if is_on_device(team):
+        return lambda team: meet_all(team.gate)
     return lambda team: _meet(team.gate, team.worker, team.workers)
 
 
@@ -216,6 +283,12 @@ class ThreadPool:
             self._rest, self._next_rest = self._next_rest, min(2 * self._next_rest, REST[1])
         else:
             self._next_rest = REST[0]
+
+    def host_changed(self) -> None:
+        """Do nothing: the state lies in the host's memory (see ``stepping.device``)."""
+
+    def fetch(self) -> None:
+        """Do nothing likewise."""
 
     def _join(self, worker: int, step, effects, state, *arguments) -> None:
         """Call a step on one thread; if that fails, the others do not wait for it."""

@@ -45,7 +45,7 @@ from xpbd_ros.sim.backend.simd import (
     store,
     transpose,
 )
-from xpbd_ros.sim.backend.threads import share, wait, worker
+from xpbd_ros.sim.backend.threads import turns_of_few, wait, worker
 from xpbd_ros.sim.constraints.pinned_edges import gather_line_reaction, note_line
 from xpbd_ros.sim.constraints.projection import max_compliance
 from xpbd_ros.sim.particles.accumulators import moves, row
@@ -159,9 +159,9 @@ def solve_warp(lines, g, force, state):
     part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
     if columns > 1:
         base, tiles = lines.force[g, 0], max(1, rows // count)
-        one, other = share(state.team, tiles)
+        one, other, over = turns_of_few(state.team, tiles, len(lines.work))
         spare = lines.errors[worker(state.team)]
-        for begin in range(one * count, rows if other == tiles else other * count, count):
+        for begin in range(one * count, rows if other == tiles else other * count, over * count):
             upper = max(0, min(begin, rows - count))    # the last tile may overlap the one before
             top = start + upper * stride
             gather_rows(x, top, parts, part, stride, tile[0])
@@ -190,8 +190,8 @@ def solve_weft(lines, g, force, state):
     start, rows = lines.first[g], lines.rows[g]
     part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
     if rows > 1:
-        one, other = share(state.team, parts * part // count)
-        for q in range(one * count, other * count, count):
+        one, other, over = turns_of_few(state.team, parts * part // count, len(lines.work))
+        for q in range(one * count, other * count, over * count):
             at = start + q
             _solve(x, y, z, moves(state.rounding), m, force, at, lines.force[g, 1] + at, stride,
                    rows, 0, lines.rest_length[g, 1], load(lines.weft[g], q), work,

@@ -15,8 +15,9 @@ from numba import types
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline
-from xpbd_ros.sim.backend.simd import fma, load, store
+from xpbd_ros.sim.backend.simd import fma, lanes, load, store
 from xpbd_ros.sim.backend.simd_vector3 import fma3, Vector3, vector3
+from xpbd_ros.sim.backend.threads import is_on_device, turns_on_device
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 
 
@@ -132,19 +133,26 @@ def _put(x, target, i, xi, step, d):
     return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
 
 
-def zero_multipliers(apart, force):
+def zero_multipliers(apart, force, team):
     """
     Zero the multipliers: once per substep, not per iteration (algorithm 1, line 4).
+
+    The threads of a GPU share that.
 
     The explicit method needs no zeros: it overwrites them in every substep.
     """
 
 
 @inline(zero_multipliers)
-def _zero_multipliers(apart, force):
+def _zero_multipliers(apart, force, team):
     if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
-        return lambda apart, force: None
+        return lambda apart, force, team: None
 
-    def zero(apart, force):
+    def zero(apart, force, team):
         force[:] = 0.0
-    return zero
+
+    def zero_shared(apart, force, team):
+        first, last, step = turns_on_device(team, force.size // lanes(force))
+        for k in range(first, last, step):
+            store(force, k * lanes(force), 0.0)
+    return zero_shared if is_on_device(team) else zero

@@ -20,6 +20,7 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
 from xpbd_ros.sim.backend.simd_wide import gather, load_columns, load_wide, store_wide, WIDTH
+from xpbd_ros.sim.contact.multistep_impulses import spread_impulses
 from xpbd_ros.sim.contact.particle_lanes import is_run, positions
 from xpbd_ros.sim.contact.wrenches import add_reaction, LANES
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
@@ -33,6 +34,7 @@ def add_impulses(contacts, state, substep):
             if contacts.first[c] < contacts.first[c + 1]:
                 add_collider(contacts, c, state, substep)
         add_rest_of_pads(contacts.pads, contacts, state, substep)
+    spread_impulses(contacts, state, substep)
 
 
 @jit(inline=True)

@@ -16,7 +16,8 @@ given the impulse on the particle's neighbours in the same substep, Σ J_n inste
 over the particles marked as the collider's, where h f = m (v - v_n - g h) less the collider's own
 impulse. A particle is marked when it comes into contact, and brings m (v_n - v_{n-1} - g h) as
 J_{n-1}; it takes the present one away once its steps have a full history again. In between, after
-the contact, it takes a backward Euler step and (NDF2) one of BDF2.
+the contact, it takes a backward Euler step and (NDF2) one of BDF2. Where no particle has a
+history, all take these steps.
 """
 
 from typing import NamedTuple
@@ -24,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.particles.history import FULL, NONE, TOUCHED, usual_weights, weights_before
+from xpbd_ros.sim.particles.history import FULL, later, NONE, TOUCHED, weights_before, weights_of
 
 FREE = -1
 """owner of a particle that is not marked"""
@@ -45,6 +46,8 @@ class Multistep(NamedTuple):
     """Σ J_{n-1} [N s, N m s], shape (capacity, 6)"""
     older: np.ndarray
     """Σ J_{n-2}, shape (capacity, 6)"""
+    fresh: np.ndarray
+    """``History.fresh`` of particles that have touched nothing, shape (1,)"""
     now: np.ndarray
     """Σ J_n, shape (capacity, 6)"""
     forces: np.ndarray
@@ -62,7 +65,8 @@ def new_multistep(capacity: int, slots: int) -> Multistep:
         return np.zeros((capacity, 6))
 
     return Multistep(np.zeros(1, np.int64), np.zeros(slots, np.int64), np.full(slots, FREE),
-                     sums(), sums(), sums(), sums(), sums(), sums(), np.zeros((2, capacity, 6)))
+                     sums(), sums(), sums(), np.full(1, NONE), sums(), sums(), sums(),
+                     np.zeros((2, capacity, 6)))
 
 
 def forget_multistep(multistep: Multistep) -> None:
@@ -72,9 +76,15 @@ def forget_multistep(multistep: Multistep) -> None:
     multistep.last[:] = multistep.older[:] = 0.0
 
 
+def begin_multistep(multistep: Multistep) -> None:
+    """Begin without a history of any particle."""
+    forget_multistep(multistep)
+    multistep.fresh[0] = NONE
+
+
 @jit
 def spread_impulses(contacts, state, substep):
-    """Add -R to each collider's sum, after ``add_impulses``."""
+    """Add -R to each collider's sum, which has the impulses of the substep."""
     _spread(state.history, contacts, state, substep.h)
 
 
@@ -123,7 +133,8 @@ def _spread_all(history, contacts, state, h):
         kept += 1
     _put_sums(spread, c, fx, fy, fz, tx, ty, tz)
     spread.count[0] = kept
-    share, a, b = usual_weights(history)
+    share, a, b = weights_of(history, spread.fresh[0])
+    spread.fresh[0] = later(history, spread.fresh[0])
     for c in range(colliders):
         for k in range(6):
             last = spread.last[c, k]

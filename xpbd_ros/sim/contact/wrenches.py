@@ -8,6 +8,8 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
 from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
+from xpbd_ros.sim.geometry.quaternion import turns
+from xpbd_ros.sim.particles.explicit_updates import half_of, stay
 
 TURNED = 1e-4
 """change of a contact's normal in a substep up to which its push is one displacement"""
@@ -37,9 +39,7 @@ def new_wrenches(capacity: int, slots: int) -> Wrenches:
 
 @jit
 def begin_wrenches(wrenches, substep):
-    """Reset the sums in a frame's first substep."""
-    if substep.begin == 0.0:
-        wrenches.impulse[:] = 0.0
+    """Note the sums at a substep's start."""
     wrenches.h[0] = substep.h
     for c in range(len(wrenches.impulse)):
         for k in range(6):
@@ -57,6 +57,48 @@ def add_reaction(contacts, c, state, i, x, y, z):
     total[3] -= ry * z - rz * y
     total[4] -= rz * x - rx * z
     total[5] -= rx * y - ry * x
+
+
+@jit
+def bear_half_kick(contacts, state, substep):
+    """
+    Let particles in contact keep v in a half kick of the leapfrog; their colliders bear it.
+
+    A push is an impulse in every substep, without a half at a frame's ends. What acts on a
+    particle besides it, ±½ h F with F the weight and the sum of ``apart.move``, h² F / m, goes to
+    its colliders, in proportion to their pushes.
+    """
+    for k in range(contacts.count[0]):
+        if contacts.push[k] > 0.0 and state.inv_mass[contacts.particle[k]] > 0.0:
+            bear(contacts, k, state, substep)
+    for k in range(contacts.count[0]):
+        if contacts.push[k] > 0.0:
+            stay(state, contacts.particle[k], substep.h)
+
+
+@jit(inline=True)
+def bear(contacts, k, state, substep):
+    """Add the part of candidate k's particle to the wrench on its collider."""
+    i, d = contacts.particle[k], 0.0
+    j = contacts.latest[i]
+    while j >= 0:
+        d += contacts.push[j]
+        j = contacts.earlier[j]
+    h, move, g = substep.h, state.apart.move, state.gravity
+    share = -half_of(substep) * state.mass[i] * contacts.push[k] / d
+    add_reaction(contacts, contacts.collider[k], state, i, share * (move[0, i] / h + h * g[0]),
+                 share * (move[1, i] / h + h * g[1]), share * (move[2, i] / h + h * g[2]))
+
+
+def work_of_colliders(impulse, colliders, dt: float) -> float:
+    """Return a bound of the work of moving colliders, by the impulses on them in a frame [J]."""
+    moves = np.flatnonzero((colliders.moving | colliders.has_twist)[:colliders.count[0]])
+    if not len(moves):
+        return 0.0
+    start, goal = colliders.start[moves], colliders.goal[moves]
+    twist = np.hstack([goal[:, :3] - start[:, :3], turns(start[:, 3:], goal[:, 3:])]) / dt
+    twist[colliders.has_twist[moves]] += colliders.twist[moves][colliders.has_twist[moves]]
+    return float(np.abs(impulse[moves] * twist).sum())
 
 
 @jit

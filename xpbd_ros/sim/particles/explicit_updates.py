@@ -5,7 +5,7 @@ The leapfrog's velocities are half a substep behind its positions (doc/numerics.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import lanes, load, select, store
+from xpbd_ros.sim.backend.simd import load, select, store
 from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.particles.integration import own
 from xpbd_ros.sim.particles.state import State
@@ -31,9 +31,9 @@ def _load_and_clear(move, i):
 def add_moves(state):
     """x += accumulated displacements."""
     x, move, slots = state.x, state.apart.move, len(state.inv_mass)
-    first, last = own(state)
+    first, last, step = own(state)
     for k in range(3):
-        for i in range(k * slots + first, k * slots + last, lanes(x)):
+        for i in range(k * slots + first, k * slots + last, step):
             store(x, i, load(x, i) + _load_and_clear(move, i))
     wait(state.team)
 
@@ -48,8 +48,8 @@ def apply_leapfrog_kick(state, substep):
     """
     w, v, move, slots = state.inv_mass, state.v, state.apart.move, len(state.inv_mass)
     h = substep.h
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q
@@ -59,6 +59,12 @@ def apply_leapfrog_kick(state, substep):
             store(v, i, select(free, vi, load(v, i)))
             store(state.x, i, select(free, start + h * vi + moved, xi))
     wait(state.team)
+
+
+@jit(inline=True)
+def half_of(substep):
+    """Return the part of a substep by which ``half_kick`` goes: back where a frame begins."""
+    return 0.5 if substep.end > substep.begin else -0.5
 
 
 @jit(inline=True)
@@ -72,8 +78,8 @@ def stay(state, i, h):
 def half_kick(state, h, share):
     """v += share h (F / m + g) from the accumulated h² F / m; pinned particles keep v."""
     v, w, move, slots = state.v, state.inv_mass, state.apart.move, len(state.inv_mass)
-    first, last = own(state)
-    for q in range(first, last, lanes(w)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         free = load(w, q) > 0.0
         for k in range(3):
             i = k * slots + q

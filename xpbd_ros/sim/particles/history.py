@@ -323,9 +323,15 @@ def usual_step(history, h):
 
 
 @jit
-def usual_weights(history):
-    """Return H / h, a, b of a particle with a history."""
-    return _weights_at(history.older_x, FULL)
+def weights_of(history, fresh):
+    """Return H / h, a, b of a particle with this value of ``fresh``."""
+    return _weights_at(history.older_x, fresh)
+
+
+@jit
+def later(history, fresh):
+    """Return the value of ``fresh`` one substep later."""
+    return HALF if history.older_x is not None and fresh > HALF else FULL
 
 
 @jit

@@ -12,7 +12,7 @@ grasp, a release or a reset) takes a backward Euler step.
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
-from xpbd_ros.sim.backend.threads import share, wait
+from xpbd_ros.sim.backend.threads import turns, wait
 from xpbd_ros.sim.particles.accumulators import moves
 from xpbd_ros.sim.particles.history import (
     age,
@@ -31,10 +31,10 @@ from xpbd_ros.sim.particles.state import State
 
 @jit(inline=True)
 def own(state):
-    """Return the range of slots (first, last + 1) that this thread updates."""
+    """Return the first slot that this thread updates, the end, and the step to its next vector."""
     count = lanes(state.inv_mass)
-    first, last = share(state.team, len(state.inv_mass) // count)
-    return first * count, last * count
+    first, last, step = turns(state.team, len(state.inv_mass) // count)
+    return first * count, last * count, step * count
 
 
 @jit(inline=True)
@@ -53,8 +53,8 @@ def turned(state):
 @jit
 def begin(state, substep):
     """v = v̄ + H g;  x = x̄ + H v;  mobility = w H²; after ``turned``."""
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         _begin(state, state.history, q, substep.h)
     wait(state.team)
 
@@ -67,8 +67,8 @@ def predict(state, substep):
     In a short substep a force moves x by less than its last bit. A displacement added to x would
     be lost to rounding, and the change of v with it, since v is recomputed from x at the end.
     """
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         _predict(state, state.history, q, substep.h)
     wait(state.team)
 
@@ -76,8 +76,8 @@ def predict(state, substep):
 @jit
 def update_velocity(state, substep):
     """v = (x - x̄) / H; v = (x - x_n) / h for pinned and touched particles."""
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         _update_velocity(state, state.history, q, substep.h)
     wait(state.team)
 
@@ -86,8 +86,8 @@ def update_velocity(state, substep):
 def update_velocity_and_begin(state, substep):
     """Apply ``update_velocity``, ``turned`` and ``begin`` in one pass over memory."""
     after = turned(state)
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         _update_velocity(state, state.history, q, substep.h)
         _begin(after, after.history, q, substep.h)
     wait(state.team)
@@ -170,8 +170,8 @@ def _write_start(state, history, target, q, h):
 def restore_buffers(home, state):
     """Copy a frame's final state into the arrays of ``home``, which ``turned`` has exchanged."""
     slots = len(state.inv_mass)
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         for k in range(3):
             _restore_buffers(home, home.history, state, state.history, k * slots + q)
     wait(state.team)
@@ -189,7 +189,7 @@ def _restore_buffers(home, home_history, state, history, i):
 @jit
 def set_mobility(state, h):
     """Mobility = w h²."""
-    first, last = own(state)
-    for q in range(first, last, lanes(state.inv_mass)):
+    first, last, step = own(state)
+    for q in range(first, last, step):
         store(state.mobility, q, load(state.inv_mass, q) * (h * h))
     wait(state.team)

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import ThreadTeam
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
@@ -40,7 +41,7 @@ class State(NamedTuple):
     """None with backward Euler and leapfrog"""
     apart: Jacobi | Explicit | None
     """displacement accumulator; None with Gauss-Seidel methods"""
-    team: ThreadTeam | None = None
+    team: ThreadTeam | DeviceTeam | None = None
     """None with one thread"""
     gap: np.ndarray | None = None
     """distance of neighbours [m], shape (slots,); None unless the integrator is NDF2"""

@@ -28,12 +28,18 @@ from xpbd_ros.sim.constraints.sweeps import (
     sweep_packs,
     sweep_runs,
 )
-from xpbd_ros.sim.stepping.stages import accumulate_reactions, prepare, stage, stage_of_sweeps
+from xpbd_ros.sim.stepping.stages import (
+    accumulate_reactions,
+    prepare,
+    react_to_half_kick,
+    stage,
+    stage_of_sweeps,
+)
 
 
 def _prepare(data, state, substep):
     """Zero the multipliers."""
-    zero_multipliers(state.apart, batch_of(data).force)
+    zero_multipliers(state.apart, batch_of(data).force, state.team)
 
 
 def _react(data, state, substep):
@@ -77,7 +83,7 @@ def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
 
 
 def _register(kind: type) -> None:
-    stage(prepare, kind)(_kernel_for(kind, 'prepare', _prepare))
+    stage(prepare, kind, on_device=True)(_kernel_for(kind, 'prepare', _prepare))
     stage_of_sweeps(kind, _kernel_for(kind, 'project', _project), shared=_is_shared)
 
 
@@ -92,5 +98,7 @@ def constraint(kind: type, *, particles: int) -> Callable:
 def elastic_edges(kind: type) -> type:
     """Register the stages of data whose field ``edges`` holds elastic edges."""
     _register(kind)
-    stage(accumulate_reactions, kind)(_kernel_for(kind, 'react', _react))
+    kernel = _kernel_for(kind, 'react', _react)
+    for stub in (accumulate_reactions, react_to_half_kick):
+        stage(stub, kind)(kernel)
     return kind

@@ -131,6 +131,8 @@ class ExplicitGuard:
         """frames of ``line``"""
         self._left = 0
         """calm frames of ``line`` before the next one of ``explicit``"""
+        self._method = ''
+        """of the frame before"""
         self._simulation = simulation
         state = simulation.state
         self._x, self._v = state.x.copy(), state.v.copy()
@@ -179,6 +181,7 @@ class ExplicitGuard:
         """Compute one frame."""
         simulation, state, setting = self._simulation, self._simulation.state, self.setting
         solver = simulation.solver
+        self._begin(setting.method)
         if solver.method != 'explicit':
             simulation._advance(solver.substeps)
             self.line_frames += 1
@@ -200,7 +203,7 @@ class ExplicitGuard:
         for built in simulation.effects.values():
             built.again()
         forget(state)
-        self._left = solver.rough_frames
+        self._left, self._method = solver.rough_frames, 'line'
         self.redone += 1
         self.line_frames += 1
         self.switches += bool(self._left)
@@ -211,6 +214,13 @@ class ExplicitGuard:
                 state=start.state._replace(apart=None, history=deepcopy(state.history),
                                            gap=state.gap))
         simulation._advance(rough.substeps, rough)
+
+    def _begin(self, method: str) -> None:
+        """Begin a frame of a method."""
+        if method != self._method:
+            for built in self._simulation.effects.values():
+                built.forget()
+        self._method = method
 
     def _loads(self) -> tuple[float, float]:
         """Return external forces in total [N], and the largest acceleration by them [m/s²]."""

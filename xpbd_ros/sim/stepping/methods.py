@@ -10,8 +10,8 @@ same multipliers: it mends the single edges whose directions turned while the li
 the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are
 those where the substep starts.
 Where a frame begins and ends, v is moved by half of what acts there (``add_explicit_forces`` adds
-forces without a projection); that half is left out for the medium (``damping``, ``drag``), for
-``strain_limit`` and for ``tether``.
+forces without a projection), which pins and colliders feel; that half is left out for ``damping``,
+``strain_limit`` and ``tether``.
 """
 
 from typing import NamedTuple
@@ -23,6 +23,7 @@ from xpbd_ros.sim.particles.explicit_updates import (
     apply_leapfrog_kick,
     at_start,
     half_kick,
+    half_of,
 )
 from xpbd_ros.sim.particles.integration import set_mobility
 from xpbd_ros.sim.stepping.stages import (
@@ -31,6 +32,7 @@ from xpbd_ros.sim.stepping.stages import (
     lap_integration,
     project,
     project_back,
+    react_to_half_kick,
     solve_lines,
     walk,
     write_lap,
@@ -126,22 +128,23 @@ def leave(method, effects, state, substep):
     """After the last one."""
 
 
-def _kick_if_leapfrog(stub, share):
+def _kick_if_leapfrog(stub):
     @written_out(stub)
     def write(writer, method, *values):
         if method[0].instance_class is Leapfrog:
-            writer.call(_kick, *values, writer.number(share))
+            writer.call(_kick, *values)
 
 
-_kick_if_leapfrog(enter, -0.5)
-_kick_if_leapfrog(leave, 0.5)
+_kick_if_leapfrog(enter)
+_kick_if_leapfrog(leave)
 
 
 @jit
-def _kick(effects, state, substep, share):
-    """Move the velocities on by a share of a substep."""
+def _kick(effects, state, substep):
+    """Move the velocities on by half a substep: back where the frame begins."""
     set_mobility(state, substep.h)
     project(effects, state, substep)
     add_explicit_forces(effects, state, substep)
-    half_kick(state, substep.h, share)
+    react_to_half_kick(effects, state, substep)
+    half_kick(state, substep.h, half_of(substep))
     lap_integration(effects, state)

@@ -54,6 +54,7 @@ class FrameRollback:
         drive = dt * (DRIVE + dt * sqrt(gx * gx + gy * gy + gz * gz))
         if is_plausible(state, self._x, REACH * (self._size + drive)):
             return
+        simulation.fetch()
         state.x[:], state.v[:] = self._x, 0.0
         for array in history_arrays(state):
             array[:] = 0.0    # no share of nan is 0

@@ -28,6 +28,11 @@ class Solver:
         return bool(self.rough_frames)
 
     @property
+    def lengths(self) -> tuple:
+        """All that a history's steps depend on."""
+        return self.method, self.substeps, self.rough_substeps
+
+    @property
     def rough(self) -> 'Solver':
         """Setting of the frames where ``explicit`` is unstable."""
         assert self.rough_integrator is not None and self.rough_substeps is not None

@@ -83,6 +83,15 @@ def accumulate_reactions(effects, state, substep):
     """
 
 
+def react_to_half_kick(effects, state, substep):
+    """
+    Do what ``accumulate_reactions`` does, where the leapfrog moves v by half a substep.
+
+    ``substep.end - substep.begin`` is the share of the frame, negative at the frame's start. For
+    the effects that take part in these half kicks (doc/numerics.md 2.3).
+    """
+
+
 def accumulate_impulses(effects, state, substep):
     """
     Add up the impulses on outside bodies, once the positions of a substep are final.
@@ -101,20 +110,27 @@ def lap_integration(effects, state):
 
 _KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: dict[Callable, bool | Callable] = {}
+ON_DEVICE: set[Callable] = set()
+"""kernels of one thread of a CPU that all threads of a GPU share"""
 _SWEEPS: set[Callable] = set()
+_QUESTIONS: dict[Callable, Callable] = {}
 
 
-def stage(stub: Callable, kind: type, *, shared: bool | Callable = False) -> Callable:
+def stage(stub: Callable, kind: type, *, shared: bool | Callable = False,
+          on_device: bool = False) -> Callable:
     """
     Register a compiled kernel as the given stage of one effect's type.
 
     One that is ``shared`` does this thread's part of the work and waits for the others
-    (``team``); what is not shared is done by one thread. It may be a function that says so for
-    an effect as Numba types it.
+    (``backend.threads``); what is not shared is done by one thread. It may be a function that says
+    so for an effect as Numba types it. One that is ``on_device`` is shared by the threads of a GPU
+    only.
     """
     def register(kernel):
         _KERNELS[stub, kind] = kernel
         _SHARED[kernel] = shared
+        if on_device:
+            ON_DEVICE.add(kernel)
         return kernel
     return register
 
@@ -139,6 +155,23 @@ def is_shared(kernel: Callable, effect) -> bool:
 def kernel_of(stub: Callable, effect) -> Callable | None:
     """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
     return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+
+
+def answer(question: Callable, effects) -> bool:
+    """Return the constant that Numba compiles for a question, for effects as it types them."""
+    return any(kernel_of(_QUESTIONS[question], effect) is not None for effect in effects)
+
+
+def name_of(kernel: Callable) -> tuple[str, type] | None:
+    """Return the name of a kernel's stage and its type; None for one that is no stage."""
+    return next(((stub.__name__, kind) for (stub, kind), each in _KERNELS.items()
+                 if each is kernel and kind is not None), None)
+
+
+def named(stage_: str, kind: type) -> Callable:
+    """Return the kernel of a name that ``name_of`` gave."""
+    return next(kernel for (stub, each), kernel in _KERNELS.items()
+                if each is kind and stub.__name__ == stage_)
 
 
 def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
@@ -184,12 +217,12 @@ def _is_none(state, name: str) -> bool:
 
 def _tells_of(stub: Callable, question: Callable) -> None:
     """Let Numba compile ``question`` as a constant: whether an effect takes part in ``stub``."""
+    _QUESTIONS[question] = stub
     type_callable(question)(lambda typing: lambda effects: types.boolean)
 
     @lower_builtin(question, types.Any)
     def tell(context, builder, signature, arguments):
-        return context.get_constant(types.boolean, any(
-            kernel_of(stub, effect) is not None for effect in signature.args[0]))
+        return context.get_constant(types.boolean, answer(question, signature.args[0]))
 
 
 def _asks_all(stub: Callable) -> None:
@@ -216,5 +249,6 @@ for _stub in (force, prepare, project, project_inequalities, limit_motion, finis
               add_explicit_forces, accumulate_impulses):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
-walk(accumulate_reactions, lambda effect, state: None if _is_none(state, 'reaction') else
-     kernel_of(accumulate_reactions, effect), backwards=True)
+for _stub in (accumulate_reactions, react_to_half_kick):
+    walk(_stub, lambda effect, state, stub=_stub: None if _is_none(state, 'reaction') else
+         kernel_of(stub, effect), backwards=True)

@@ -47,7 +47,7 @@ def advance(effects, state, method, frame_dt, substeps):
         return
     mode = flush_denormals()
     h = frame_dt / substeps
-    enter(method, effects, state, Substep(h, 0.0, 0.0))
+    enter(method, effects, state, Substep(h, 0.5 / substeps, 0.0))    # back by half a substep
     now, begun = state, False
     for k in range(substeps):
         substep = Substep(h, k / substeps, (k + 1) / substeps)
@@ -84,7 +84,7 @@ def advance(effects, state, method, frame_dt, substeps):
             finish(effects, now, substep)
     restore_buffers(state, now)
     lap_integration(effects, state)
-    leave(method, effects, state, Substep(h, 1.0, 1.0))
+    leave(method, effects, state, Substep(h, 1.0 - 0.5 / substeps, 1.0))
     restore_mode(mode)
 
 

@@ -1,0 +1,87 @@
+"""Every effect and method that a GPU has, on an emulated card: the CPU's bits, and no race."""
+
+import numpy as np
+import pytest
+
+from support.meshes import file_of
+from support.ptx_emulator import EmulatedCard
+from support.scenes import disc_file, EXAMPLES, SHAPES
+from xpbd_ros.effects import EFFECTS
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.device import EFFECTS as ON_DEVICE
+from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.backend import cuda
+from xpbd_ros.sim.commands import MoveCollider, MovePin, Pose
+
+pytestmark = pytest.mark.slow
+SHEET = ('stretch', 'shear', 'bend')
+CARDS = [{'order': 'shuffled', 'grid': (1, 2), 'block': (4, 2)},
+         {'order': 'backwards', 'grid': (2, 3), 'block': (2, 1)}]
+CASES = {
+    'bdf2, symmetric': (SHEET, {'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'}),
+    'ndf2, line': (SHEET, {'method': 'line', 'integrator': 'ndf2'}),
+    'jacobi': (SHEET, {'method': 'jacobi', 'iterations': 2}),
+    'float64': (SHEET, {'precision': 'float64'}),
+    'compensated': (SHEET, {'substeps': 40}),
+    'oblong cells': (SHEET, {'size': [1.0, 0.5]}),
+    'damping, force': (('stretch', 'damping', 'force'), {}),
+    'drag, wind': (('stretch', 'drag', 'wind'), {}),
+    'contact': (('stretch', 'contact', 'friction'), {}),
+    **{name: (('stretch', name), {}) for name in (
+        'cross_bend', 'hinge', 'area', 'membrane', 'rayleigh', 'tether')},
+    **{f'mesh, {name}': ((name,), {'mesh': disc_file}) for name in (
+        'stretch', 'bend', 'hinge', 'area', 'membrane')},
+    **{name: ((name,), {'mesh': lambda name=name: file_of(*SHAPES[name]())}) for name in SHAPES},
+}
+
+
+def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), **solver):
+    """Return a sheet of square cells, a disc or a body, pinned, with some effects."""
+    of = {scope: {name: EXAMPLES[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
+          for scope in ('cloth', 'scene')}
+    shape = ({'grid': {'size': list(size), 'resolution': [6, 5]}} if mesh is None
+             else {'mesh': {'file': mesh()}})
+    colliders = {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]},
+                 'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.1]}}
+    return compile_scene(scene_from_mapping({
+        'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 2,
+                   'precision': 'float32', 'order': 'coloured', 'device': device, **solver},
+        'cloths': {'c': {**shape, 'density': 1.0, 'effects': of['cloth']}},
+        'pins': {'a': {'cloth': 'c', 'at': [0]}}, 'effects': of['scene'],
+        **({'colliders': colliders} if 'contact' in names else {})}, where='x', name='x'))
+
+
+def test_the_cases_cover_what_a_gpu_has():
+    assert {name for names, _ in CASES.values() for name in names} | {'pin'} == set(ON_DEVICE)
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_frames_have_the_bits_of_the_cpu_and_no_race(case, monkeypatch):
+    names, options = CASES[case]
+    found, cards = [scene(names, **options)], [EmulatedCard(**keys) for keys in CARDS]
+    for card in cards:
+        monkeypatch.setattr(cuda, 'Card', lambda card=card: card)
+        found.append(scene(names, device='cuda', **options))
+    noise = np.random.default_rng(3).normal(0.0, 0.02, (3, len(found[0].slot)))
+    for each in found:
+        state, slot = each.state, each.slot
+        state.x[:, slot] += (noise * (state.inv_mass[slot] > 0.0)).astype(state.x.dtype)
+    for index in range(4):
+        commands = [MovePin('a', Pose((0.0, 0.01 * index, 0.02)))]
+        if 'contact' in names:
+            commands.append(MoveCollider('ball', Pose((0.5, 0.5, -0.1 + 0.01 * index))))
+        ours, *theirs = (each.step(commands) for each in found)
+        assert not ours.refused
+        for other in theirs:
+            assert all(getattr(ours, name).tobytes() == getattr(other, name).tobytes()
+                       for name in ('x', 'v', 'inv_mass'))
+            assert (ours.pins['a'].force == other.pins['a'].force).all()
+            for name, collider in ours.colliders.items():
+                np.testing.assert_array_equal(other.colliders[name].force, collider.force)
+    assert len({each.hash() for each in found}) == 1
+    if 'contact' in names:
+        assert np.abs(ours.colliders['ball'].force).max() > 0.0
+    assert np.abs(ours.v).max() > 0.01
+    for card in cards:
+        assert (card.races, card.astray) == (0, 0)
+        assert card.launches > 30

@@ -1,0 +1,40 @@
+"""A thread's place among those of a GPU, and the barrier where all of them meet."""
+
+from typing import NamedTuple
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+import numpy as np
+
+from xpbd_ros.sim.backend.simd import place
+
+MEET_ALL = 'meet_all'
+"""name in LLVM of the barrier, which ``nvptx`` defines"""
+
+
+class DeviceTeam(NamedTuple):
+    """One thread's place in the grid of threads of a launch."""
+
+    x: int
+    """along a row"""
+    y: int
+    """across rows"""
+    width: int
+    """threads along a row"""
+    height: int
+    """threads across rows"""
+    gate: np.ndarray
+    """state of the barrier, shape (1,)"""
+
+
+@intrinsic
+def meet_all(typing, gate):
+    """Go on when all threads of the launch are here, and see all that they wrote before."""
+    def generate(context, builder, signature, arguments):
+        at = place(context, builder, gate, arguments[0], ir.IntType(64)(0))
+        kind = ir.FunctionType(ir.VoidType(), [at.type])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, MEET_ALL), [at])
+        return context.get_dummy_value()
+    return types.void(gate), generate

@@ -1,0 +1,162 @@
+"""
+A frame as a list of launches, one for each stage of each effect: what a GPU runs.
+
+The substep loop (``stepping.step``) and the methods (``stepping.methods``) run as plain Python
+here. What they would call is written down, by a ``Recorder`` in the place of Numba's ``Writer``.
+So there is one source of the order of stages. Small kernels need fewer registers, and compile
+sooner, than one for a whole frame.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+import importlib
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from xpbd_ros.sim.backend.device_kernel import Request
+from xpbd_ros.sim.backend.device_team import DeviceTeam
+from xpbd_ros.sim.backend.emit import WRITTEN
+from xpbd_ros.sim.backend.threads import alone, wait
+from xpbd_ros.sim.particles import explicit_updates, history, integration
+from xpbd_ros.sim.particles.state import State
+from xpbd_ros.sim.stepping import methods, stages, step
+
+
+class Launch(NamedTuple):
+    """One kernel of a frame."""
+
+    kernel: Callable
+    arguments: tuple
+    signature: tuple
+    """types of the arguments, as Numba has them"""
+    shared: bool
+    """True if all threads share its work; else one thread does it"""
+
+    def request(self, arch: str) -> Request:
+        """Return what to compile."""
+        return Request(find, name_of(self.kernel), self.signature, arch)
+
+    @property
+    def name(self) -> str:
+        """Name of the kernel, for people."""
+        return self.kernel.__name__
+
+
+def name_of(kernel: Callable) -> tuple:
+    """Return a name by which another process finds a kernel: arguments of ``find``."""
+    return stages.name_of(kernel) or (kernel.__module__, kernel.__name__)
+
+
+def find(module: str, name: Any) -> Callable:
+    """Return the kernel of a name: of a module, or of a stage of a type."""
+    if isinstance(name, str):
+        return getattr(importlib.import_module(module), name)
+    return stages.named(module, name)
+
+
+class Recorder:
+    """Writes launches down, where Numba's ``Writer`` writes LLVM; a value is a type and itself."""
+
+    def __init__(self):
+        self.launches: list[Launch] = []
+        self._alone = False
+        self._types: dict[int, tuple] = {}
+
+    def typed(self, value):
+        """Return a value with its type, as Numba has it."""
+        if not isinstance(value, tuple):
+            return numba.typeof(value), value
+        known = self._types.get(id(value))
+        if known is None:
+            known = self._types[id(value)] = numba.typeof(value), value
+        return known
+
+    def call(self, function: Callable, *values):
+        """Record a kernel, or all that a stub calls."""
+        found = tuple(value for _, value in values)
+        if function in WRITTEN:
+            WRITTEN[function](self, *values)
+        elif function in COMPOSITE:
+            self.run(function, *found)
+        elif function in VALUES:
+            return self.typed(VALUES[function](*found))
+        elif function is alone:
+            return None
+        elif function is not wait:    # a launch begins when the one before is done
+            shared = not self._alone or function in stages.ON_DEVICE
+            kinds = tuple(kind for kind, _ in values)
+            self.launches.append(Launch(function, found, kinds, shared))
+        return None
+
+    def item(self, value, k):
+        """Return an item of a tuple, by its place or its name."""
+        return self.typed(getattr(value[1], k) if isinstance(k, str) else value[1][k])
+
+    @contextmanager
+    def only_if(self, value):
+        """Record kernels that one thread runs: the only condition of a walk is ``alone``."""
+        self._alone = True
+        yield
+        self._alone = False
+
+    def truth(self, value: bool):
+        """Return a truth value."""
+        return numba.types.boolean, value
+
+    def integer(self, value: int):
+        """Return a whole number."""
+        return numba.types.intp, value
+
+    def number(self, value: float):
+        """Return a number."""
+        return numba.types.float64, value
+
+    def run(self, function: Callable, *arguments) -> None:
+        """Run a kernel of the package as Python, whose calls are recorded."""
+        source = function.py_func if hasattr(function, 'py_func') else function
+        found = {name: self._recorded(each) for name, each in source.__globals__.items()}
+        FunctionType(source.__code__, found)(*arguments)
+
+    def _recorded(self, found):
+        if not callable(found) or isinstance(found, type):
+            return found
+        if found in ANSWERS:
+            return ANSWERS[found]
+        if found in stages._QUESTIONS:
+            return lambda effects: stages.answer(found, self.typed(effects)[0])
+        if found in WRITTEN or found in VALUES or found in COMPOSITE or hasattr(found, 'part'):
+            return lambda *values: (self.call(found, *map(self.typed, values)) or (None, None))[1]
+        return found
+
+
+def turned(state: State) -> State:
+    """Return the state of the next substep, as ``integration.turned``."""
+    rotate = history._rotate_history(numba.typeof(state.history), None, None, None)
+    x, x_prev, v, past = rotate(state.history, state.x, state.x_prev, state.v)
+    return state._replace(x=x, x_prev=x_prev, v=v, history=past)
+
+
+VALUES: dict[Callable, Callable] = {integration.turned: turned,
+                                    explicit_updates.at_start: explicit_updates.at_start.py_func}
+"""kernels that launch nothing, with what they return"""
+COMPOSITE = (methods._kick,)
+"""kernels whose calls are launches of their own"""
+ANSWERS: dict[Callable, Callable] = {step.flush_denormals: lambda: 0,
+                                     step.restore_mode: lambda mode: None}
+
+
+def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float,
+                substeps: int) -> tuple[list[Launch], np.ndarray]:
+    """
+    Return the launches of one frame, and the gate of their barrier; parameters as of ``advance``.
+
+    Effects with ``are_inequalities_unmet`` cannot be recorded: their turns depend on the state.
+    """
+    gate = np.zeros(1, np.int64)
+    recorder = Recorder()
+    recorder.run(step.advance, tuple(effects),
+                 state._replace(team=DeviceTeam(0, 0, 1, 1, gate)), method, frame_dt, substeps)
+    return recorder.launches, gate
