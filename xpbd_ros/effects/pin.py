@@ -41,11 +41,12 @@ from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.commands import Click, Grasp, MovePin, Pose, Release, ReleaseAll
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import length
-from xpbd_ros.sim.geometry.quaternion import conjugate, interpolate, rotate
+from xpbd_ros.sim.geometry.quaternion import conjugate, rotate
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import forget, places
 from xpbd_ros.sim.pins.entry import Entry
+from xpbd_ros.sim.pins.held_places import place_of
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import deliver, weigh_pinned, weigh_springs
@@ -102,17 +103,6 @@ class Spring(NamedTuple):
     """n α of each particle's spring [m/N], shape (particles,)"""
     place: np.ndarray
     """p + R q at the substep's end [m], shape (particles, 3)"""
-
-
-@jit(inline=True)
-def place_of(pin, k, s):
-    """Return p + R q of a held particle, at a fraction s of the frame."""
-    a, b = pin.start[pin.slot[k]], pin.goal[pin.slot[k]]
-    qx, qy, qz, qw = interpolate((a[3], a[4], a[5], a[6]), (b[3], b[4], b[5], b[6]), s)
-    q = pin.offset[k]
-    rx, ry, rz = rotate(qx, qy, qz, qw, q[0], q[1], q[2])
-    return (a[0] + s * (b[0] - a[0]) + rx, a[1] + s * (b[1] - a[1]) + ry,
-            a[2] + s * (b[2] - a[2]) + rz)
 
 
 @stage(prepare, Pin, on_device=True)

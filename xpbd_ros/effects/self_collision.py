@@ -56,6 +56,7 @@ from xpbd_ros.sim.self_collision.motion_limit import (
 from xpbd_ros.sim.self_collision.narrow_phase import find_contacts, list_planes
 from xpbd_ros.sim.self_collision.near_pairs import choose_near
 from xpbd_ros.sim.self_collision.neighbour_list import (
+    advance,
     common_step,
     gone,
     load_moves,
@@ -271,9 +272,7 @@ def settle(effect, state, substep):
     """Remove velocities from old overlaps, and advance the common motion."""
     near = effect.near
     remove_depenetration_velocity(effect.pairs, near, state, substep)
-    for a in range(3):
-        near.drift[a] += near.step[a]
-        near.origin[a] += near.step[a]
+    advance(near, state)
 
 
 @stage(add_explicit_forces, SelfCollision)

@@ -55,8 +55,7 @@ class Simulation:
     """
     All cloths of one scene, with the effects that it calls for.
 
-    ``retune`` maps a live scene key and its value to a ``Change``; ``card`` computes the frames
-    where it is not None (``stepping.device``).
+    ``retune`` maps a live scene key and its value to a ``Change``; ``card``: ``backend.cuda``.
     """
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
@@ -169,9 +168,8 @@ class Simulation:
         The next frame has them in ``applied``, before its own.
         """
         refused: list[tuple[Command, str]] = []
-        if commands:
-            self._crew.host_changed()
         for group in commands:
+            self._crew.host_changed()
             group = group if isinstance(group, tuple) else (group,)
             try:
                 group = tuple(map(checked, group))

@@ -193,22 +193,39 @@ def length(v):
 
 @jit
 def common_step(near, state):
-    """Store the positions at the substep's start and the common displacement in the substep."""
-    before, x, n = state.x_prev, state.x, len(near.slot)
-    held = 0
-    near.step[:] = 0.0
+    """Store the positions at the substep's start and the common displacement as predicted."""
+    before = state.x_prev
+    for i in range(len(near.slot)):
+        j = near.slot[i]
+        near.x[i, 0], near.x[i, 1], near.x[i, 2] = before[0, j], before[1, j], before[2, j]
+    find_step(near, state)
+
+
+@jit
+def advance(near, state):
+    """Add the common displacement in this substep: pushes may have stopped what was predicted."""
+    find_step(near, state)
+    for a in range(3):
+        near.drift[a] += near.step[a]
+        near.origin[a] += near.step[a]
+
+
+@jit
+def find_step(near, state):
+    """Set ``near.step`` to the common displacement since the substep's start."""
+    x, step, n, held = state.x, near.step, len(near.slot), 0
+    step[:] = 0.0
     for i in range(n):
         j = near.slot[i]
         pinned = state.inv_mass[j] == 0.0
         if pinned and held == 0:
-            near.step[:] = 0.0
+            step[:] = 0.0
         held += pinned
         for a in range(3):
-            near.x[i, a] = before[a, j]
             if pinned or held == 0:
-                near.step[a] += x[a, j] - before[a, j]
+                step[a] += x[a, j] - near.x[i, a]
     for a in range(3):
-        near.step[a] /= held if held > 0 else n
+        step[a] /= held if held > 0 else n
 
 
 @jit

@@ -14,7 +14,6 @@ import numpy as np
 
 from xpbd_ros.sim.backend.device_kernel import compile_kernels, flat, packed
 from xpbd_ros.sim.backend.device_memory import DeviceMemory
-from xpbd_ros.sim.effect import Built
 from xpbd_ros.sim.stepping.launches import Launch, launches_of
 
 REPORTS = ('end', 'reported', 'stats', 'news', 'work')
@@ -31,9 +30,10 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
             yield from arrays_in(item)
 
 
-def has_own(built: Built, *methods: str) -> bool:
-    """Return True if an effect defines one of some methods itself."""
-    return any(getattr(type(built), name) is not getattr(Built, name) for name in methods)
+def has_own(built: Any, *methods: str) -> bool:
+    """Return True if an effect (``sim.effect.Built``) defines one of some methods itself."""
+    common = type(built).__mro__[-2]    # the class of all effects
+    return any(getattr(type(built), name) is not getattr(common, name) for name in methods)
 
 
 class DeviceCrew:
