@@ -49,7 +49,7 @@ from xpbd_ros.sim.pins.entry import Entry
 from xpbd_ros.sim.pins.held_places import place_of
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
-from xpbd_ros.sim.pins.wrenches import weigh_pinned, weigh_springs
+from xpbd_ros.sim.pins.wrenches import deliver, weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -143,15 +143,6 @@ def kick_springs(spring, state, substep):
         for a in range(3):
             spring.place[k, a] = goal[a]
             move[a, i] += per * (goal[a] - x[a, i])
-
-
-@jit(inline=True)
-def deliver(pin, k, axis, f, part, a, b, share):
-    """Add the impulse J of a force f on a held particle, ``part`` of the mean over the frame."""
-    i = pin.particle[k]
-    now = share * f + a * pin.last[i, axis] - b * pin.older[i, axis]
-    pin.older[i, axis], pin.last[i, axis] = pin.last[i, axis], now
-    pin.force[k, axis] += part * now
 
 
 @stage(react_to_half_kick, Pin)

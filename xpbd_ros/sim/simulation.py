@@ -230,8 +230,7 @@ class Simulation:
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
         gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
-        reported: dict[str, Any] = {'pins': MappingProxyType({}),
-                                    'colliders': MappingProxyType({})}
+        reported: dict[str, Any] = dict.fromkeys(('pins', 'colliders'), MappingProxyType({}))
         for built in self.effects.values():
             reported.update(built.reported(self.frame_dt))
         return Frame(self.index, self.time_ns(self.index), x, v, inv_mass, **reported,
@@ -303,8 +302,7 @@ class Simulation:
             return (f'{len(command.positions) // 3} positions, and {cloth.name} has '
                     f'{len(cloth.slots)} particles')
         state, places = self.state, np.reshape(command.positions, (-1, 3))
-        free = state.inv_mass[cloth.slots] > 0.0
-        slots = cloth.slots[free]
+        slots = cloth.slots[free := state.inv_mass[cloth.slots] > 0.0]
         state.x[:, slots] = state.x_prev[:, slots] = places[free].T
         state.v[:, slots] = 0.0
         forget(state, slots)

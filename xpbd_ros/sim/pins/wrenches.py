@@ -3,6 +3,15 @@
 from xpbd_ros.sim.backend.jit import jit
 
 
+@jit(inline=True)
+def deliver(pin, k, axis, f, part, a, b, share):
+    """Add the impulse J of a force f on a held particle, ``part`` of the mean over the frame."""
+    i = pin.particle[k]
+    now = share * f + a * pin.last[i, axis] - b * pin.older[i, axis]
+    pin.older[i, axis], pin.last[i, axis] = pin.last[i, axis], now
+    pin.force[k, axis] += part * now
+
+
 @jit
 def weigh_pinned(pin, state, v_before, dt, wrench):
     """Add Σ f + Σ m (g - a) and its torque to each pin's wrench, (max_pins, 6) [N, N m]."""
