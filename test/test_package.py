@@ -95,7 +95,7 @@ def test_ament_finds_the_package(setup_arguments):
 
 def test_a_source_archive_has_no_tests(tmp_path):
     """setuptools would add test/test_*.py, without the modules that those import."""
-    pytest.importorskip('setuptools')
+    pytest.importorskip('setuptools', reason='setuptools is missing: pip install setuptools')
     for name in ('setup.py', 'setup.cfg', 'pyproject.toml', 'MANIFEST.in', 'package.xml'):
         shutil.copy(ROOT / name, tmp_path)
     for name in ('xpbd_ros', 'config', 'resource', 'test', 'benchmark'):

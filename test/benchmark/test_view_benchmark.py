@@ -15,7 +15,7 @@ CHECKOUT = Path(__file__).parents[2]
 
 
 def test_it_measures_a_page_with_a_browser(tmp_path):
-    pytest.importorskip('viser')
+    pytest.importorskip('viser', reason="viser is missing: pip install '.[view]'")
     file = tmp_path / 'figures.json'
     done = subprocess.run(
         [sys.executable, 'benchmark/view.py', '--seconds', '4', '--colour', 'contact force',

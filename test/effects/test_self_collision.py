@@ -164,7 +164,7 @@ def test_brute_force_finds_the_same_triangles_and_edges():
 
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])
 def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
-    """Four particles move to and fro: only their pairs are sought again."""
+    """Four particles oscillate, and each search is for pairs of these alone."""
     other = square(0.013, x=0.02) if mode == 'surface' else square(0.0115)
     simulation = scene({'a': square(0.0), 'b': other}, mode=mode, gravity=0.0,
                        room=100, substeps=1, rate=1e4)

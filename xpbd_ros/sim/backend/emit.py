@@ -12,7 +12,7 @@ from numba import types
 from numba.extending import lower_builtin, type_callable
 
 WRITTEN: dict[Callable, Callable] = {}
-"""what each stub calls, as registered"""
+"""function that writes the code of a stub's calls, by stub"""
 
 
 class Writer:

@@ -1,12 +1,12 @@
 """
 Kernels as PTX, NVIDIA's assembly language, by LLVM's NVPTX back end, which llvmlite contains.
 
-No CUDA toolkit, driver or card takes part. A kernel that others call is LLVM code that nobody has
-optimised (``linking``). With one lane (XPBD_ROS_VECTOR_BITS=32), the triple of a GPU and an entry
-function, which asks for the thread's place, it is a kernel for a GPU: the same source, rounded the
-same way. LLVM contracts no a*b + c without fast-math, so the bits are the CPU's, and
-``check_rounding`` refuses PTX that would round otherwise. Denormal float32 numbers count as 0, as
-in the CPU's step (``denormals``). Denormal float64 numbers, below 1e-307, are kept.
+No CUDA toolkit, driver or card is needed. Kernels that are called by others are kept as
+unoptimised LLVM code (``linking``). Compiled with one lane (XPBD_ROS_VECTOR_BITS=32), the target
+triple of a GPU and an entry function that reads the thread's index, that code is a GPU kernel: the
+same source, with the same rounding. LLVM contracts no a*b + c without fast-math, so the bits are
+the CPU's, and ``check_rounding`` refuses PTX that would round otherwise. Denormal float32 numbers
+count as 0, as in the CPU's step (``denormals``). Denormal float64 numbers, below 2e-308, are kept.
 """
 
 import re

@@ -285,10 +285,10 @@ class ThreadPool:
             self._next_rest = REST[0]
 
     def host_changed(self) -> None:
-        """Do nothing: the state lies in the host's memory (see ``stepping.device``)."""
+        """Do nothing: threads of the CPU work in the host's memory; cf. ``stepping.device``."""
 
     def fetch(self) -> None:
-        """Do nothing likewise."""
+        """Do nothing, for the same reason."""
 
     def _join(self, worker: int, step, effects, state, *arguments) -> None:
         """Call a step on one thread; if that fails, the others do not wait for it."""

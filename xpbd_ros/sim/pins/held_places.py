@@ -1,4 +1,4 @@
-"""Where a pin wants a held particle at a moment of the frame."""
+"""Target positions of the particles that a pin holds, within a frame."""
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.geometry.quaternion import interpolate, rotate

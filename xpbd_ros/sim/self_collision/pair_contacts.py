@@ -95,7 +95,10 @@ class PairContacts(NamedTuple):
     found_keep: np.ndarray
     """scratch: distances that these have to keep [m], shape (capacity,)"""
     touched: np.ndarray
-    """scratch: last round that has a particle, shape (particles + 1,)"""
+    """
+    scratch: PACK times the first place of the last group that has a particle, plus the number of
+    rounds up to it, shape (particles + 1,)
+    """
     impulse: np.ndarray
     """scratch: impulse of a vector of pairs, shape (3, PACK)"""
     friction: PairFriction | None
