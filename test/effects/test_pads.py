@@ -371,7 +371,7 @@ def test_the_stiffness_changes_live_and_placed_colliders_are_rigid():
     ({'stiffness': 0}, '.pad.stiffness: must be > 0 Pa/m (got 0)'),
     ({'stiffness': -2e8}, '.pad.stiffness: must be > 0 Pa/m (got -200000000.0)'),
     ({'stiffness': float('nan')}, '.pad.stiffness: must be finite Pa/m (got nan)'),
-    ({'stiffness': 'soft'}, ".pad.stiffness: must be a number Pa/m (got 'soft')"),
+    ({'stiffness': 'soft'}, ".pad.stiffness: must be a number in Pa/m (got 'soft')"),
     ({'stifness': 2e8}, ".pad.stifness: unknown key; did you mean 'stiffness'? "
      '(known: stiffness)'),
     ({'stiffness': 2e8, 'thickness': 0.01},

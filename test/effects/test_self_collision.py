@@ -256,6 +256,20 @@ def test_a_fold_and_a_pile_get_nothing_through():
     assert np.abs(shown.v).max() < 1.0
 
 
+@pytest.mark.slow
+def test_cloth_at_rest_on_a_table_needs_no_search():
+    """The neighbour list follows what cloth does, not the fall that the table prevents."""
+    simulation = scene({'a': square(THICKNESS)}, colliders={
+        'table': {'box': {'size': [1.0, 1.0, 0.1]}, 'position': [0.1, 0.1, -0.05]}})
+    near, searches, fall = simulation.effects['self_collision'].data.near, 0, GRAVITY / 600.0**2
+    run(simulation, 30)
+    for _ in range(60):
+        simulation.step()
+        searches += near.count[0]
+    assert 600 * fall > 0.9 * near.margin.max()
+    assert searches == 0
+
+
 def test_without_it_they_pass_through_one_another():
     """The count of crossings can count."""
     simulation = simulate((9, 9), (0.25, 0.25), effects=STRETCH)

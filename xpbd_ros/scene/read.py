@@ -147,7 +147,8 @@ def _number(kind: type, value: Any, path: str, metadata) -> float | int:
     if isinstance(value, str) and NUMBER.fullmatch(value):
         value = float(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f'{path}: must be a number{unit} (got {_short(value)})')
+        of_unit = f' in{unit}' if unit else ''
+        raise InputError(f'{path}: must be a number{of_unit} (got {_short(value)})')
     if isinstance(value, int) and abs(value) > 2**63:
         raise InputError(f'{path}: must be finite{unit} (got a number of {value.bit_length()} '
                          'bits)')

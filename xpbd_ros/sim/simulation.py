@@ -302,7 +302,8 @@ class Simulation:
             return (f'{len(command.positions) // 3} positions, and {cloth.name} has '
                     f'{len(cloth.slots)} particles')
         state, places = self.state, np.reshape(command.positions, (-1, 3))
-        slots = cloth.slots[free := state.inv_mass[cloth.slots] > 0.0]
+        free = state.inv_mass[cloth.slots] > 0.0
+        slots = cloth.slots[free]
         state.x[:, slots] = state.x_prev[:, slots] = places[free].T
         state.v[:, slots] = 0.0
         forget(state, slots)

@@ -59,7 +59,7 @@ def senseless():
             ('compliance', float('nan'), 'finite m/N (got nan)'),
             ('compliance', float('inf'), 'finite m/N (got inf)'),
             ('warp', -5.0, '> 0 N/m (got -5.0)'), ('warp', 0.0, '> 0 N/m (got 0.0)'),
-            ('warp', 'stiff', "must be a number N/m (got 'stiff')")):
+            ('warp', 'stiff', "must be a number in N/m (got 'stiff')")):
         stretch = {key: value} if key == 'compliance' else {key: value, 'weft': 1.0}
         yield Refusal(f'stretch.{key}: {value}', sheet({'stretch': stretch}),
                       ('cloths.c.effects.stretch', says))
