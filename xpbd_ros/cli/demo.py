@@ -73,7 +73,7 @@ def play(folder: Path, duration: float, say) -> None:
         return processes[-1]
 
     say(f"ROS domain {environment['ROS_DOMAIN_ID']}, loopback only; starting the node "
-        '(compiling takes up to a minute the first time) …')
+        '(compiling takes about a minute the first time) …')
     processes: list[Any] = []
     try:
         node = start('xpbd_ros', 'node', '--ros-args', '-p', f'scene:={SCENE}',
