@@ -23,7 +23,7 @@ PHASES = {'wait': 0.08, 'grasp': 0.02, 'lift': 0.18, 'hold': 0.2, 'sweep': 0.17,
 """parts of the duration; in 'settle' the grippers, which follow with a delay, come to rest"""
 LIFT = np.array([0.0, 0.1, 0.9])
 CARRY = np.array([0.0, 0.3, 0.0])
-LOWER = np.array([0.0, 0.5, -0.6])
+LOWER = np.array([0.0, 0.36, -0.6])
 SWEEP = np.array([0.0, 2.0, 0.0])
 """displacements of the grippers and of the ball [m]"""
 
