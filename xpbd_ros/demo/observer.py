@@ -5,7 +5,6 @@ It prints a line when the first point cloud arrives, collects point clouds, pin 
 diagnostics until SIGINT or SIGTERM, then writes them to a file.
 """
 
-from contextlib import suppress
 import json
 import sys
 import time
@@ -13,8 +12,9 @@ import time
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
@@ -56,12 +56,14 @@ class Observer(Node):
 
 def main() -> int:
     """Collect until SIGINT or SIGTERM, then write: ``observer.py FILE.npz``."""
-    # a KeyboardInterrupt within rclpy's conversion of a message would be an error; rclpy's own
-    # handlers, which call those set before them, shut its context down and so end the spin
-    with collected_signals(), suppress(ExternalShutdownException):
-        rclpy.init()
-        observer = Observer()
-        rclpy.spin(observer)
+    # rclpy's own handlers would shut its context down, which a conversion of a message or a wait
+    # under way reports as an error
+    with collected_signals() as received:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        observer, executor = Observer(), SingleThreadedExecutor()
+        executor.add_node(observer)
+        while not received:
+            executor.spin_once(timeout_sec=0.1)
     np.savez(sys.argv[1], stamps=observer.stamps, heard=observer.heard, clouds=observer.clouds,
              pins=json.dumps(observer.pins), diagnostics=json.dumps(observer.diagnostics))
     rclpy.try_shutdown()
