@@ -15,7 +15,13 @@ from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRAVEL, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    CANDIDATES,
+    EDGES,
+    POINTS,
+    TRAVEL,
+    TRIANGLES,
+)
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}
@@ -383,3 +389,34 @@ def test_a_run_repeats_to_the_bit():
 def test_a_surface_needs_triangles():
     with pytest.raises(InputError, match='surface needs triangles'):
         simulate((5, 1), scene_effects={'self_collision': EXAMPLES['self_collision']})
+
+
+def fallen(threads, buffer=None):
+    """Return the hashes of two sheets that fall on one another, and the neighbour list."""
+    simulation = scene({'a': square(0.0, 9), 'b': square(0.03, 9, x=0.02, y=0.01)},
+                       pins={'c': {'cloth': 'a', 'at': 'corner_00'},
+                             'd': {'cloth': 'a', 'at': 'corner_11'}},
+                       solver={'method': 'gauss_seidel', 'integrator': 'backward_euler',
+                               'substeps': 4, 'threads': threads})
+    effect, found = simulation.effects['self_collision'], []
+    if buffer is not None:    # room for the pairs that a thread finds
+        effect.data = effect.data._replace(near=effect.data.near._replace(
+            buffers=np.zeros((threads, 4, buffer + CANDIDATES), np.int32)))
+        simulation._collect()
+    for _ in range(24):
+        simulation.step()
+        simulation._crew._rest = 0    # else only the first frames with fewer cores than threads
+        found.append(simulation.hash())
+    return found, effect.data.near
+
+
+@pytest.mark.parametrize('buffer', [None, 100])
+def test_the_bits_are_the_same_with_any_number_of_threads(buffer):
+    one, near = fallen(1)
+    assert near.count[0] > 0 and len(set(one)) == len(one)
+    for threads in (2, 3):
+        found, shared = fallen(threads, buffer)
+        assert found == one
+        assert all_listed(shared) == all_listed(near)
+        most = max(shared.pieces[1, k::threads].sum() for k in range(threads))
+        assert most > 0 if buffer is None else most > buffer

@@ -17,7 +17,7 @@ from xpbd_ros.sim.geometry.box_tree import (
 @jit
 def query(tree, low, high, found):
     """Write the items whose boxes overlap a box to ``found``; return their number."""
-    packs, reached = find_packs(tree, (low, high))
+    packs, reached = find_packs(tree, (low, high), 0)
     count = 0
     for n in range(reached):
         hit = overlaps(tree, packs[n], (low, high))

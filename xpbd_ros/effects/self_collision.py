@@ -33,6 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import alone, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -64,6 +65,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     NeighbourList,
     new_neighbour_list,
     store_moves,
+    told,
     track_motion,
     TRAVEL,
 )
@@ -136,21 +138,26 @@ def forget_pairs(effect, state, substep):
     effect.pairs.count[0] = NOT_SOUGHT
 
 
-@stage(project_inequalities, SelfCollision)
+@stage(project_inequalities, SelfCollision, shared=True)
 @jit
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
-    near, pairs = effect.near, effect.pairs
-    load_backing(pairs.backing, near.slot)
-    if not is_further_turn(pairs.backing) and (
-            pairs.count[0] == NOT_SOUGHT or strays(near, state)):
-        common_step(near, state)
-        stir_contacts(effect.contacts, find_pairs(effect, state, substep, True))
-    else:
+    near, pairs, team, seeks = effect.near, effect.pairs, state.team, False
+    if alone(team):
+        load_backing(pairs.backing, near.slot)
+        seeks = not is_further_turn(pairs.backing) and (
+            pairs.count[0] == NOT_SOUGHT or strays(near, state))
+        if seeks:
+            common_step(near, state)
+    if told(team, near, seeks):
+        find_pairs(team, effect, state, substep)
+    elif alone(team):
         load_moves(near, state)
+    if alone(team):
         project_pairs(near, pairs)
-    store_moves(near, state)
-    store_backing(pairs.backing, near, state)
+        store_moves(near, state)
+        store_backing(pairs.backing, near, state)
+    wait_uneven(team)
 
 
 @stage(are_inequalities_unmet, SelfCollision)
@@ -177,25 +184,46 @@ def strays(near, state):
 
 
 @jit
-def find_pairs(effect, state, substep, both):
-    """Find the pairs in reach in this substep; return the longest way of a particle [m]."""
+def find_pairs(team, effect, state, substep):
+    """Find the pairs in reach in this substep."""
     near, pairs, thickness = effect.near, effect.pairs, effect.thickness[0]
-    slack = SLACK * thickness
-    most, leaves = track_motion(near, state.x, slack)
-    if leaves:
-        seek(near, thickness, SUBSTEPS)
-    load_starts(near)
-    load_moves(near, state)
-    if not both:
-        list_planes(near, effect.planes, thickness)
-        return most
-    lost = choose_near(near, pairs, thickness)
-    find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
-    project_pairs(near, pairs)
-    if lost:
-        list_planes(near, effect.planes, thickness)
-    pairs.count[0] = SOUGHT
+    most = load_pairs(team, near, state, thickness)
+    lost = choose_near(team, near, pairs, thickness)
+    if alone(team):
+        stir_contacts(effect.contacts, most)
+        find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
+        if lost:
+            list_planes(near, effect.planes, thickness)
+        pairs.count[0] = SOUGHT
+
+
+@jit
+def load_pairs(team, near, state, thickness):
+    """
+    Bring the list and the records up to date.
+
+    Returns
+    -------
+    longest way of a particle in this substep [m], on the main thread
+
+    """
+    most, leaves = 0.0, False
+    if alone(team):
+        most, leaves = track_motion(near, state.x, SLACK * thickness)
+    if told(team, near, leaves):
+        seek(team, near, thickness, SUBSTEPS)
+    if alone(team):
+        load_starts(near)
+        load_moves(near, state)
+    wait_uneven(team)
     return most
+
+
+@jit
+def find_planes(effect, state):
+    """Find the pairs that may pass through each other in this substep."""
+    load_pairs(None, effect.near, state, effect.thickness[0])
+    list_planes(effect.near, effect.planes, effect.thickness[0])
 
 
 @stage(limit_motion, SelfCollision)
@@ -207,7 +235,7 @@ def stop(effect, state, substep):
     for turn in range(ROUNDS):
         if strays(near, state):
             common_step(near, state)
-            find_pairs(effect, state, substep, False)
+            find_planes(effect, state)
             if strays(near, state):    # no room for all pairs
                 break
         if part_sides(planes, near, state) == 0:
@@ -241,7 +269,7 @@ def give_way(effect, near, planes, contacts, state, substep):
         for turn in range(TURNS):
             mark_all(planes, near, contacts, state, turn > 0)
             rest_step(near, planes.held, contacts, state, substep)
-            find_pairs(effect, state, substep, False)
+            find_planes(effect, state)
             mark_all(planes, near, contacts, state, turn > 0)
             for i in range(len(near.slot)):
                 j = near.slot[i]
@@ -312,7 +340,7 @@ class BuiltSelfCollision(Built):
         room = parameters.room * count
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
-                                  world.state.mass[slots].mean(), kin(world))
+                                  world.state.mass[slots].mean(), kin(world), world.threads)
         self.data = SelfCollision(
             np.array([parameters.thickness]), near, new_pair_contacts(NEAR * room, count),
             new_planes(near.corners.shape[1], count, world.slots) if surface else None, None)

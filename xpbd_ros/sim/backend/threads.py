@@ -89,8 +89,16 @@ def wait(team):
     """Go on when all are here."""
 
 
+def wait_uneven(team):
+    """Go on when all are here, where shares of the work may take long and not equally long."""
+
+
 def worker(team):
     """Return this thread's number."""
+
+
+def workers(team):
+    """Return the number of threads."""
 
 
 def _none(team) -> bool:
@@ -182,13 +190,27 @@ def _worker(team):
     return (lambda team: 0) if _none(team) else lambda team: team.worker
 
 
+@inline(workers)
+def _workers(team):
+    if is_on_device(team):
+        return lambda team: team.width * team.height
+    return (lambda team: 1) if _none(team) else lambda team: team.workers
+
+
 @inline(wait)
 def _wait(team):
     if _none(team):
         return lambda team: None
     if is_on_device(team):
         return lambda team: meet_all(team.gate)
-    return lambda team: _meet(team.gate, team.worker, team.workers)
+    return lambda team: _meet(team.gate, team.worker, team.workers, 1)
+
+
+@inline(wait_uneven)
+def _wait_uneven(team):
+    if _none(team) or is_on_device(team):
+        return lambda team: wait(team)
+    return lambda team: _meet(team.gate, team.worker, team.workers, 0)
 
 
 @intrinsic
@@ -226,8 +248,12 @@ _offer = types.ExternalFunction('sched_yield', types.int32())
 
 
 @jit
-def _meet(gate, worker, workers):
-    """Say that this thread is here, and wait until each of the others has come as often."""
+def _meet(gate, worker, workers, late):
+    """
+    Say that this thread is here, and wait until each of the others has come as often.
+
+    ``late`` is added to the number of waits beyond PATIENCE of the main thread.
+    """
     times = gate[worker * APART] + 1
     _write(gate, worker * APART, times)
     for other in range(workers):
@@ -235,7 +261,7 @@ def _meet(gate, worker, workers):
         while _read(gate, other * APART) < times:
             looks += 1
             if looks == PATIENCE and worker == 0:    # the others also wait for work that is alone
-                gate[1] += 1
+                gate[1] += late
             if looks > PATIENCE:
                 if _read(gate, workers * APART):
                     return

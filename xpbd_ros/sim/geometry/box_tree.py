@@ -45,10 +45,11 @@ class BoxTree(NamedTuple):
     begin: np.ndarray
     """first box of each level, and the end, shape (levels + 1,)"""
     found: np.ndarray
-    """scratch of ``find_packs``: two lists of packs, shape (2, packs)"""
+    """scratch of ``find_packs``: two lists of packs for each thread, shape (threads, 2, packs)"""
 
 
-def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray) -> BoxTree:
+def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray,
+                 threads: int = 1) -> BoxTree:
     """
     Return the tree of some items; its boxes are empty.
 
@@ -57,6 +58,7 @@ def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray) -> Bo
     corners : particles of each item, shape (items, corners)
     rest : positions at rest [m], shape (particles, 3)
     group : group of each particle; items of one group are neighbours in the tree
+    threads : that query the tree at once
 
     """
     order = np.lexsort((morton_codes(rest[corners].mean(1)), group[corners[:, 0]]))
@@ -66,7 +68,7 @@ def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray) -> Bo
     begin = np.cumsum([0, *(-(-size // PACK) * PACK for size in sizes)])
     low = np.full((3, begin[-1]), np.inf, np.float32)
     return BoxTree(np.ascontiguousarray(corners[order].T.astype(np.int32)), low, -low, begin,
-                   np.zeros((2, max(1, begin[1] // PACK)), np.int64))
+                   np.zeros((threads, 2, max(1, begin[1] // PACK)), np.int64))
 
 
 def morton_codes(points: np.ndarray) -> np.ndarray:
@@ -138,20 +140,26 @@ def overlaps(tree, begin, box):
 
 
 @jit
-def find_packs(tree, box):
+def find_packs(tree, box, worker):
     """
     Return the packs of items, rising, in whose bounds are parts of a box.
 
+    Parameters
+    ----------
+    tree : to be queried
+    box : low and high corner [m]
+    worker : number of the thread that asks
+
     Returns
     -------
-    array with the first item of each pack, a scratch of the tree; number of packs
+    array with the first item of each pack, the thread's scratch; number of packs
 
     """
-    level = len(tree.begin) - 2
-    now, count = tree.found[level & 1], 1
+    level, found = len(tree.begin) - 2, tree.found[worker]
+    now, count = found[level & 1], 1
     now[0] = tree.begin[level]
     while level > 0:
-        below, then, further = tree.begin[level - 1], tree.found[(level - 1) & 1], 0
+        below, then, further = tree.begin[level - 1], found[(level - 1) & 1], 0
         for n in range(count):
             hit = overlaps(tree, now[n], box)
             while hit:

@@ -24,8 +24,9 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, told, TRIANGLES
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
 CLOTH = 3
@@ -35,41 +36,65 @@ REST_SHARE = 0.5
 
 
 @jit
-def choose_near(near, pairs, thickness):
+def choose_near(team, near, pairs, thickness):
     """Choose and group the near pairs; return the number of those beyond the capacity."""
-    pairs.end[0] = 0
-    pairs.touched[:] = 0
-    lost = group_pairs(near, pairs, POINTS, find_near(near, pairs, POINTS, thickness))
-    lost += group_pairs(near, pairs, TRIANGLES, find_near(near, pairs, TRIANGLES, thickness))
-    lost += group_pairs(near, pairs, EDGES, find_near(near, pairs, EDGES, thickness))
-    pairs.count[1] += lost
-    return lost
+    find_near(team, near, POINTS, thickness)
+    find_near(team, near, TRIANGLES, thickness)
+    find_near(team, near, EDGES, thickness)
+    wait_uneven(team)
+    lost = 0
+    if alone(team):
+        pairs.end[0] = 0
+        pairs.touched[:] = 0
+        for kind in range(3):
+            lost += group_pairs(near, pairs, kind, collect(near, pairs, kind))
+        pairs.count[1] += lost
+    return told(team, near, lost)
 
 
 @jit(inline=True)
-def find_near(near, pairs, kind, thickness):
+def find_near(team, near, kind, thickness):
+    """Set ``hits`` for this thread's part of a kind's pairs."""
+    begin, end = near.kind_begin[kind], near.kind_end[kind]
+    first, last = share(team, (end - begin + PACK - 1) // PACK)
+    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+        found = 0
+        for q in range(pack, pack + PACK, lanes(near.start)):
+            found |= find_some(near, kind, q, thickness) << (q - pack)
+        near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
+
+
+@jit(inline=True)
+def find_some(near, kind, q, thickness):
+    """Return bits of the near pairs of a vector of listed pairs."""
+    a, b, c, d = load_corners(near.start, near.corners, q)
+    v, weight = closest(kind, a, b, c, d)
+    square, travel = dot(v, v), travel_of(kind, a, b, c, d)
+    reach = thickness + travel
+    close = square <= reach * reach
+    if not any_lane(close):
+        return 0
+    reach = kept_distance(near, kind, q, thickness) + travel
+    close = both(close, square <= reach * reach)
+    if kind == EDGES:    # others only where they may pass through each other
+        close = both(close, either(is_inside(kind, weight), square <= travel * travel))
+    return bits(close)
+
+
+@jit
+def collect(near, pairs, kind):
     """Copy a kind's near pairs to ``found`` and ``found_keep``; return their number."""
     found, keep, count, room = pairs.found, pairs.found_keep, 0, len(pairs.found_keep)
-    for q in range(near.kind_begin[kind], near.kind_end[kind], lanes(near.start)):
-        a, b, c, d = load_corners(near.start, near.corners, q)
-        v, weight = closest(kind, a, b, c, d)
-        square, travel = dot(v, v), travel_of(kind, a, b, c, d)
-        reach = thickness + travel
-        close = square <= reach * reach
-        if any_lane(close):
-            reach = kept_distance(near, kind, q, thickness) + travel
-            close = both(close, square <= reach * reach)
-            if kind == EDGES:    # others only where they may pass through each other
-                close = both(close, either(is_inside(kind, weight), square <= travel * travel))
-            hit = bits(close) & ((1 << min(PACK, near.kind_end[kind] - q)) - 1)
-            while hit:
-                k = q + lowest_bit(hit)
-                hit &= hit - 1
-                if count < room:
-                    for p in range(4):
-                        found[count, p] = near.corners[p, k]
-                    keep[count] = near.keep[k]
-                count += 1
+    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+        hit = near.hits[pack // PACK]
+        while hit:
+            k = pack + lowest_bit(hit)
+            hit &= hit - 1
+            if count < room:
+                for p in range(4):
+                    found[count, p] = near.corners[p, k]
+                keep[count] = near.keep[k]
+            count += 1
     return count
 
 

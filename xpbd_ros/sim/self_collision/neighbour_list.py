@@ -17,6 +17,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, wait_uneven
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -33,6 +34,11 @@ UNKNOWN = -1.0
 """distance to be kept that is not computed yet"""
 CANDIDATES = 1024
 """pairs whose distance the search computes at once, a multiple of PACK"""
+FULL, TOLD = 3, 4
+"""
+places in ``NeighbourList.plan`` behind those of the kinds, the ends of their pairs that stay:
+whether a thread has no room for what it finds; a number that ``told`` passes on
+"""
 
 
 class Surface(NamedTuple):
@@ -107,6 +113,17 @@ class NeighbourList(NamedTuple):
     """distance to be kept [m], or UNKNOWN; shape (capacity + CANDIDATES,)"""
     renewed: np.ndarray
     """True for particles whose pairs the last search has sought, shape (particles + 1,)"""
+    hits: np.ndarray
+    """bits of the near pairs of each PACK pairs of the list, shape (capacity / PACK,)"""
+    plan: np.ndarray
+    """scratch: what a thread tells the others, see FULL; shape (5,)"""
+    pieces: np.ndarray
+    """scratch: begin and number of the pairs found for each pack of a tree, shape (2, packs)"""
+    buffers: np.ndarray | None
+    """
+    scratch: pairs that each thread finds, as ``corners``, shape (threads, 4, room + CANDIDATES);
+    None with one thread
+    """
     points: BoxTree
     """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
@@ -116,7 +133,7 @@ class NeighbourList(NamedTuple):
 
 
 def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
-                       kin: np.ndarray | None = None) -> NeighbourList:
+                       kin: np.ndarray | None = None, threads: int = 1) -> NeighbourList:
     """
     Return an empty list.
 
@@ -127,6 +144,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     surface : True for pairs of triangles and edges, False for pairs of particles
     unit : mean mass of a particle [kg]
     kin : weld groups, shape (particles,), or None
+    threads : that seek pairs at once
 
     """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
@@ -135,12 +153,14 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     edges = [cloth.mesh.edges + cloth.first for cloth in cloths]
 
     def tree(items: np.ndarray) -> BoxTree:
-        return new_box_tree(items, rest, cloth_of)
+        return new_box_tree(items, rest, cloth_of, threads)
+    most = len(rest)
     if surface:
         triangles = np.concatenate([cloth.mesh.triangles + cloth.first for cloth in cloths])
         sides = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1)
         points = np.unique(triangles)
         trees = Surface(tree(triangles), tree(np.unique(sides, axis=0).reshape(-1, 2)))
+        most = max(most, *(each.corners.shape[1] for each in trees))
     lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
                for pairs in edges if len(pairs)]
     room = (room + 3 * PACK - 1) // PACK * PACK
@@ -154,7 +174,10 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(5, np.int64),
         np.zeros(1, np.bool_), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
         np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
-        np.zeros(count + 1, np.bool_), tree(points[:, None]), trees, kin)
+        np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32), np.zeros(5, np.int64),
+        np.zeros((2, -(-most // PACK)), np.int64),
+        np.zeros((threads, 4, room // threads + CANDIDATES), np.int32) if threads > 1 else None,
+        tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
@@ -189,6 +212,16 @@ def has_marked(marks, corners, k):
 def length(v):
     """Return |v|."""
     return sqrt(dot(v, v))
+
+
+@jit(inline=True)
+def told(team, near, value):
+    """Return the main thread's value on all threads; all wait for one another."""
+    wait_uneven(team)
+    if alone(team):
+        near.plan[TOLD] = value
+    wait_uneven(team)
+    return near.plan[TOLD]
 
 
 @jit

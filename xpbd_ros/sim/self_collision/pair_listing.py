@@ -1,0 +1,272 @@
+"""
+List the pairs of two trees' items that are close, one pack of items of the first tree at a time.
+
+The threads take packs in turn. Each writes the pairs that it finds to its own buffer, and what
+they found is then put in the order of the packs, so that the list is that of one thread. Should a
+buffer have no room, one thread lists all pairs.
+"""
+
+from numba import types
+
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker, workers
+from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps
+from xpbd_ros.sim.geometry.closest_points_simd import dot
+from xpbd_ros.sim.self_collision.near_pairs import closest, travel_of
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    are_welded,
+    CANDIDATES,
+    EDGES,
+    FULL,
+    TOLD,
+    TRIANGLES,
+    UNKNOWN,
+)
+from xpbd_ros.sim.self_collision.pair_contacts import load_corners
+
+ALL, RENEWED, SWAPPED = range(3)
+"""
+which pairs: all; those of the renewed items of the first tree; those of renewed items, in a pair
+the second side, with others that are not
+"""
+
+
+def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
+    """
+    List the pairs of items of two trees closer than ``size`` + margins, from ``end`` on.
+
+    Each pair of a tree with itself is listed once. Unless ``to_the_end``, the search ends soon
+    after the first pair beyond the capacity.
+
+    Parameters
+    ----------
+    team : threads that take part
+    near, kind : neighbour list, and kind of its pairs
+    tree, others : trees of the two sides
+    size : distance [m]
+    end : end of the pairs so far
+    which : ALL, RENEWED or SWAPPED
+    to_the_end : False if it is enough to know that there is no room for all
+
+    Returns
+    -------
+    end of the pairs; it may be beyond the capacity
+
+    """
+
+
+@inline(list_pairs_of)
+def _list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
+    if isinstance(team, types.NoneType):
+        return lambda team, near, kind, tree, others, size, end, which, to_the_end: (
+            list_alone(near, kind, tree, others, size, end, which, to_the_end))
+    return lambda team, near, kind, tree, others, size, end, which, to_the_end: (
+        list_together(team, near, kind, tree, others, size, end, which, to_the_end))
+
+
+@jit
+def list_alone(near, kind, tree, others, size, end, which, to_the_end):
+    """Do so on one thread."""
+    first, room = end, near.kind_room[kind]
+    for pack in range(0, tree.corners.shape[1], PACK):
+        if end > room and not to_the_end:
+            break
+        end = list_pack(near, near.corners, 0, kind, tree, others, size, pack, end, room, which)
+    near.keep[first:min(end, room)] = UNKNOWN
+    return end
+
+
+@jit
+def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
+    """Do so on all threads of a team."""
+    if workers(team) > 1:
+        me, found, pieces = worker(team), 0, near.pieces
+        buffer = near.buffers[me]
+        room = room_in(buffer)
+        for p in range(me, packs_of(tree), workers(team)):
+            pieces[0, p] = found
+            if found <= room:
+                found = list_pack(near, buffer, me, kind, tree, others, size, PACK * p, found, room,
+                                  which)
+            pieces[1, p] = found - pieces[0, p]
+        if found > room:
+            near.plan[FULL] = True
+        wait_uneven(team)
+        if not near.plan[FULL]:
+            return gather(team, near, kind, packs_of(tree), end)
+    wait_uneven(team)
+    if alone(team):
+        near.plan[FULL] = False
+        near.plan[TOLD] = list_alone(near, kind, tree, others, size, end, which, to_the_end)
+    wait_uneven(team)
+    return near.plan[TOLD]
+
+
+@jit
+def gather(team, near, kind, packs, end):
+    """Copy what the threads found to the list, in the order of the packs; return the end."""
+    me, pieces, corners, room = worker(team), near.pieces, near.corners, near.kind_room[kind]
+    buffer = near.buffers[me]
+    for p in range(packs):
+        if p % workers(team) == me:
+            first = pieces[0, p]
+            for k in range(min(pieces[1, p], room - end)):
+                near.keep[end + k] = UNKNOWN
+                for c in range(4):
+                    corners[c, end + k] = buffer[c, first + k]
+        end += pieces[1, p]
+    wait_uneven(team)
+    return end
+
+
+@jit(inline=True)
+def packs_of(tree):
+    """Return the number of packs of a tree's items."""
+    return (tree.corners.shape[1] + PACK - 1) // PACK
+
+
+@jit(inline=True)
+def room_in(corners):
+    """Return the capacity of a list in pairs."""
+    return corners.shape[1] - CANDIDATES
+
+
+@jit(inline=True)
+def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, which):
+    """
+    Append the pairs of the items of a pack to a list of a thread.
+
+    Parameters
+    ----------
+    corners, end, room : the list, its end, and its end at most
+    me : number of the thread
+    pack : first item
+    near, kind, tree, others, size, which : as for ``list_pairs_of``
+
+    Returns
+    -------
+    end of the pairs; it may be beyond the room
+
+    """
+    if which == ALL:
+        return list_whole_pack(near, corners, me, kind, tree, others, size, pack, end, room)
+    return list_renewed(near, corners, me, kind, tree, others, size, pack, end, room,
+                        which == SWAPPED)
+
+
+@jit
+def list_whole_pack(near, corners, me, kind, tree, others, size, pack, end, room):
+    """Do so for all items of the pack."""
+    packs, reached = find_packs(others, bounds_of(tree, pack, size), me)
+    count = 0
+    for n in range(reached):
+        other = packs[n]
+        if kind != TRIANGLES and other < pack:    # only pairs with a later item
+            continue
+        mine = overlaps(tree, pack, bounds_of(others, other, size))
+        while mine:
+            c = pack + lowest_bit(mine)
+            mine &= mine - 1
+            hit = overlaps(others, other, box_of(tree, c, size))
+            if kind != TRIANGLES and other == pack:
+                hit &= -(2 << (c - pack))
+            if count + PACK > CANDIDATES:
+                end, count = keep_close(near, corners, kind, size, end, room, count), 0
+            while hit:
+                d = other + lowest_bit(hit)
+                hit &= hit - 1
+                count += add_candidate(near, corners, kind, tree, others, c, d, count)
+    return keep_close(near, corners, kind, size, end, room, count)
+
+
+@jit
+def list_renewed(near, corners, me, kind, tree, others, size, pack, end, room, swapped):
+    """Do so for the renewed items of the pack."""
+    count = 0
+    for c in range(pack, min(pack + PACK, tree.corners.shape[1])):
+        if not is_renewed(near, tree, c):
+            continue
+        box = box_of(tree, c, size)
+        packs, reached = find_packs(others, box, me)
+        for n in range(reached):
+            other = packs[n]
+            hit = overlaps(others, other, box)
+            if count + PACK > CANDIDATES:
+                end, count = keep_close(near, corners, kind, size, end, room, count), 0
+            while hit:
+                d = other + lowest_bit(hit)
+                hit &= hit - 1
+                if (swapped or (kind != TRIANGLES and d <= c)) and is_renewed(near, others, d):
+                    continue
+                if swapped or (kind != TRIANGLES and d < c):
+                    count += add_candidate(near, corners, kind, others, tree, d, c, count)
+                else:
+                    count += add_candidate(near, corners, kind, tree, others, c, d, count)
+    return keep_close(near, corners, kind, size, end, room, count)
+
+
+@jit(inline=True)
+def is_renewed(near, tree, c):
+    """Return True if an item of a tree has a renewed particle."""
+    found = False
+    for p in range(len(tree.corners)):
+        found |= near.renewed[tree.corners[p, c]]
+    return found
+
+
+@jit(inline=True)
+def bounds_of(tree, pack, size):
+    """Return the box around the items of a pack, ``size`` larger on each side [m]."""
+    if len(tree.begin) == 2:    # the only pack
+        low, high = box_of(tree, pack, size)
+        for k in range(pack + 1, pack + PACK):
+            l, h = box_of(tree, k, size)
+            low = min(low[0], l[0]), min(low[1], l[1]), min(low[2], l[2])
+            high = max(high[0], h[0]), max(high[1], h[1]), max(high[2], h[2])
+        return low, high
+    return box_of(tree, tree.begin[1] + pack // PACK, size)
+
+
+@jit(inline=True)
+def add_candidate(near, corners, kind, tree, others, c, d, count):
+    """Write a pair of items behind a list unless they are joined; return True if written."""
+    kin, dummy = near.kin, len(near.slot)
+    k = room_in(corners) + count
+    if kind == TRIANGLES:
+        i = others.corners[0, d]
+        j, l, m = tree.corners[0, c], tree.corners[1, c], tree.corners[2, c]
+        if are_welded(kin, i, j) or are_welded(kin, i, l) or are_welded(kin, i, m):
+            return False
+    elif kind == EDGES:
+        i, j = tree.corners[0, c], tree.corners[1, c]
+        l, m = others.corners[0, d], others.corners[1, d]
+        if (are_welded(kin, i, l) or are_welded(kin, i, m) or are_welded(kin, j, l)
+                or are_welded(kin, j, m)):
+            return False
+    else:
+        i, j = tree.corners[0, c], others.corners[0, d]
+        i, j, l, m = min(i, j), max(i, j), dummy, dummy
+        if are_welded(kin, i, j):
+            return False
+    corners[0, k], corners[1, k], corners[2, k], corners[3, k] = i, j, l, m
+    return True
+
+
+@jit
+def keep_close(near, corners, kind, size, end, room, count):
+    """Append those of the candidates behind a list that are closer than ``size`` + margins."""
+    first = room_in(corners)
+    for q in range(first, first + count, lanes(near.start)):
+        a, b, c, d = load_corners(near.start, corners, q)
+        v, reach = closest(kind, a, b, c, d)[0], size + travel_of(kind, a, b, c, d)
+        found = bits(dot(v, v) < reach * reach) & ((1 << min(PACK, first + count - q)) - 1)
+        while found:
+            k = q + lowest_bit(found)
+            found &= found - 1
+            if end < room:
+                for p in range(4):
+                    corners[p, end] = corners[p, k]
+            end += 1
+    return end
