@@ -192,9 +192,9 @@ def find_pairs(team, effect, state, substep):
     if alone(team):
         stir_contacts(effect.contacts, most)
         find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
-        if lost:
-            list_planes(near, effect.planes, thickness)
         pairs.count[0] = SOUGHT
+    if lost:
+        list_planes(team, near, effect.planes, thickness)
 
 
 @jit
@@ -220,28 +220,31 @@ def load_pairs(team, near, state, thickness):
 
 
 @jit
-def find_planes(effect, state):
+def find_planes(team, effect, state):
     """Find the pairs that may pass through each other in this substep."""
-    load_pairs(None, effect.near, state, effect.thickness[0])
-    list_planes(effect.near, effect.planes, effect.thickness[0])
+    load_pairs(team, effect.near, state, effect.thickness[0])
+    list_planes(team, effect.near, effect.planes, effect.thickness[0])
 
 
-@stage(limit_motion, SelfCollision)
+@stage(limit_motion, SelfCollision, shared=True)
 @jit
 def stop(effect, state, substep):
     """Separate pairs that would pass through one another, in turn with colliders."""
-    near, planes = effect.near, effect.planes
-    leave(effect.contacts, state)
+    near, planes, team = effect.near, effect.planes, state.team
+    if alone(team):
+        leave(effect.contacts, state)
     for turn in range(ROUNDS):
-        if strays(near, state):
-            common_step(near, state)
-            find_planes(effect, state)
-            if strays(near, state):    # no room for all pairs
+        if told(team, near, alone(team) and strays(near, state)):
+            if alone(team):
+                common_step(near, state)
+            find_planes(team, effect, state)
+            if told(team, near, alone(team) and strays(near, state)):    # no room for all pairs
                 break
-        if part_sides(planes, near, state) == 0:
+        if told(team, near, part_sides(planes, near, state) if alone(team) else 0) == 0:
             return
-        push_again(effect.contacts, state, turn >= ROUNDS // 2)
-    give_way(effect, near, planes, effect.contacts, state, substep)
+        if alone(team):
+            push_again(effect.contacts, state, turn >= ROUNDS // 2)
+    give_way(team, effect, near, planes, effect.contacts, state, substep)
 
 
 @jit
@@ -259,27 +262,33 @@ def push_again(contacts, state, eased):
 
 
 @jit
-def give_way(effect, near, planes, contacts, state, substep):
+def give_way(team, effect, near, planes, contacts, state, substep):
     """Hold back the particles of pairs that pushes cannot separate (``motion_limit``)."""
     if planes is None:
-        for i in range(len(near.slot)):
-            go_share(near, state, i, 1.0)
+        if alone(team):
+            for i in range(len(near.slot)):
+                go_share(near, state, i, 1.0)
     else:    # Numba prunes the branch that is not taken
         left = 0
         for turn in range(TURNS):
-            mark_all(planes, near, contacts, state, turn > 0)
-            rest_step(near, planes.held, contacts, state, substep)
-            find_planes(effect, state)
-            mark_all(planes, near, contacts, state, turn > 0)
-            for i in range(len(near.slot)):
-                j = near.slot[i]
-                if gone(state.x, near.x, near.step, j, i) > near.x[i, TRAVEL]:
-                    planes.held[j] = True
-            hold_back(planes, near, state)
-            left = left_over(planes, near, contacts, state)
+            if alone(team):
+                mark_all(planes, near, contacts, state, turn > 0)
+                rest_step(near, planes.held, contacts, state, substep)
+            find_planes(team, effect, state)
+            if alone(team):
+                mark_all(planes, near, contacts, state, turn > 0)
+                for i in range(len(near.slot)):
+                    j = near.slot[i]
+                    if gone(state.x, near.x, near.step, j, i) > near.x[i, TRAVEL]:
+                        planes.held[j] = True
+                hold_back(planes, near, state)
+                left = left_over(planes, near, contacts, state)
+            left = told(team, near, left)
             if left == 0:
                 break
-        near.count[3] += left
+        if alone(team):
+            near.count[3] += left
+    wait_uneven(team)
 
 
 @jit

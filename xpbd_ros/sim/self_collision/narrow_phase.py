@@ -24,6 +24,7 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.near_pairs import closest, is_inside, kept_distance, travel_of
 from xpbd_ros.sim.self_collision.neighbour_list import (
@@ -194,21 +195,48 @@ def separate(near, pairs, kind, k):
 
 
 @jit
-def list_planes(near, planes, thickness):
+def list_planes(team, near, planes, thickness):
     """List the pairs of the whole neighbour list that may pass through each other."""
     if planes is not None:
-        planes.count[0] = 0
         for kind in range(3):
-            for q in range(near.kind_begin[kind], near.kind_end[kind], lanes(near.start)):
-                a, b, c, d = load_corners(near.start, near.corners, q)
-                v, weight = closest(kind, a, b, c, d)
-                distance = root(dot(v, v))
-                close = both(distance > 0.0, distance <= travel_of(kind, a, b, c, d))
-                if any_lane(close):
-                    a, b, c, d = load_corners(near.move, near.corners, q)
-                    found = bits(both(close, mobility_of(weight, a, b, c, d) > 0.0))
-                    kept_distance(near, kind, q, thickness)
-                    list_planes_at(near, planes, kind, q, found, v)
+            find_crossing(team, near, kind)
+        wait_uneven(team)
+        if alone(team):
+            planes.count[0] = 0
+            for kind in range(3):
+                for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+                    if near.hits[pack // PACK]:
+                        for q in range(pack, pack + PACK, lanes(near.start)):
+                            list_movable(near, planes, kind, q, thickness)
+        wait_uneven(team)
+
+
+@jit(inline=True)
+def find_crossing(team, near, kind):
+    """Set ``hits`` to where this thread's part of a kind has pairs within their travels."""
+    begin, end = near.kind_begin[kind], near.kind_end[kind]
+    first, last = share(team, (end - begin + PACK - 1) // PACK)
+    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+        found = 0
+        for q in range(pack, pack + PACK, lanes(near.start)):
+            a, b, c, d = load_corners(near.start, near.corners, q)
+            v, travel = closest(kind, a, b, c, d)[0], travel_of(kind, a, b, c, d)
+            found |= bits(dot(v, v) <= travel * travel)
+        near.hits[pack // PACK] = found
+
+
+@jit(inline=True)
+def list_movable(near, planes, kind, q, thickness):
+    """List those pairs of a vector of listed pairs of which a particle can move."""
+    a, b, c, d = load_corners(near.start, near.corners, q)
+    v, weight = closest(kind, a, b, c, d)
+    square, travel = dot(v, v), travel_of(kind, a, b, c, d)
+    a, b, c, d = load_corners(near.move, near.corners, q)
+    found = bits(both(both(square > 0.0, square <= travel * travel),
+                      mobility_of(weight, a, b, c, d) > 0.0))
+    if found:
+        kept_distance(near, kind, q, thickness)
+        list_planes_at(near, planes, kind, q, found, v)
 
 
 @jit(inline=True)
