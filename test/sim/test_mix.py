@@ -82,6 +82,16 @@ def test_a_rough_stretch_is_of_line_and_ends_after_calm_frames(monkeypatch):
     assert mixed.stats()['line_frames'] == 5 + CALM_FRAMES
 
 
+@pytest.mark.parametrize('far', [0.0, 100.0])
+def test_rounding_is_not_taken_for_instability(far):
+    """A cloth at rest without gravity moves by rounding only."""
+    mixed = sheet(pins={}, gravity=(0.0, 0.0, 0.0), effects=STIFF,
+                  pose={'position': [far, 0.0, 0.0], 'orientation': [0.1, 0.2, 0.3, 0.9]})
+    run(mixed, 60)
+    assert 0.0 < np.abs(mixed.state.v).max() < 1e-9
+    assert mixed.stats()['line_frames'] == 0
+
+
 def test_a_switch_loses_no_momentum(monkeypatch):
     rough_in(monkeypatch, {3, 40})
     mixed = sheet(pins={}, gravity=(0.0, 0.0, 0.0))

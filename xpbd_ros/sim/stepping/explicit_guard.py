@@ -27,6 +27,8 @@ LARGEST = 0.5
 than along, which the number of substeps does not reckon with"""
 GROWTH = 2.0
 """largest ratio of the energy after a frame to the energy accounted for"""
+ROUNDINGS = 8.0
+"""units in the last place of a coordinate by which rounding may move a particle in a substep"""
 
 
 class EdgeProbe(NamedTuple):
@@ -101,15 +103,15 @@ def look(calm, x, v, mass, inv_mass):
 
 
 def is_stable(before, after, *, mass: float, load: float, acceleration: float, dt: float,
-              work: float = 0.0) -> bool:
+              work: float = 0.0, noise: float = 0.0) -> bool:
     """
     Tell whether a frame is stable, by ``look`` before and after it.
 
     ``load`` is the sum of all external forces [N], ``acceleration`` the largest of a particle by
-    them [m/s²], ``work`` that of the pins [J].
+    them [m/s²], ``work`` that of the pins [J], ``noise`` the speed that is mere rounding [m/s].
     """
     speed = np.sqrt(2.0 * before[1] / mass) + acceleration * dt
-    given = load * dt * speed + max(before[2], after[2]) + work
+    given = load * dt * speed + max(before[2], after[2]) + work + 0.5 * mass * noise**2
     return bool(after[0] <= min(before[0] + STRAIN, LARGEST)
                 and after[1] <= GROWTH * (before[1] + given))
 
@@ -238,4 +240,10 @@ class ExplicitGuard:
         with np.errstate(all='ignore'):    # not a number is not stable
             work = sum(built.work(simulation.state, dt) for built in simulation.effects.values())
             return is_stable(before, self._look(), mass=self._mass, dt=dt, load=loads[0],
-                             acceleration=loads[1], work=work)
+                             acceleration=loads[1], work=work, noise=self._noise())
+
+    def _noise(self) -> float:
+        """Return the speed that rounding of the coordinates in a substep gives [m/s]."""
+        x, solver = self._simulation.state.x, self._simulation.solver
+        return float(ROUNDINGS * np.finfo(x.dtype).eps * np.abs(x).max() * solver.substeps
+                     / self._simulation.frame_dt)
