@@ -27,8 +27,11 @@ APART = 8
 """from one thread's number in a gate to the next: a cache line, so that only it writes there"""
 SPINS_BEFORE_PAUSE, PATIENCE = 100, 4096
 """looks at the gate before the core pauses after each, and before it is offered to others"""
-LATE = 3
-"""barriers of a step at which the main thread waits beyond PATIENCE: others have no core"""
+LATE, LATE_SHARE = 3, 100
+"""
+others have no core if the main thread waits beyond PATIENCE at so many barriers of a step (at the
+first one others wake up), and at one of so many
+"""
 REST = 60, 3600
 """steps that the main thread then does alone before all try again: at first, at most"""
 X86 = binding.get_process_triple().startswith('x86_64')
@@ -305,7 +308,7 @@ class ThreadPool:
         self._join(0, step, effects, state, *arguments)
         for other in self._others:
             other.result()
-        if self._gate[1] >= LATE:
+        if self._gate[1] >= max(LATE, self._gate[0] // LATE_SHARE):
             self._rest, self._next_rest = self._next_rest, min(2 * self._next_rest, REST[1])
         else:
             self._next_rest = REST[0]

@@ -60,12 +60,12 @@ def find_near(team, near, kind, thickness):
     for pack in range(begin + PACK * first, begin + PACK * last, PACK):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
-            found |= find_some(near, kind, q, thickness) << (q - pack)
+            found |= hits_of(near, kind, q, thickness) << (q - pack)
         near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
 
 
 @jit(inline=True)
-def find_some(near, kind, q, thickness):
+def hits_of(near, kind, q, thickness):
     """Return bits of the near pairs of a vector of listed pairs."""
     a, b, c, d = load_corners(near.start, near.corners, q)
     v, weight = closest(kind, a, b, c, d)

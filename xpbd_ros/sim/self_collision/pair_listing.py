@@ -88,8 +88,8 @@ def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
         for p in range(me, packs_of(tree), workers(team)):
             pieces[0, p] = found
             if found <= room:
-                found = list_pack(near, buffer, me, kind, tree, others, size, PACK * p, found, room,
-                                  which)
+                found = list_pack(near, buffer, me, kind, tree, others, size, PACK * p, found,
+                                  room, which)
             pieces[1, p] = found - pieces[0, p]
         if found > room:
             near.plan[FULL] = True
