@@ -35,6 +35,9 @@ from xpbd_ros.study.stress.trajectory import Trajectory
 Paths = Callable[[float], dict]
 """time [s] -> {name: displacement from the start [m], or None for a released pin}"""
 
+ROUNDING_ENERGY = 1e-20
+"""energy that is mere rounding of coordinates [J]"""
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -314,12 +317,13 @@ def _tetrahedra(simulation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _energy_scale(simulation, elastic: float) -> float:
-    """Return m g times the size of the cloths plus the energy at the start [J]."""
+    """Return m g times the size of the cloths plus the energy at the start; 1 J if they are 0."""
     state = simulation.state
     size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0)))
                for cloth in simulation.cloths)
     fall = float(state.mass.sum() * np.linalg.norm(state.gravity)) * size
-    return fall + elastic + measure.kinetic_energy(state) or 1.0
+    found = fall + elastic + measure.kinetic_energy(state)
+    return found if found > ROUNDING_ENERGY else 1.0
 
 
 def _model(trial: Trial, simulation) -> Model:
