@@ -62,8 +62,8 @@ setup(
         # a rigid body and a cloth that move one another: doc/coupling.md
         'mujoco': ['mujoco>=3'],
         'test': [*VIEW, 'dask>=2024.1', 'distributed>=2024.1', 'hypothesis', 'mcap-ros2-support',
-                 'meshio>=5.3', 'mypy>=2', 'pyarrow>=14', 'pytest', 'pytest-xdist', 'rosbags',
-                 'ruff', 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
+                 'meshio>=5.3', 'mujoco>=3', 'mypy>=2', 'pyarrow>=14', 'pytest', 'pytest-xdist',
+                 'rosbags', 'ruff', 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
     },
     entry_points={
         'console_scripts': [

@@ -391,31 +391,38 @@ def test_a_surface_needs_triangles():
         simulate((5, 1), scene_effects={'self_collision': EXAMPLES['self_collision']})
 
 
-def fallen(threads, buffer=None):
-    """Return the hashes of two sheets that fall on one another, and the neighbour list."""
-    simulation = scene({'a': square(0.0, 9), 'b': square(0.03, 9, x=0.02, y=0.01)},
+def thrown(threads, mode, speed, buffer=None):
+    """Return the hashes of frames of a sheet thrown onto another, and the effect's data."""
+    simulation = scene({'a': square(0.0, 9), 'b': square(0.06, 9, x=0.02, y=0.01)}, mode=mode,
                        pins={'c': {'cloth': 'a', 'at': 'corner_00'},
                              'd': {'cloth': 'a', 'at': 'corner_11'}},
                        solver={'method': 'gauss_seidel', 'integrator': 'backward_euler',
                                'substeps': 4, 'threads': threads})
-    effect, found = simulation.effects['self_collision'], []
+    effect, found, stopped = simulation.effects['self_collision'], [], 0
     if buffer is not None:    # room for the pairs that a thread finds
         effect.data = effect.data._replace(near=effect.data.near._replace(
             buffers=np.zeros((threads, 4, buffer + CANDIDATES), np.int32)))
         simulation._collect()
+    slots = simulation.cloths[1].slots
+    simulation.state.v[2, slots] = -speed * np.linspace(1.0, 0.2, len(slots))
     for _ in range(24):
         simulation.step()
         simulation._crew._rest = 0    # else only the first frames with fewer cores than threads
+        stopped += simulation.stats()['self_stopped']
         found.append(simulation.hash())
-    return found, effect.data.near
+    return found, stopped, effect.data.near
 
 
-@pytest.mark.parametrize('buffer', [None, 100])
-def test_the_bits_are_the_same_with_any_number_of_threads(buffer):
-    one, near = fallen(1)
+@pytest.mark.parametrize('mode, speed, buffer', [
+    ('surface', 0.5, None), ('surface', 0.5, 100), ('surface', 40.0, None),
+    slow('particles', 0.5, None)])
+def test_the_bits_are_the_same_with_any_number_of_threads(mode, speed, buffer):
+    """Also where a thread has no room for what it finds, and where particles are held back."""
+    one, stopped, near = thrown(1, mode, speed)
     assert near.count[0] > 0 and len(set(one)) == len(one)
+    assert (stopped > 0) == (speed > 1.0)
     for threads in (2, 3):
-        found, shared = fallen(threads, buffer)
+        found, _, shared = thrown(threads, mode, speed, buffer)
         assert found == one
         assert all_listed(shared) == all_listed(near)
         most = max(shared.pieces[1, k::threads].sum() for k in range(threads))

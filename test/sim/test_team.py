@@ -11,11 +11,13 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.threads import (
     alone,
     LATE,
+    LATE_SHARE,
     REST,
     share,
     ThreadPool,
     ThreadTeam,
     wait,
+    wait_uneven,
 )
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
@@ -129,6 +131,11 @@ def _meet_once(team):
     wait(team)
 
 
+@njit(nogil=True)
+def _meet_uneven(team):
+    wait_uneven(team)
+
+
 def meets(sleeper: int, seen: list[int]):
     """Return a step of LATE barriers before each of which one thread sleeps."""
     def step(effects, state):
@@ -153,6 +160,35 @@ def test_where_another_thread_is_late_the_main_one_goes_on_alone_for_a_while():
         assert (seen, crew.alone - before) == ([1] * steps, steps)
     crew.run(meets(0, seen), (), _Stub())
     assert seen[-2:] == [2, 2]
+
+
+@pytest.mark.parametrize('late, barriers, goes_alone', [
+    (LATE - 1, 10, False), (LATE, 10, True),
+    (LATE, (LATE + 1) * LATE_SHARE, False), (LATE + 1, (LATE + 1) * LATE_SHARE, True)])
+def test_few_late_barriers_of_many_are_none(late, barriers, goes_alone):
+    crew = ThreadPool(2)
+
+    def step(effects, state):
+        if state.team.worker == 0:
+            state.team.gate[:2] = barriers, late
+
+    crew.run(step, (), _Stub())
+    crew.run(lambda effects, state: None, (), _Stub())
+    assert crew.alone == goes_alone
+
+
+def test_shares_that_are_not_equally_long_are_not_late():
+    crew = ThreadPool(2)
+
+    def step(effects, state):
+        for _ in range(2 * LATE):
+            if state.team.worker == 1:
+                time.sleep(0.01)
+            _meet_uneven(state.team)
+
+    for _ in range(2):
+        crew.run(step, (), _Stub())
+    assert crew.alone == 0
 
 
 def test_others_wait_for_the_main_thread_without_an_end():

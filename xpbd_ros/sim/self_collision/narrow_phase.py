@@ -24,9 +24,15 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, wait_uneven
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
-from xpbd_ros.sim.self_collision.near_pairs import closest, is_inside, kept_distance, travel_of
+from xpbd_ros.sim.self_collision.near_pairs import (
+    closest,
+    is_inside,
+    kept_distance,
+    part_of,
+    travel_of,
+)
 from xpbd_ros.sim.self_collision.neighbour_list import (
     at,
     EDGES,
@@ -204,25 +210,30 @@ def list_planes(team, near, planes, thickness):
         if alone(team):
             planes.count[0] = 0
             for kind in range(3):
-                for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
-                    if near.hits[pack // PACK]:
-                        for q in range(pack, pack + PACK, lanes(near.start)):
-                            list_movable(near, planes, kind, q, thickness)
+                collect_planes(near, planes, kind, thickness)
         wait_uneven(team)
 
 
 @jit(inline=True)
 def find_crossing(team, near, kind):
     """Set ``hits`` to where this thread's part of a kind has pairs within their travels."""
-    begin, end = near.kind_begin[kind], near.kind_end[kind]
-    first, last = share(team, (end - begin + PACK - 1) // PACK)
-    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+    first, last = part_of(team, near, kind)
+    for pack in range(first, last, PACK):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             a, b, c, d = load_corners(near.start, near.corners, q)
             v, travel = closest(kind, a, b, c, d)[0], travel_of(kind, a, b, c, d)
             found |= bits(dot(v, v) <= travel * travel)
         near.hits[pack // PACK] = found
+
+
+@jit
+def collect_planes(near, planes, kind, thickness):
+    """List the pairs of a kind that ``hits`` tells of."""
+    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+        if near.hits[pack // PACK]:
+            for q in range(pack, pack + PACK, lanes(near.start)):
+                list_movable(near, planes, kind, q, thickness)
 
 
 @jit(inline=True)

@@ -55,13 +55,21 @@ def choose_near(team, near, pairs, thickness):
 @jit(inline=True)
 def find_near(team, near, kind, thickness):
     """Set ``hits`` for this thread's part of a kind's pairs."""
-    begin, end = near.kind_begin[kind], near.kind_end[kind]
-    first, last = share(team, (end - begin + PACK - 1) // PACK)
-    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+    end = near.kind_end[kind]
+    first, last = part_of(team, near, kind)
+    for pack in range(first, last, PACK):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             found |= hits_of(near, kind, q, thickness) << (q - pack)
         near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
+
+
+@jit(inline=True)
+def part_of(team, near, kind):
+    """Return the begin and the end of this thread's part of a kind's pairs, whole packs."""
+    begin = near.kind_begin[kind]
+    first, last = share(team, (near.kind_end[kind] - begin + PACK - 1) // PACK)
+    return begin + PACK * first, begin + PACK * last
 
 
 @jit(inline=True)

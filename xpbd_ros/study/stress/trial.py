@@ -36,7 +36,7 @@ Paths = Callable[[float], dict]
 """time [s] -> {name: displacement from the start [m], or None for a released pin}"""
 
 ROUNDING_ENERGY = 1e-20
-"""energy that is mere rounding of coordinates [J]"""
+"""the smallest energy scale [J], above that of rounded coordinates"""
 
 
 @dataclass(frozen=True)
@@ -317,13 +317,12 @@ def _tetrahedra(simulation) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _energy_scale(simulation, elastic: float) -> float:
-    """Return m g times the size of the cloths plus the energy at the start; 1 J if they are 0."""
+    """Return m g times the size of the cloths plus the energy at the start [J]."""
     state = simulation.state
     size = sum(float(np.linalg.norm(np.ptp(cloth.mesh.positions, axis=0)))
                for cloth in simulation.cloths)
     fall = float(state.mass.sum() * np.linalg.norm(state.gravity)) * size
-    found = fall + elastic + measure.kinetic_energy(state)
-    return found if found > ROUNDING_ENERGY else 1.0
+    return max(fall + elastic + measure.kinetic_energy(state), ROUNDING_ENERGY)
 
 
 def _model(trial: Trial, simulation) -> Model:
