@@ -97,7 +97,7 @@ def numbers_of(outcome) -> dict:
 
 def lines(results) -> list[str]:
     """Return the printed table."""
-    text = [f'{"":<6}{"setting":<54}{"strain":>9} {"recovery":>9}  textbook  reported']
+    text = [f'{"":<8}{"setting":<56}{"strain":>9} {"recovery":>9}  textbook  reported']
     for result in results:
         text.append(f'{result.id} {result.title} ({result.seconds:.1f} s)')
         for each in result.outcomes:
@@ -107,5 +107,5 @@ def lines(results) -> list[str]:
             book = {None: '-', True: 'pass', False: 'fails'}[each.textbook]
             mark = 'skip' if each.skipped else 'pass' if each.good else 'FAIL'
             said = each.reported[:72] + f'  [{each.why}]' * bool(each.why)
-            text.append(f'  {mark}  {each.setting:<54}{strain:>7} {back:>9}  {book:<8}  {said}')
+            text.append(f'  {mark}  {each.setting:<56}{strain:>9} {back:>9}  {book:<8}  {said}')
     return text
