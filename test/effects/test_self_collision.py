@@ -392,7 +392,7 @@ def test_a_surface_needs_triangles():
 
 
 def thrown(threads, mode, speed, buffer=None):
-    """Return the hashes of frames of a sheet thrown onto another, and the effect's data."""
+    """Throw a sheet onto another; return hashes of frames, particles held back, and the list."""
     simulation = scene({'a': square(0.0, 9), 'b': square(0.06, 9, x=0.02, y=0.01)}, mode=mode,
                        pins={'c': {'cloth': 'a', 'at': 'corner_00'},
                              'd': {'cloth': 'a', 'at': 'corner_11'}},

@@ -371,6 +371,20 @@ def test_what_is_no_log_is_said_in_one_line(tmp_path):
         assert str(caught.value) == f'{tmp_path / name}: {said}'
 
 
+def test_an_unknown_compression_is_named(tmp_path):
+    with (tmp_path / 'packed.mcap').open('wb') as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        topic = writer.register_channel('/chatter', 'json', 0)
+        writer.add_message(topic, 0, b'{}' * 100, 0)
+        writer.finish()
+    data, name = (tmp_path / 'packed.mcap').read_bytes(), b'\x04\x00\x00\x00'
+    assert name + b'zstd' in data
+    (tmp_path / 'packed.mcap').write_bytes(data.replace(name + b'zstd', name + b'brot'))
+    assert any("its compression 'brot' is unknown (known: lz4, zstd)" in place
+               for place in LogReader(tmp_path / 'packed.mcap').damage)
+
+
 def test_much_damage_is_not_listed_place_by_place(run, write_log, damaged):
     path = write_log('long', frames=300) / 'long_0.mcap'
     data, starts = bytearray(path.read_bytes()), chunks(path)

@@ -192,6 +192,16 @@ def test_sqlite_without_rosbags_names_the_extra(bags, tmp_path, monkeypatch, cap
     assert "needs rosbags: pip install 'xpbd_ros[bags]'" in capsys.readouterr().err
 
 
+def test_a_log_of_a_single_time_is_refused_in_one_line(tmp_path, capsys):
+    scene = tmp_path / 'scene.yaml'
+    scene.write_text(scene_text(SOURCES['pose']))
+    log = write_bag(tmp_path / 'bag', [pose_written(0.5, '/tool_pose', 'world', Pose())], 'mcap')
+    assert main(['run', str(scene), '--commands', str(log)]) == 2
+    assert capsys.readouterr().err == (
+        f'xpbd_ros run: {log}: all its messages have one time, so nothing moves; record for '
+        'longer\n')
+
+
 def test_a_file_that_is_no_bag_is_refused_in_one_line(tmp_path, capsys):
     scene, bag = tmp_path / 'scene.yaml', tmp_path / 'bag.db3'
     scene.write_text(scene_text(SOURCES['pose']))

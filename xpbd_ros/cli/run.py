@@ -169,6 +169,9 @@ def commands_in(arguments) -> tuple[Any, Any]:
     for text in log.damage:
         print(f'xpbd_ros run: damaged log: {text}; messages may be lost', file=sys.stderr)
     length = 1e-9 * (log.end_ns - log.start_ns)
+    if not length:
+        raise InputError(f'{log.path}: all its messages have one time, so nothing moves; record '
+                         f'for longer')
     if not 0.0 <= arguments.start_offset < length:
         raise InputError(f'--start-offset: must be within the log, from 0 to before {length:.3f} '
                          f's (got {arguments.start_offset:g} s)')

@@ -36,8 +36,11 @@ WINDOW = 2**20
 
 
 def decompressed(chunk: bytes) -> bytes:
-    """Return the records in a chunk, decompressed; raise if its checksum is wrong."""
-    stream, length = get_chunk_data_stream(parse(Chunk, chunk), validate_crc=True)
+    """Return the records in a chunk, decompressed; raise if it is damaged or unreadable."""
+    found = parse(Chunk, chunk)
+    if found.compression.encode() not in COMPRESSIONS:    # the library takes it as uncompressed
+        raise ValueError(f'its compression {found.compression!r} is unknown (known: lz4, zstd)')
+    stream, length = get_chunk_data_stream(found, validate_crc=True)
     return stream.read(length)
 
 
