@@ -15,9 +15,11 @@ from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
+from xpbd_ros.sim.self_collision.near_pairs import choose_near, SPARE
 from xpbd_ros.sim.self_collision.neighbour_list import (
     CANDIDATES,
     EDGES,
+    empty_groups,
     POINTS,
     TRAVEL,
     TRIANGLES,
@@ -81,23 +83,23 @@ def all_listed(near):
         [POINTS] if near.surface is None else [TRIANGLES, EDGES])}
 
 
-def brute_force(near, x, moves):
-    """Return the same of the pairs closer than THICKNESS + ``moves``, which may touch."""
+def brute_force(near, x, moves, thickness=THICKNESS):
+    """Return the same of the pairs closer than ``thickness`` + ``moves``, which may touch."""
     count = len(x)
     if near.surface is None:
         return {POINTS: [(i, j, count, count) for i, j in zip(*np.triu_indices(count, 1))
-                         if np.linalg.norm(x[i] - x[j]) < THICKNESS + moves[i] + moves[j]]}
+                         if np.linalg.norm(x[i] - x[j]) < thickness + moves[i] + moves[j]]}
     faces, edges = near.surface.triangles.corners.T, np.array(
         sorted(near.surface.edges.corners.T.tolist()))
-    most = THICKNESS + 2.0 * moves.max()
+    most = thickness + 2.0 * moves.max()
     return {
         TRIANGLES: sorted((v, *faces[f]) for v, f in zip(*boxes_within(
             x[:, None], x[faces], most)) if v not in faces[f] and to_triangle(
-                x[v], *x[faces[f]]) < THICKNESS + moves[v] + moves[faces[f]].max()),
+                x[v], *x[faces[f]]) < thickness + moves[v] + moves[faces[f]].max()),
         EDGES: [(*edges[e], *edges[f]) for e, f in zip(*boxes_within(x[edges], x[edges], most))
                 if e < f and not set(edges[e]) & set(edges[f])
                 and of_edges(*x[edges[e]], *x[edges[f]])
-                < THICKNESS + moves[edges[e]].max() + moves[edges[f]].max()]}
+                < thickness + moves[edges[e]].max() + moves[edges[f]].max()]}
 
 
 def boxes_within(one, other, reach):
@@ -132,6 +134,15 @@ def cross_or_pass(near, x, travel, pairs):
         return (share > 0.0).all() and (share < 1.0).all()
     return [pair for pair in pairs if inside(*x[list(pair)]) or of_edges(*x[list(pair)])
             < travel[list(pair[:2])].max() + travel[list(pair[2:])].max()]
+
+
+def near_by_brute_force(near, thickness=THICKNESS):
+    """Return the near pairs that the present positions and travels determine."""
+    x, travel = near.x[:-1, :3], near.x[:-1, TRAVEL]
+    found = brute_force(near, x, travel, thickness)
+    if EDGES in found:
+        found[EDGES] = cross_or_pass(near, x, travel, found[EDGES])
+    return found
 
 
 def crumpled(mode):
@@ -179,11 +190,14 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
     state.x[:, slot] += random.normal(0.0, 5e-4, (3, len(slot)))
     near, pairs = stay(simulation), simulation.effects['self_collision'].data.pairs
     before, searches, touching, shared = all_listed(near), np.zeros(2, int), 0, 0
+    stayed = 0
     speed = np.array([[15.0], [-10.0], [15.0]]) + random.normal(0.0, 5.0, (3, 4))
     for frame in range(12):
         state.v[:] = 0.0
         state.v[:, slot[[43, 44, 50, 64]]] = speed if frame < 9 else -speed
+        grouped = near.grouped.copy()
         simulation.step()
+        stayed += (near.grouped == grouped).all()
         searches += near.count[[0, 4]]
         chosen = all_near(near, pairs)
         shared += pairs.rounds[:pairs.end[0] // PACK].max(initial=1) > 1
@@ -192,14 +206,15 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
                 assert len(set(found)) == len(found)
         if frame % 3 == 2:
             assert all_listed(near) == brute_force(near, near.seen, near.margin)
-            x, travel = near.x[:-1, :3], near.x[:-1, TRAVEL]
-            expected = brute_force(near, x, travel)
-            if mode == 'surface':
-                expected[EDGES] = cross_or_pass(near, x, travel, expected[EDGES])
-            for kind, found in expected.items():
-                assert sorted(chosen[kind]) == sorted(found)
+            for kind, found in near_by_brute_force(near).items():
+                assert set(found) <= set(chosen[kind])
                 touching += len(found)
-    assert touching > 30
+            empty_groups(near)
+            choose_near(None, near, pairs, THICKNESS)
+            chosen = all_near(near, pairs)
+            for kind, found in near_by_brute_force(near, (1.0 + SPARE) * THICKNESS).items():
+                assert sorted(chosen[kind]) == sorted(found)
+    assert touching > 30 and stayed > 0
     assert shared > 0 or mode == 'particles'
     assert searches[0] >= 2 and searches[1] == 0
     assert all_listed(near) != before
@@ -260,6 +275,24 @@ def test_a_fold_and_a_pile_get_nothing_through():
     assert shown.x[:, 2].min() > 0.0
     assert shown.x[:, 2].max() < 0.15
     assert np.abs(shown.v).max() < 1.0
+
+
+def test_layers_at_rest_keep_their_groups_and_read_part_of_the_list():
+    simulation = scene({'a': square(THICKNESS), 'b': square(2.0 * THICKNESS, x=0.02, y=0.01)},
+                       colliders={'table': {'box': {'size': [1.0, 1.0, 0.1]},
+                                            'position': [0.1, 0.1, -0.05]}})
+    data, stayed = simulation.effects['self_collision'].data, 0
+    near, pairs = data.near, data.pairs
+    run(simulation, 30)
+    for _ in range(20):
+        grouped, front = near.grouped.copy(), near.kind_front.copy()
+        simulation.step()
+        stayed += (near.grouped == grouped).all()
+        assert (near.kind_front == front).all()
+    assert stayed >= 15
+    assert (pairs.push > 0.0).sum() > 20
+    assert (near.kind_front - near.kind_begin).sum() < 0.8 * (
+        near.kind_end - near.kind_begin).sum()
 
 
 @pytest.mark.slow

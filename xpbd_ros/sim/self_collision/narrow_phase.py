@@ -84,6 +84,8 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     zero_slip(pairs.friction, q, zero)
     keep = load(pairs.keep, q)
     close = distance <= reach + keep
+    if kind == EDGES:
+        close = both(close, either(is_inside(kind, weight), distance <= reach))
     if not any_lane(close):
         return
     moves = load_corners(near.move, pairs.particles, q)
@@ -230,7 +232,7 @@ def find_crossing(team, near, kind):
 @jit
 def collect_planes(near, planes, kind, thickness):
     """List the pairs of a kind that ``hits`` tells of."""
-    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+    for pack in range(near.kind_begin[kind], near.kind_front[kind], PACK):
         if near.hits[pack // PACK]:
             for q in range(pack, pack + PACK, lanes(near.start)):
                 list_movable(near, planes, kind, q, thickness)

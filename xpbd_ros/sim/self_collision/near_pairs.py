@@ -6,6 +6,9 @@ sides. A group holds PACK near pairs from places of the list that are far apart,
 in the list share particles. Pairs of a group that share a particle nevertheless are projected in
 different rounds, so that the pairs of a round can be projected side by side, in the lanes of
 vectors, and the result does not depend on the number of lanes.
+
+The groups stay while they hold all near pairs. So they are made of all pairs closer than SPARE more,
+and keep those edges whose closest points come to be, or include, end points.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -31,6 +34,8 @@ from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
 CLOTH = 3
 """last column of the records at rest"""
+SPARE = 0.05
+"""further distance of pairs in groups, relative to the thickness"""
 REST_SHARE = 0.5
 """largest distance to be kept, relative to a pair's distance at rest"""
 
@@ -43,58 +48,94 @@ def choose_near(team, near, pairs, thickness):
     find_near(team, near, EDGES, thickness)
     wait_uneven(team)
     lost = 0
-    if alone(team):
+    if alone(team) and near.regroup[0]:
         pairs.end[0] = 0
         pairs.touched[:] = 0
         for kind in range(3):
             lost += group_pairs(near, pairs, kind, collect(near, pairs, kind))
         pairs.count[1] += lost
+        near.regroup[0] = lost > 0
     return told(team, near, lost)
 
 
 @jit(inline=True)
 def find_near(team, near, kind, thickness):
-    """Set ``hits`` for this thread's part of a kind's pairs."""
-    end = near.kind_end[kind]
+    """
+    Set ``hits`` for this thread's part of a kind's pairs, to those that groups made now hold.
+
+    Set ``regroup`` where a near pair is in no group.
+    """
+    end, missing = near.kind_front[kind], 0
     first, last = part_of(team, near, kind)
     for pack in range(first, last, PACK):
-        found = 0
+        found = likely = beside = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
-            found |= hits_of(near, kind, q, thickness) << (q - pack)
-        near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
+            here, soon, close = hits_of(near, kind, q, thickness)
+            found |= here << (q - pack)
+            likely |= soon << (q - pack)
+            beside |= close << (q - pack)
+        listed, grouped = (1 << min(PACK, end - pack)) - 1, near.grouped[pack // PACK]
+        near.hits[pack // PACK] = (likely | beside & grouped) & listed
+        missing |= found & listed & ~grouped
+    if missing:
+        near.regroup[0] = True
 
 
 @jit(inline=True)
 def part_of(team, near, kind):
-    """Return the begin and the end of this thread's part of a kind's pairs, whole packs."""
+    """Return the begin and the end of this thread's part of a kind's pairs in front, in packs."""
     begin = near.kind_begin[kind]
-    first, last = share(team, (near.kind_end[kind] - begin + PACK - 1) // PACK)
+    first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
     return begin + PACK * first, begin + PACK * last
 
 
 @jit(inline=True)
 def hits_of(near, kind, q, thickness):
-    """Return bits of the near pairs of a vector of listed pairs."""
+    """
+    Return bits of a vector of listed pairs: near ones, those closer than SPARE more, all of these.
+
+    Edges count only where a contact is possible, or they may pass through each other, but to the
+    last.
+    """
+    spare = SPARE * thickness
+    beside, square, reach, travel, weight = within(near, kind, q, thickness, spare)
+    close = bits(beside)
+    if close == 0:
+        return 0, 0, 0
+    likely, reach = beside, reach - spare
+    if kind == EDGES:
+        likely = both(beside, either(is_inside(kind, weight), square <= travel * travel))
+    return bits(both(likely, square <= reach * reach)), bits(likely), close
+
+
+@jit(inline=True)
+def within(near, kind, q, thickness, spare):
+    """
+    Return which of a vector of listed pairs are closer than they have to keep + travel + spare.
+
+    Returns
+    -------
+    mask; squares of their distances [m²], those sums and travels [m], weights of closest points
+
+    """
     a, b, c, d = load_corners(near.start, near.corners, q)
     v, weight = closest(kind, a, b, c, d)
     square, travel = dot(v, v), travel_of(kind, a, b, c, d)
-    reach = thickness + travel
+    reach = (thickness + spare) + travel
     close = square <= reach * reach
-    if not any_lane(close):
-        return 0
-    reach = kept_distance(near, kind, q, thickness) + travel
-    close = both(close, square <= reach * reach)
-    if kind == EDGES:    # others only where they may pass through each other
-        close = both(close, either(is_inside(kind, weight), square <= travel * travel))
-    return bits(close)
+    if any_lane(close):
+        reach = (kept_distance(near, kind, q, thickness) + spare) + travel
+        close = both(close, square <= reach * reach)
+    return close, square, reach, travel, weight
 
 
 @jit
 def collect(near, pairs, kind):
     """Copy a kind's near pairs to ``found`` and ``found_keep``; return their number."""
     found, keep, count, room = pairs.found, pairs.found_keep, 0, len(pairs.found_keep)
-    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+    for pack in range(near.kind_begin[kind], near.kind_front[kind], PACK):
         hit = near.hits[pack // PACK]
+        near.grouped[pack // PACK] = hit
         while hit:
             k = pack + lowest_bit(hit)
             hit &= hit - 1

@@ -30,6 +30,8 @@ BEYOND = 0.25
 """least motion that projections are assumed to add, relative to that of the prediction"""
 UP = 1.0 + 1e-6
 """for bounds that are rounded to float32"""
+ROUNDING = 4e-7
+"""bound of the rounding errors of float32 distances, relative to the largest coordinate"""
 UNKNOWN = -1.0
 """distance to be kept that is not computed yet"""
 CANDIDATES = 1024
@@ -91,6 +93,12 @@ class NeighbourList(NamedTuple):
     ones [m], shape (3,)"""
     margin: np.ndarray
     """motion of each particle for which the list is complete [m], shape (particles,)"""
+    pruned: np.ndarray
+    """positions at the last pruning, less U then [m], shape (particles, 3)"""
+    inner: np.ndarray
+    """motion of each particle for which the pairs in front are complete [m], shape (particles,)"""
+    unpruned: np.ndarray
+    """number of pairs in front that came from searches since the last pruning, shape (1,)"""
     count: np.ndarray
     """
     in this frame: searches; pairs beyond the capacity; particles held back; particles and pairs
@@ -102,6 +110,8 @@ class NeighbourList(NamedTuple):
     """begin of the pairs of each kind in the list, a multiple of PACK, shape (3,)"""
     kind_end: np.ndarray
     """end of the pairs of each kind, shape (3,)"""
+    kind_front: np.ndarray
+    """end of the pairs of each kind that may be near until the next pruning, shape (3,)"""
     kind_room: np.ndarray
     """end of the capacity for each kind, a multiple of PACK, shape (3,)"""
     corners: np.ndarray
@@ -114,7 +124,11 @@ class NeighbourList(NamedTuple):
     renewed: np.ndarray
     """True for particles whose pairs the last search has sought, shape (particles + 1,)"""
     hits: np.ndarray
-    """bits of the near pairs of each PACK pairs of the list, shape (capacity / PACK,)"""
+    """scratch: bits of those found of each PACK pairs of the list, shape (capacity / PACK,)"""
+    grouped: np.ndarray
+    """bits of those of them in groups (``self_collision.near_pairs``), shape (capacity / PACK,)"""
+    regroup: np.ndarray
+    """True if the groups do not hold all near pairs, shape (1,)"""
     plan: np.ndarray
     """scratch: what a thread tells the others, see FULL; shape (5,)"""
     pieces: np.ndarray
@@ -171,10 +185,12 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
-        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros(5, np.int64),
-        np.zeros(1, np.bool_), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
+        np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros((count, 3)),
+        np.zeros(count), np.zeros(1, np.int64), np.zeros(5, np.int64), np.zeros(1, np.bool_),
+        np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
         np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
-        np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32), np.zeros(5, np.int64),
+        np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32),
+        np.zeros(room // PACK, np.int32), np.ones(1, np.bool_), np.zeros(5, np.int64),
         np.zeros((2, -(-most // PACK)), np.int64),
         np.zeros((threads, 4, room // threads + CANDIDATES), np.int32) if threads > 1 else None,
         tree(points[:, None]), trees, kin)
@@ -206,6 +222,22 @@ def has_marked(marks, corners, k):
     """Return True if pair k has a particle that is marked; unsigned, an index is not negative."""
     return (marks[np.uint32(corners[0, k])] | marks[np.uint32(corners[1, k])]
             | marks[np.uint32(corners[2, k])] | marks[np.uint32(corners[3, k])])
+
+
+@jit(inline=True)
+def exchange(near, k, l):
+    """Exchange two listed pairs."""
+    corners, keep = near.corners, near.keep
+    keep[k], keep[l] = keep[l], keep[k]
+    for p in range(4):
+        corners[p, k], corners[p, l] = corners[p, l], corners[p, k]
+
+
+@jit
+def empty_groups(near):
+    """Let the next choice of near pairs make all groups anew: the list has changed."""
+    near.grouped[:] = 0
+    near.regroup[0] = True
 
 
 @jit(inline=True)
@@ -273,17 +305,20 @@ def track_motion(near, x, slack):
 
     Returns
     -------
-    largest travel; True if a sum of travel and s exceeds the particle's margin
+    largest travel; True if a sum of travel and s exceeds the particle's margin; True if one of
+    travel and the motion since the last pruning exceeds the particle's inner margin
 
     """
-    most, leaves = 0.0, False
+    most, leaves, leaves_inner = 0.0, False, False
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.x[i, TRAVEL] = moved + max(BEYOND * moved, slack)
         most = max(most, near.x[i, TRAVEL])
         side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
         leaves |= side > near.margin[i]
-    return most, leaves
+        side = near.x[i, TRAVEL] + gone_since(near.x, near.pruned, near.drift, i)
+        leaves_inner |= side > near.inner[i]
+    return most, leaves, leaves_inner
 
 
 @jit(inline=True)
@@ -298,6 +333,15 @@ def gone_since(x, seen, drift, i):
     """Return |x_i - seen_i - drift|: the same since a list was built [m]."""
     return length((x[i, 0] - seen[i, 0] - drift[0], x[i, 1] - seen[i, 1] - drift[1],
                    x[i, 2] - seen[i, 2] - drift[2]))
+
+
+@jit
+def rounding_of(near):
+    """Return a bound of the rounding errors of distances of the records ``near.start`` [m]."""
+    most = 0.0
+    for i in range(len(near.slot)):
+        most = max(most, abs(near.start[i, 0]), abs(near.start[i, 1]), abs(near.start[i, 2]))
+    return ROUNDING * most
 
 
 @jit

@@ -15,10 +15,13 @@ from xpbd_ros.sim.geometry.box_tree import update_boxes
 from xpbd_ros.sim.self_collision.near_pairs import kept_distance
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
+    empty_groups,
+    exchange,
     gone_since,
     has_marked,
     POINTS,
     room_of,
+    rounding_of,
     told,
     TRAVEL,
     TRIANGLES,
@@ -36,8 +39,6 @@ HALVINGS = 8
 """most halvings of margins that yield more pairs than the capacity"""
 MARGIN = TRAVEL
 """column of ``NeighbourList.start`` that holds the margins during a search"""
-ROUNDING = 4e-7
-"""bound of the rounding errors of float32 distances, relative to the largest coordinate"""
 
 
 @jit
@@ -53,15 +54,17 @@ def seek(team, near, thickness, left):
         some = near.complete[0] and renew_some(near, left)
     if not told(team, near, some) or not seek_some(team, near, near.surface, thickness):
         seek_all(team, near, thickness, left)
+    if alone(team):
+        empty_groups(near)
 
 
 @jit(inline=True)
 def set_margin(near, i, left):
     """Set a particle's margin, from its present position on."""
     travel = near.x[i, TRAVEL]
-    near.margin[i] = min(left * travel, max(2.0 * travel, near.reach))
+    near.margin[i] = near.inner[i] = min(left * travel, max(2.0 * travel, near.reach))
     for a in range(3):
-        near.seen[i, a] = near.x[i, a] - near.drift[a]
+        near.seen[i, a] = near.pruned[i, a] = near.x[i, a] - near.drift[a]
 
 
 @jit
@@ -89,7 +92,9 @@ def seek_some(team, near, surface, thickness):
     if surface is None:
         points, end = near.points, near.plan[POINTS]
         end = list_pairs_of(team, near, POINTS, points, points, size, end, RENEWED, True)
-        return end_points(team, near, near.plan[POINTS], end, thickness, rounding) == 0
+        lost = end_points(team, near, near.plan[POINTS], end, thickness, rounding)
+        bring_new_forward(team, near, POINTS)
+        return lost == 0
     else:    # Numba prunes the branch that is not taken
         triangles, edges, points = surface.triangles, surface.edges, near.points
         end = near.plan[TRIANGLES]
@@ -98,7 +103,23 @@ def seek_some(team, near, surface, thickness):
         lost = end_kind(team, near, TRIANGLES, end)
         end = near.plan[EDGES]
         end = list_pairs_of(team, near, EDGES, edges, edges, size, end, RENEWED, True)
-        return lost + end_kind(team, near, EDGES, end) == 0
+        lost += end_kind(team, near, EDGES, end)
+        bring_new_forward(team, near, TRIANGLES)
+        bring_new_forward(team, near, EDGES)
+        return lost == 0
+
+
+@jit
+def bring_new_forward(team, near, kind):
+    """Exchange the pairs that a search has found with the first ones behind those in front."""
+    if alone(team):
+        front = near.kind_front[kind]
+        for k in range(near.plan[kind], near.kind_end[kind]):
+            exchange(near, front, k)
+            front += 1
+        near.unpruned[0] += front - near.kind_front[kind]
+        near.kind_front[kind] = front
+    wait_uneven(team)
 
 
 @jit
@@ -119,13 +140,18 @@ def drop_all_renewed(team, near, surface):
 def drop_renewed(near, kind):
     """Drop a kind's pairs of renewed particles from the list; return the end of the others."""
     corners, renewed, end = near.corners, near.renewed, near.kind_begin[kind]
-    for k in range(near.kind_begin[kind], near.kind_end[kind]):
+    front, last = near.kind_front[kind], near.kind_end[kind]
+    for k in range(near.kind_begin[kind], last):
+        if k == front:
+            near.kind_front[kind] = end
         if not has_marked(renewed, corners, k):
             if end < k:
                 near.keep[end] = near.keep[k]
                 for p in range(4):
                     corners[p, end] = corners[p, k]
             end += 1
+    if front == last:
+        near.kind_front[kind] = end
     return end
 
 
@@ -146,9 +172,14 @@ def seek_all(team, near, thickness, left):
         if alone(team):
             for i in range(len(near.slot)):
                 near.margin[i] *= 0.5
+                near.inner[i] = near.margin[i]
         lost = list_pairs(team, near, near.surface, thickness, halving == HALVINGS - 1)
     if alone(team):
         near.count[1] += lost
+        near.unpruned[0] = 0
+        for kind in range(3):
+            near.kind_front[kind] = near.kind_end[kind]
+            near.unpruned[0] += near.kind_end[kind] - near.kind_begin[kind]
         near.complete[0] = lost == 0
         for i in range(len(near.slot)):
             near.x[i, TRAVEL] = min(near.x[i, TRAVEL], near.margin[i])
@@ -195,16 +226,7 @@ def begin_search(team, near, surface):
         if worker(team) == workers(team) - 1:
             update_boxes(surface.edges, start)
     wait_uneven(team)
-    return ROUNDING * extent(near)
-
-
-@jit
-def extent(near):
-    """Return the largest coordinate of ``near.start`` [m]."""
-    most = 0.0
-    for i in range(len(near.slot)):
-        most = max(most, abs(near.start[i, 0]), abs(near.start[i, 1]), abs(near.start[i, 2]))
-    return most
+    return rounding_of(near)
 
 
 @jit

@@ -1,0 +1,110 @@
+"""
+Dynamic pruning: the listed pairs that may be near in the next substeps come first in the list.
+
+The rest of the list is not read until a particle's motion since the pruning exceeds its inner
+margin; then all listed pairs are compared again, which costs much less than a search (S. Páll,
+B. Hess, "A flexible algorithm for calculating pair interactions on SIMD architectures", 2013, and
+the dual lists of GROMACS).
+"""
+
+from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
+from xpbd_ros.sim.self_collision.near_pairs import within
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    EDGES,
+    empty_groups,
+    exchange,
+    gone,
+    POINTS,
+    rounding_of,
+    TRAVEL,
+    TRIANGLES,
+    UP,
+)
+
+SUBSTEPS = 4.0
+"""substeps of the present motion for which the pairs in front are complete"""
+LEAST = 0.25
+"""least motion for which they are, relative to the thickness"""
+MANY = 0.5
+"""part of the pairs in front that come from searches, from which on these are worth a pruning"""
+
+
+@jit
+def has_many_new(near):
+    """Return True if pruning is worth it, unless a search follows at once."""
+    pairs = 0
+    for kind in range(3):
+        pairs += near.kind_front[kind] - near.kind_begin[kind]
+    return near.unpruned[0] > MANY * pairs
+
+
+@jit
+def prune(team, near, x, thickness):
+    """
+    Bring the pairs closer than they have to keep + inner margins to the front of each kind.
+
+    Parameters
+    ----------
+    team : threads that take part
+    near : neighbour list
+    x : present positions [m], shape (3, slots)
+    thickness : [m]
+
+    """
+    if alone(team):
+        load_inner_margins(near, x, LEAST * thickness)
+    wait_uneven(team)
+    find_front(team, near, POINTS, thickness)
+    find_front(team, near, TRIANGLES, thickness)
+    find_front(team, near, EDGES, thickness)
+    wait_uneven(team)
+    if alone(team):
+        for kind in range(3):
+            bring_forward(near, kind)
+        near.unpruned[0] = 0
+        empty_groups(near)
+    wait_uneven(team)
+
+
+@jit
+def load_inner_margins(near, x, least):
+    """Set the inner margins, and load them with the positions at the substep's start."""
+    for i in range(len(near.slot)):
+        moved = gone(x, near.x, near.step, near.slot[i], i)
+        near.inner[i] = min(near.margin[i], near.x[i, TRAVEL] + max(SUBSTEPS * moved, least))
+        for a in range(3):
+            near.pruned[i, a] = near.x[i, a] - near.drift[a]
+            near.start[i, a] = near.x[i, a] - near.origin[a]
+    rounding = rounding_of(near)
+    for i in range(len(near.slot)):
+        near.start[i, TRAVEL] = UP * near.inner[i] + rounding
+
+
+@jit(inline=True)
+def find_front(team, near, kind, thickness):
+    """Set ``hits`` for this thread's part of a kind's pairs, both those in front and the others."""
+    begin, end = near.kind_begin[kind], near.kind_end[kind]
+    first, last = share(team, (end - begin + PACK - 1) // PACK)
+    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+        found = 0
+        for q in range(pack, pack + PACK, lanes(near.start)):
+            found |= bits(within(near, kind, q, thickness, 0.0)[0]) << (q - pack)
+        near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
+
+
+@jit
+def bring_forward(near, kind):
+    """Exchange the pairs that ``hits`` tells of, in their order, with the first ones of a kind."""
+    front = near.kind_begin[kind]
+    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
+        hit = near.hits[pack // PACK]
+        while hit:
+            k = pack + lowest_bit(hit)
+            hit &= hit - 1
+            if front < k:
+                exchange(near, front, k)
+            front += 1
+    near.kind_front[kind] = front
