@@ -85,7 +85,7 @@ def load_inner_margins(near, x, least):
 
 @jit(inline=True)
 def find_front(team, near, kind, thickness):
-    """Set ``hits`` for this thread's part of a kind's pairs, both those in front and the others."""
+    """Set ``hits`` for this thread's part of a kind's pairs, in front or not."""
     begin, end = near.kind_begin[kind], near.kind_end[kind]
     first, last = share(team, (end - begin + PACK - 1) // PACK)
     for pack in range(begin + PACK * first, begin + PACK * last, PACK):
