@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from support.crossings import crossings, of_edges, to_triangle
 from support.scenes import EXAMPLES, GRAVITY, run, simulate
 from support.tiers import slow
+from xpbd_ros.effects.self_collision import load_pairs
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -18,6 +19,7 @@ from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.self_collision.near_pairs import choose_near, SPARE
 from xpbd_ros.sim.self_collision.neighbour_list import (
     CANDIDATES,
+    common_step,
     EDGES,
     empty_groups,
     POINTS,
@@ -218,6 +220,26 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
     assert shared > 0 or mode == 'particles'
     assert searches[0] >= 2 and searches[1] == 0
     assert all_listed(near) != before
+
+
+def test_near_pairs_are_complete_where_particles_leave_inner_margins_while_others_are_sought():
+    simulation, _ = crumpled('surface')
+    near, state, slot = stay(simulation), simulation.state, simulation.slot
+    stay(simulation)
+    pairs = simulation.effects['self_collision'].data.pairs
+    assert (near.kind_front < near.kind_end).any()
+    searches = near.count[[0, 4]]
+    state.x_prev[:] = state.x
+    state.x[2, slot] += np.where(np.arange(len(slot)) % 2, 5e-3, -5e-3)
+    state.x[2, slot[0]] += 0.02    # the only one to leave its margin
+    common_step(near, state)
+    load_pairs(None, near, state, THICKNESS)
+    choose_near(None, near, pairs, THICKNESS)
+    assert (near.count[[0, 4]] - searches == [1, 0]).all()
+    chosen = all_near(near, pairs)
+    for kind, found in near_by_brute_force(near).items():
+        assert len(found) > 30
+        assert set(found) <= set(chosen[kind])
 
 
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])

@@ -78,7 +78,7 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
     remove_depenetration_velocity,
 )
 from xpbd_ros.sim.self_collision.pair_search import seek
-from xpbd_ros.sim.self_collision.pruning import has_many_new, prune
+from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -208,12 +208,13 @@ def load_pairs(team, near, state, thickness):
     longest way of a particle in this substep [m], on the main thread
 
     """
-    most, leaves, leaves_inner = 0.0, False, False
+    most, leaves = 0.0, False
     if alone(team):
-        most, leaves, leaves_inner = track_motion(near, state.x, SLACK * thickness)
+        most, leaves = track_motion(near, state.x, SLACK * thickness)
     if told(team, near, leaves):
         seek(team, near, thickness, SUBSTEPS)
-    if told(team, near, alone(team) and not leaves and (leaves_inner or has_many_new(near))):
+    if told(team, near, alone(team) and (
+            is_front_incomplete(near) or not leaves and has_many_new(near))):
         prune(team, near, state.x, thickness)
     if alone(team):
         load_starts(near)

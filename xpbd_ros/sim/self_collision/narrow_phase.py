@@ -219,7 +219,7 @@ def list_planes(team, near, planes, thickness):
 @jit(inline=True)
 def find_crossing(team, near, kind):
     """Set ``hits`` to where this thread's part of a kind has pairs within their travels."""
-    first, last = part_of(team, near, kind)
+    first, last = part_of(team, near.kind_begin[kind], near.kind_front[kind])
     for pack in range(first, last, PACK):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):

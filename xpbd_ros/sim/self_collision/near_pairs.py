@@ -61,51 +61,52 @@ def choose_near(team, near, pairs, thickness):
 @jit(inline=True)
 def find_near(team, near, kind, thickness):
     """
-    Set ``hits`` for this thread's part of a kind's pairs, to those that groups made now hold.
+    Set ``hits`` for this thread's part of a kind's pairs: what groups made now would hold.
 
-    Set ``regroup`` where a near pair is in no group.
+    Set ``regroup`` if a near pair is in no group.
     """
     end, missing = near.kind_front[kind], 0
-    first, last = part_of(team, near, kind)
+    first, last = part_of(team, near.kind_begin[kind], end)
     for pack in range(first, last, PACK):
-        found = likely = beside = 0
+        found = wider = with_ends = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
-            here, soon, close = hits_of(near, kind, q, thickness)
-            found |= here << (q - pack)
-            likely |= soon << (q - pack)
-            beside |= close << (q - pack)
+            a, b, c = hits_of(near, kind, q, thickness)
+            found |= a << (q - pack)
+            wider |= b << (q - pack)
+            with_ends |= c << (q - pack)
         listed, grouped = (1 << min(PACK, end - pack)) - 1, near.grouped[pack // PACK]
-        near.hits[pack // PACK] = (likely | beside & grouped) & listed
+        near.hits[pack // PACK] = (wider | with_ends & grouped) & listed
         missing |= found & listed & ~grouped
     if missing:
         near.regroup[0] = True
 
 
 @jit(inline=True)
-def part_of(team, near, kind):
-    """Return the begin and the end of this thread's part of a kind's pairs in front, in packs."""
-    begin = near.kind_begin[kind]
-    first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
+def part_of(team, begin, end):
+    """Return the begin and the end of this thread's part of some pairs, whole packs."""
+    first, last = share(team, (end - begin + PACK - 1) // PACK)
     return begin + PACK * first, begin + PACK * last
 
 
 @jit(inline=True)
 def hits_of(near, kind, q, thickness):
     """
-    Return bits of a vector of listed pairs: near ones, those closer than SPARE more, all of these.
+    Return bits of the near pairs of a vector of listed pairs, and of those within SPARE more.
 
-    Edges count only where a contact is possible, or they may pass through each other, but to the
-    last.
+    Returns
+    -------
+    near pairs; those within SPARE more; the latter with edges whose closest points include an end
+
     """
     spare = SPARE * thickness
-    beside, square, reach, travel, weight = within(near, kind, q, thickness, spare)
-    close = bits(beside)
-    if close == 0:
+    close, square, reach, travel, weight = within(near, kind, q, thickness, spare)
+    with_ends = bits(close)
+    if with_ends == 0:
         return 0, 0, 0
-    likely, reach = beside, reach - spare
-    if kind == EDGES:
-        likely = both(beside, either(is_inside(kind, weight), square <= travel * travel))
-    return bits(both(likely, square <= reach * reach)), bits(likely), close
+    reach -= spare
+    if kind == EDGES:    # others only where they may pass through each other
+        close = both(close, either(is_inside(kind, weight), square <= travel * travel))
+    return bits(both(close, square <= reach * reach)), bits(close), with_ends
 
 
 @jit(inline=True)

@@ -235,7 +235,7 @@ def exchange(near, k, l):
 
 @jit
 def empty_groups(near):
-    """Let the next choice of near pairs make all groups anew: the list has changed."""
+    """Mark the groups as outdated after a change of the list."""
     near.grouped[:] = 0
     near.regroup[0] = True
 
@@ -305,20 +305,17 @@ def track_motion(near, x, slack):
 
     Returns
     -------
-    largest travel; True if a sum of travel and s exceeds the particle's margin; True if one of
-    travel and the motion since the last pruning exceeds the particle's inner margin
+    largest travel; True if a sum of travel and s exceeds the particle's margin
 
     """
-    most, leaves, leaves_inner = 0.0, False, False
+    most, leaves = 0.0, False
     for i in range(len(near.slot)):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.x[i, TRAVEL] = moved + max(BEYOND * moved, slack)
         most = max(most, near.x[i, TRAVEL])
         side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
         leaves |= side > near.margin[i]
-        side = near.x[i, TRAVEL] + gone_since(near.x, near.pruned, near.drift, i)
-        leaves_inner |= side > near.inner[i]
-    return most, leaves, leaves_inner
+    return most, leaves
 
 
 @jit(inline=True)

@@ -139,19 +139,22 @@ def drop_all_renewed(team, near, surface):
 @jit
 def drop_renewed(near, kind):
     """Drop a kind's pairs of renewed particles from the list; return the end of the others."""
-    corners, renewed, end = near.corners, near.renewed, near.kind_begin[kind]
-    front, last = near.kind_front[kind], near.kind_end[kind]
-    for k in range(near.kind_begin[kind], last):
-        if k == front:
-            near.kind_front[kind] = end
+    begin, front = near.kind_begin[kind], near.kind_front[kind]
+    near.kind_front[kind] = keep_others(near, begin, front, begin)
+    return keep_others(near, front, near.kind_end[kind], near.kind_front[kind])
+
+
+@jit
+def keep_others(near, first, last, end):
+    """Move the pairs first … last without renewed particles to ``end``; return their end."""
+    corners, renewed = near.corners, near.renewed
+    for k in range(first, last):
         if not has_marked(renewed, corners, k):
             if end < k:
                 near.keep[end] = near.keep[k]
                 for p in range(4):
                     corners[p, end] = corners[p, k]
             end += 1
-    if front == last:
-        near.kind_front[kind] = end
     return end
 
 

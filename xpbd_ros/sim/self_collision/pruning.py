@@ -10,13 +10,14 @@ the dual lists of GROMACS).
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
-from xpbd_ros.sim.self_collision.near_pairs import within
+from xpbd_ros.sim.backend.threads import alone, wait_uneven
+from xpbd_ros.sim.self_collision.near_pairs import part_of, within
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     empty_groups,
     exchange,
     gone,
+    gone_since,
     POINTS,
     rounding_of,
     TRAVEL,
@@ -29,12 +30,22 @@ SUBSTEPS = 4.0
 LEAST = 0.25
 """least motion for which they are, relative to the thickness"""
 MANY = 0.5
-"""part of the pairs in front that come from searches, from which on these are worth a pruning"""
+"""share of unpruned pairs in front from which on pruning pays"""
+
+
+@jit
+def is_front_incomplete(near):
+    """Return True if a particle's travel and motion since the pruning exceed its inner margin."""
+    for i in range(len(near.slot)):
+        moved = gone_since(near.x, near.pruned, near.drift, i)
+        if near.x[i, TRAVEL] + moved > near.inner[i]:
+            return True
+    return False
 
 
 @jit
 def has_many_new(near):
-    """Return True if pruning is worth it, unless a search follows at once."""
+    """Return True if many pairs in front have not been pruned since the search for them."""
     pairs = 0
     for kind in range(3):
         pairs += near.kind_front[kind] - near.kind_begin[kind]
@@ -86,9 +97,9 @@ def load_inner_margins(near, x, least):
 @jit(inline=True)
 def find_front(team, near, kind, thickness):
     """Set ``hits`` for this thread's part of a kind's pairs, in front or not."""
-    begin, end = near.kind_begin[kind], near.kind_end[kind]
-    first, last = share(team, (end - begin + PACK - 1) // PACK)
-    for pack in range(begin + PACK * first, begin + PACK * last, PACK):
+    end = near.kind_end[kind]
+    first, last = part_of(team, near.kind_begin[kind], end)
+    for pack in range(first, last, PACK):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             found |= bits(within(near, kind, q, thickness, 0.0)[0]) << (q - pack)
