@@ -7,8 +7,8 @@ in the list share particles. Pairs of a group that share a particle nevertheless
 different rounds, so that the pairs of a round can be projected side by side, in the lanes of
 vectors, and the result does not depend on the number of lanes.
 
-The groups stay while they hold all near pairs. To that end they also hold pairs up to SPARE further
-apart, and keep pairs of edges whose closest points come to include an end.
+The groups stay while they hold all near pairs. To that end they also hold pairs up to SPARE
+further apart, and keep pairs of edges whose closest points come to include an end.
 """
 
 from xpbd_ros.sim.backend.jit import jit
