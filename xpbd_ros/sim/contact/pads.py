@@ -24,7 +24,8 @@ cloth is caught and torn along. So all colliders of such a particle act as rigid
 substep, which let it out on the same side as its neighbours.
 
 A pad recovers at no more than DEPENETRATION, so particles that a collider was put over come out
-slowly, and keep no speed. Otherwise they keep 1 / (1 + κ) of the speed that it gives them: all of
+slowly, and keep no speed. Before the last turn with ``self_collision`` it recovers as it would
+freely, which is what layers that press on it are solved with. Otherwise they keep 1 / (1 + κ) of the speed that it gives them: all of
 it where the substep resolves the pad, and where it does not as little as from a rigid collider.
 
 Limits: a foundation has no thickness, so a soft one lets particles through. Layers of cloth
@@ -83,13 +84,15 @@ class Pads(NamedTuple):
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
     """True if the friction of two candidates has been solved at once, shape (candidates,)"""
+    again: np.ndarray
+    """True while the inequalities are projected again in this iteration, shape (1,)"""
 
 
 def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room, np.bool_), np.zeros(room), np.zeros(room), np.zeros(room),
                 np.zeros(room), np.zeros(room, np.bool_), np.zeros(room), np.zeros((room, 3)),
-                np.zeros(room), np.zeros(room), np.zeros(room, np.bool_))
+                np.zeros(room), np.zeros(room), np.zeros(room, np.bool_), np.zeros(1, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -195,7 +198,7 @@ def press(pads, contacts, last, i, state):
     if is_squeezed_out(pads, contacts, last, at):
         become_rigid(pads, contacts, last, i, state, free)
         return
-    share = recovered(pads, contacts, last, u)
+    share = 1.0 if pads.again[0] else recovered(pads, contacts, last, u)
     k, moved = last, False
     while k >= 0:
         d = share * push_of(pads, contacts, k, u)

@@ -123,6 +123,7 @@ def load_backing(backing, slot):
     """Write the records of all particles, from the contacts of the last turn."""
     if backing is not None:
         axis, contacts = backing.axis, backing.contacts
+        contacts.pads.again[0] = backing.turn[0] < TURNS
         for i in range(len(slot)):
             best, front, back, last = -1, 0.0, 0.0, last_candidate(contacts, slot[i])
             if last >= 0:
@@ -301,4 +302,5 @@ def begin_turn(backing, turn):
                     backing.turn[0] = turn
                     return True
         backing.turn[0] = 0    # all pairs take part again
+        pads.again[0] = False
         return False
