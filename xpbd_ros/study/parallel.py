@@ -20,6 +20,10 @@ from xpbd_ros.errors import brief, InputError
 
 PATIENCE = '10s'
 """time to connect to a scheduler, and for it to have a worker"""
+QUIET = {'distributed.worker.profile.enabled': False, 'distributed.admin.tick.interval': '1s',
+         'distributed.admin.system-monitor.interval': '5s',
+         'distributed.worker.memory.monitor-interval': '5s'}
+"""settings of Dask so that a local worker's own tasks seldom interrupt the run that it computes"""
 
 
 def run_tasks(function: Callable[..., Any], tasks: Sequence[tuple], *, processes: int, what: str,
@@ -129,7 +133,7 @@ def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
             yield client
         return
     import dask
-    with (dask.config.set({'distributed.worker.profile.enabled': False}),
+    with (dask.config.set(QUIET),
           distributed.LocalCluster(n_workers=count, threads_per_worker=1, processes=True,
                                    host='127.0.0.1', dashboard_address='127.0.0.1:0',
                                    memory_limit=0, silence_logs=logging.CRITICAL,
