@@ -53,6 +53,23 @@ def test_an_effect_of_the_table_replaces_that_of_the_code():
     assert parts[0] - parts[1] == pytest.approx((contact.ns_per_particle - 7.0) * particles)
 
 
+@pytest.mark.parametrize('name, entries', [
+    ('arch', {'stretch': 'mesh_edge', 'cross_bend': 'mesh_edge', 'hinge': 'mesh_hinge'}),
+    ('drape', {'stretch': 'edge', 'shear': 'edge', 'bend': 'hinge'}),
+    ('sheet', {'membrane': 'membrane'}),
+    ('softbox', {'volume': 'volume'})])
+def test_constraints_count_by_their_kind_and_on_meshes_apart(name, entries):
+    simulation = compile_scene(load_scene(name, {'solver.method': 'line'}))
+    counts = SHIPPED.counts('line', 2, simulation.effects, simulation.state)
+    kinds = set(entries.values())
+    for kind in kinds:
+        assert counts['line', kind] == 2 * sum(
+            len(simulation.effects[effect].constraints.particles)
+            for effect, its in entries.items() if its == kind)
+    assert not any(counts['line', kind] for kind in SHIPPED.methods['line']
+                   if kind not in kinds | {'substep', 'slot'})
+
+
 def broken(change):
     """Return the text of a table after a change of its mapping."""
     raw = yaml.safe_load(table_text(scaled(1.0), 'some CPU'))

@@ -97,6 +97,8 @@ from xpbd_ros.sim.target_motion import delays
 
 CANDIDATES = 16
 """room for candidates, per particle"""
+NS_PER_SUBSTEP, NS_PER_PAD = 3000.0, 8000.0
+"""time in a substep, and besides for each collider with a pad [ns] (``scene.cost_table``)"""
 NOT_SOUGHT = -1
 """value of the count of candidates before the first iteration of a substep"""
 
@@ -193,8 +195,7 @@ def rest_on_colliders(contact, state, substep):
 class BuiltContact(Built):
     """All colliders of a scene, with room for more."""
 
-    ns_per_particle = 9.0
-    ns_per_substep = 13_600.0
+    ns_per_particle = 7.5
     pulls_taut = True
 
     def __init__(self, parameters: Parameters, world):
@@ -213,8 +214,9 @@ class BuiltContact(Built):
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
         self.scale = world.compliance_scale
-        pads = any(entry.pad is not None for entry in self.entries.values())
-        self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads)
+        pads = sum(entry.pad is not None for entry in self.entries.values())
+        self.ns_per_substep = NS_PER_SUBSTEP + pads * NS_PER_PAD
+        self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads > 0)
         self.contacts = new_contacts(self.colliders, room, parameters.thickness, world.slots,
                                      new_pads(room, areas(world)) if pads else None)
         if 'self_collision' in world.built:

@@ -236,7 +236,7 @@ def shares(mesh) -> np.ndarray:
 class BuiltDrag(Built):
     """The triangles of all cloths."""
 
-    ns_per_particle = 56.0
+    ns_per_particle = 55.0
 
     def __init__(self, parameters, world):
         super().__init__()

@@ -278,6 +278,8 @@ def resist(friction, state, substep):
 class BuiltFriction(Built):
     """The coefficients of all pairs of a cloth and a collider, and of two cloths."""
 
+    ns_per_particle = 3.5
+
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.contact = contact = world.built.get('contact')

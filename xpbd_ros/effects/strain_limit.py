@@ -302,7 +302,7 @@ class BuiltStrainLimit(Built):
     """The edges of all cloths with this effect, of grids and of other meshes."""
 
     incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
-    ns_per_particle = 100.0
+    ns_per_particle = 60.0
     explicit_velocity_lags = True
 
     def __init__(self, parameters, world):

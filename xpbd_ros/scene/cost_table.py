@@ -12,6 +12,7 @@ the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_e
 ``solver.cost_table`` reads it.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -51,20 +52,32 @@ class CostTable:
 
     def substep_ns(self, method: str, iterations: int, effects, state) -> float:
         """Return the time of a substep of a scene [ns]."""
-        table, particles = self.methods[method], np.count_nonzero(state.mass)
-        found = table['substep'] + table['slot'] * len(state.mass)
+        found = own_ns(effects)
+        for (section, entry), count in self.counts(method, iterations, effects, state).items():
+            found += count * (self.methods[method][entry] if section == method else
+                              self.effects.get(entry, effects[entry].ns_per_particle))
+        return found * (self.single if state.x.dtype == np.float32 else 1.0)
+
+    def counts(self, method: str, iterations: int, effects, state) -> Counter[tuple[str, str]]:
+        """Return how often entries count in a substep: (method, entry) and ('effects', name)."""
+        entries = self.methods[method]
+        found = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
         for name, built in effects.items():
-            found += (built.ns_per_substep
-                      + self.effects.get(name, built.ns_per_particle) * particles)
+            found['effects', name] = int(np.count_nonzero(state.mass))
             if built.constraints is not None:
                 kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
-                on_grids = table.get(name, table[kind])
-                on_meshes = table.get(name, table[f'mesh_{kind}'])
-                of_meshes = sum(part.particles.shape[1] for part in map(_batch, built.parts)
-                                if hasattr(part, 'particles'))
-                found += iterations * (on_grids * len(built.constraints.particles)
-                                       + (on_meshes - on_grids) * of_meshes)
-        return found * (self.single if state.x.dtype == np.float32 else 1.0)
+                total = len(built.constraints.particles)
+                of_meshes = min(total, sum(part.particles.shape[1] for part in map(
+                    _batch, built.parts) if hasattr(part, 'particles')))    # packs may have gaps
+                own = name if name in entries and name not in NEEDED else None
+                found[method, own or kind] += iterations * (total - of_meshes)
+                found[method, own or f'mesh_{kind}'] += iterations * of_meshes
+        return found
+
+
+def own_ns(effects) -> float:
+    """Return the time of effects in a substep whatever the particles [ns]."""
+    return sum(built.ns_per_substep for built in effects.values())
 
 
 def _batch(part):
@@ -77,18 +90,19 @@ SHIPPED = CostTable({
     'gauss_seidel_symmetric': {'substep': 3500.0, 'slot': 5.0, 'edge': 3.6, 'hinge': 8.6,
                                'mesh_edge': 9.0, 'mesh_hinge': 15.3, 'membrane': 28.0,
                                'volume': 25.0},
-    'line': {'substep': 8700.0, 'slot': 9.3, 'edge': 5.1, 'hinge': 8.6, 'mesh_edge': 9.5,
-             'mesh_hinge': 15.3, 'membrane': 28.4, 'volume': 24.7},
+    'line': {'substep': 7000.0, 'slot': 18.5, 'edge': 3.7, 'hinge': 6.8, 'mesh_edge': 10.6,
+             'mesh_hinge': 27.0, 'membrane': 29.0, 'volume': 60.0},
     'jacobi': {'substep': 3000.0, 'slot': 5.0, 'edge': 2.5, 'hinge': 3.2, 'mesh_edge': 4.0,
                'mesh_hinge': 6.5, 'membrane': 17.5, 'volume': 10.0},
-    'explicit': {'substep': 3000.0, 'slot': 5.0, 'edge': 1.4, 'hinge': 3.2, 'mesh_edge': 3.0,
-                 'mesh_hinge': 6.5, 'membrane': 17.5, 'volume': 10.0}}, single=0.6)
+    'explicit': {'substep': 4000.0, 'slot': 5.6, 'edge': 1.3, 'hinge': 4.0, 'mesh_edge': 2.2,
+                 'mesh_hinge': 15.5, 'membrane': 15.0, 'volume': 30.0}}, single=0.6)
 """
 of one core of an Intel Xeon (family 6, model 207, 2.3 GHz, AVX-512)
 
-The entries of ``line`` and ``explicit`` are a least-squares fit to eight shipped scenes, three of
-them in further sizes. Those of the other methods follow from them: passes forth and back take
-those of ``line`` for what has no lines, one pass half of that.
+The entries of ``line`` and ``explicit``, and those of effects in their files, are a fit to the
+shipped scenes and 40 random ones (``study.cost``), measured on a faster Xeon (family 6, model 167)
+and multiplied by 1.28, by which that is faster. Those of the other methods follow from older ones
+of ``line``: passes forth and back take these for what has no lines, one pass half of that.
 """
 
 

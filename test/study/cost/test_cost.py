@@ -1,5 +1,6 @@
 """The cost of effects: measured in the running scene, and nothing for what is not there."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 
@@ -9,8 +10,10 @@ import pytest
 from support.shipped_scenes import NAMES
 from xpbd_ros.cli.main import main
 from xpbd_ros.effects import EFFECTS
+from xpbd_ros.effects.contact import BuiltContact
+from xpbd_ros.effects.self_collision import BuiltSelfCollision
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, SHIPPED, table_text
+from xpbd_ros.scene.cost_table import METHODS, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_text
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.cost import calibrate, cost, measure
@@ -153,20 +156,69 @@ def test_the_verb_prints_what_it_writes(tmp_path, monkeypatch, capsys):
     assert numbers['machine']['name'] in said
 
 
+def made_up(entries, seed=3):
+    """Return runs of drawn sizes whose times are those of some entries of ``line``."""
+    draw = np.random.default_rng(seed)
+    counts = [{entry: float(draw.integers(100, 10_000)) for entry in entries} for _ in range(20)]
+    return [calibrate.Run(f'made_{k}', 'line', 10, 100, each, 500.0,
+                          500.0 + sum(entries[entry] * n for entry, n in each.items()))
+            for k, each in enumerate(counts)]
+
+
+def times_shipped(**factors):
+    """Return some shipped entries of ``line``, multiplied."""
+    return {('line', entry): factor * SHIPPED.methods['line'][entry]
+            for entry, factor in factors.items()}
+
+
+def test_a_fit_predicts_the_times_that_it_was_made_of():
+    """Of a machine where edges cost twice as much as slots do, relative to the shipped table."""
+    runs = made_up({**times_shipped(slot=0.4, edge=0.8, hinge=0.5, membrane=0.5),
+                    ('effects', 'contact'): 0.5 * BuiltContact.ns_per_particle})
+    table = calibrate.fitted(runs)
+    for run in runs:
+        assert run.predicted_ns(table) == pytest.approx(run.measured_ns, rel=0.08)
+        assert run.predicted_ns(SHIPPED) > 1.5 * run.measured_ns
+    shipped, found = (each.methods['line'] for each in (SHIPPED, table))
+    assert found['edge'] / shipped['edge'] > 1.1 * found['slot'] / shipped['slot']
+
+
+def test_what_no_run_has_scales_by_the_factor_of_the_machine():
+    table = calibrate.fitted(made_up(times_shipped(slot=0.5, edge=0.5)))
+    assert table.methods['jacobi']['hinge'] == pytest.approx(
+        0.5 * SHIPPED.methods['jacobi']['hinge'], rel=0.01)
+    assert table.effects['self_collision'] == pytest.approx(
+        0.5 * BuiltSelfCollision.ns_per_particle, rel=0.01)
+
+
+def test_a_run_that_was_interrupted_hardly_moves_the_fit():
+    runs = made_up(times_shipped(slot=0.5, edge=0.5))
+    runs[4] = replace(runs[4], measured_ns=20.0 * runs[4].measured_ns)
+    table = calibrate.fitted(runs)
+    assert table.methods['line']['slot'] == pytest.approx(
+        0.5 * SHIPPED.methods['line']['slot'], rel=0.1)
+
+
 @pytest.mark.slow
-def test_a_calibrated_table_is_one_that_auto_takes(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(calibrate, 'METHODS', ('line', 'explicit'))
-    table = calibrate.calibrate(frames=2, rounds=1)
-    assert set(table.methods) == {'line', 'explicit'}
+def test_a_calibrated_table_is_one_that_auto_takes(tmp_path):
+    table = calibrate.calibrate(count=10, frames=10)
+    assert set(table.methods) == set(METHODS)
     for entries in table.methods.values():
-        assert all(value > 0.0 for name, value in entries.items() if name != 'substep')
+        assert all(value > 0.0 for value in entries.values())
     assert table.effects['drag'] > 0.0
-    whole = CostTable({**SHIPPED.methods, **table.methods}, table.single, table.effects)
-    (tmp_path / 'table.yaml').write_text(table_text(whole, 'this CPU'))
+    (tmp_path / 'table.yaml').write_text(table_text(table, 'this CPU'))
     simulation = compile_scene(load_scene('drape', {
         'solver.cost_table': str(tmp_path / 'table.yaml')}))
     assert simulation.solver.substeps >= 4
+
+
+def test_what_a_run_is_predicted_to_take_is_what_auto_reckons_with():
+    run = calibrate.measure(load_scene('sheet'), 'line', 2)
+    simulation = compile_scene(load_scene('sheet', {'solver.method': 'line'}))
+    assert run.predicted_ns(SHIPPED) == pytest.approx(run.substeps * SHIPPED.substep_ns(
+        'line', 1, simulation.effects, simulation.state))
+    assert run.substeps == simulation.solver.substeps
+    assert run.measured_ns > 0.0
 
 
 @pytest.mark.parametrize('arguments, why', [

@@ -1,73 +1,161 @@
 """
 Measure the cost table of this machine, for ``solver.cost_table``.
 
-Three shipped scenes run with every method, with a clock read between the kernels of the effects
-(``study.cost.measure``): a sheet in contact, a mesh, and a sheet in wind. The times of a
-constraint are those of the kernels; all that is no effect with constraints or an entry of its own,
-such as integration and pins, is counted by slot. Single precision is as in the shipped table.
-Sheets of growing size tell from how many particles on a second thread pays.
+Random scenes of each kind, and shipped ones with what they lack, run with ``line`` and with
+``explicit``. The entries c of the table are those that minimise, over the runs and entries,
+
+    Σ ρ(log² (predicted time / measured time)) + PRIOR Σ log² (c / (f · shipped c))
+
+with ρ that counts outliers less (soft L1) and f the machine's own factor. Times of other methods,
+and of effects whose work depends on the motion, are f times the shipped ones; single precision is
+as in the shipped table. Sheets of growing size tell from how many particles on a second thread
+pays.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from pathlib import Path
 from statistics import median
+import tempfile
 import time
+from typing import Any
 
-from xpbd_ros.effects.contact import BuiltContact
-from xpbd_ros.effects.drag import BuiltDrag
+import numpy as np
+from scipy.optimize import least_squares
+
+from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.auto import compensation
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, METHODS, SHIPPED
-from xpbd_ros.scene.load import load_scene
+from xpbd_ros.scene.cost_table import CostTable, own_ns, SHIPPED
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.threads import free_cores
-from xpbd_ros.study.cost.measure import Cost, cost
+from xpbd_ros.study.cost.random_scenes import KINDS, random_scenes
 
-GRID, MESH, AIR = 'drape', 'arch', 'flag'
-"""shipped scenes: edges, shear, bending and contact of a grid; edges and hinges of a mesh; drag"""
+METHODS = ('line', 'explicit')
+"""methods whose entries are fitted: those of ``auto``"""
+SHIPPED_SCENES = ('arch', 'balloon', 'softbox')
+"""two kinds of hinges, a mesh under pressure, a body"""
+RANDOM, SEED = 25, 0
+"""random scenes, and their seed"""
+PRIOR = 0.3
+"""weight of the shipped table's proportions"""
+OUTLIER = 0.2
+"""log of the ratio from which on a run counts less"""
+FRAMES = 60
+"""frames of a run"""
 SHEET, SIDES = 'swing', (45, 64, 91, 128, 181)
 """scene of the sheets, and their particles along each side"""
 GAIN = 1.15
 """time with one thread over that with two from which on these pay"""
-FRAMES, ROUNDS = 20, 3
-"""frames of each run, and runs"""
-SUBSTEPS = {'explicit': 80}
-"""substeps of each run, where they are not FEW"""
 FEW = 16
-OWN_NS = {'contact': BuiltContact.ns_per_substep, 'drag': BuiltDrag.ns_per_substep}
-"""times of effects whatever the particles, which stay as they are [ns]"""
+"""substeps of the sheets"""
+BY_MOTION = ('self_collision', 'strain_limit')
+"""effects whose work depends on the motion more than on the scene"""
 
 
-def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: items,
-              scenes: tuple[str, str, str] = (GRID, MESH, AIR), frames: int = FRAMES,
-              rounds: int = ROUNDS) -> CostTable:
+@dataclass(frozen=True)
+class Run:
+    """A scene with a method: the work of a frame, and its time."""
+
+    scene: str
+    method: str
+    substeps: int
+    particles: int
+    counts: dict[tuple[str, str], float]
+    """how often entries count in a frame, as ``CostTable.counts``"""
+    own_ns: float
+    """what no entry stands for"""
+    measured_ns: float
+    """mean thread CPU time of a frame"""
+
+    def predicted_ns(self, table: CostTable) -> float:
+        """Return the time of a frame by a table."""
+        return self.own_ns + sum(
+            count * (table.effects.get(name, shipped_ns(name))
+                     if section == 'effects' else table.methods[section][name])
+            for (section, name), count in self.counts.items())
+
+
+def shipped_ns(effect: str) -> float:
+    """Return the time of an effect for each particle, as its file has it [ns]."""
+    built: Any = load(effect).build
+    return built.ns_per_particle
+
+
+def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: items, *,
+              count: int = RANDOM, frames: int = FRAMES,
+              shipped: Sequence[str] = SHIPPED_SCENES) -> CostTable:
     """
     Return the cost table of this machine.
 
     Parameters
     ----------
-    progress : passes the methods on, and shows how far it is
-    scenes : as GRID, MESH, AIR
-    frames, rounds : of each measurement
+    progress : passes the scenes on, and shows how far it is
+    count : number of random scenes
+    frames : of each run
+    shipped : shipped scenes
 
     """
-    methods = {}
-    effects: dict[str, list[float]] = {}
-    for method in progress(METHODS, 'methods'):
-        grid, irregular = (_measured(name, method, frames, rounds) for name in scenes[:2])
-        rows, others = ({row.name: row for row in found.effects if row.present}
-                        for found in (grid, irregular))
-        methods[method] = {
-            'substep': SHIPPED.methods[method]['substep'], 'slot': _by_slot(grid, rows),
-            'edge': _ns(rows, 'stretch'), 'hinge': _ns(rows, 'bend'), 'shear': _ns(rows, 'shear'),
-            'mesh_edge': _ns(others, 'stretch'), 'mesh_hinge': _ns(others, 'hinge')}
-        effects.setdefault('contact', []).append(_by_particle(grid, rows, 'contact'))
-    air = _measured(scenes[2], 'line', frames, rounds)
-    rows = {row.name: row for row in air.effects if row.present}
-    effects['drag'] = [_by_particle(air, rows, 'drag')]
-    return CostTable({name: {key: round(float(value), 3) for key, value in entries.items()}
-                      for name, entries in methods.items()}, SHIPPED.single,
-                     {name: round(float(sum(found) / len(found)), 3)
-                      for name, found in effects.items()},
-                     particles_per_thread(frames * rounds))
+    with tempfile.TemporaryDirectory() as folder:
+        scenes = [*(load_scene(name) for name in shipped), *(
+            scene_from_mapping(raw, where=f'{name}.yaml', name=name) for name, raw in
+            random_scenes(count, SEED, Path(folder), KINDS).items())]
+        runs = [run for scene in progress(scenes, 'scenes') for method in METHODS
+                if (run := measure(scene, method, frames)) is not None]
+    return fitted(runs, particles_per_thread(frames))
+
+
+def measure(scene: Scene, method: str, frames: int) -> Run | None:
+    """Run a scene on one thread; None if it cannot with the method, or not within its budget."""
+    solver = replace(scene.top.solver, method=method, threads=1, cost_table=None)
+    if method == 'explicit':
+        solver = replace(solver, substeps=None, rough_frames=None)
+    try:
+        simulation: Any = compile_scene(replace(scene, top=replace(scene.top, solver=solver)))
+    except InputError:
+        return None
+    simulation.compile()
+    took = []
+    for _ in range(frames):
+        begin = time.thread_time_ns()
+        simulation.step()
+        took.append(time.thread_time_ns() - begin)
+    setting, state = simulation.solver, simulation.state
+    often = setting.substeps * compensation(
+        method, state, 1.0 / (scene.top.frame_rate * setting.substeps)) * (
+            SHIPPED.single if setting.precision == 'float32' else 1.0)
+    counts = SHIPPED.counts(method, setting.iterations, simulation.effects, state)
+    return Run(scene.name, method, setting.substeps, int(np.count_nonzero(state.mass)),
+               {entry: often * count for entry, count in counts.items()},
+               often * own_ns(simulation.effects), float(np.mean(took)))
+
+
+def fitted(runs: Sequence[Run], per_thread: float = SHIPPED.particles_per_thread) -> CostTable:
+    """Return the table that fits some runs best."""
+    shipped = {(method, entry): ns for method, entries in SHIPPED.methods.items()
+               for entry, ns in entries.items()}
+    shipped |= {('effects', name): shipped_ns(name) for name in EFFECTS}
+    counted = set().union(*(run.counts for run in runs))
+    fit = [entry for entry, ns in shipped.items()
+           if ns > 0.0 and entry in counted and entry[1] not in BY_MOTION]
+    before = np.array([shipped[entry] for entry in fit])
+    counts = np.array([[run.counts.get(entry, 0.0) for entry in fit] for run in runs])
+    own, measured_ns = np.array([(run.own_ns, run.measured_ns) for run in runs]).T
+
+    def residuals(logs):
+        predicted = counts @ (before * np.exp(logs[0] + logs[1:])) + own
+        return np.concatenate([np.log(predicted / measured_ns), sqrt(PRIOR) * logs[1:]])
+    logs = least_squares(residuals, np.zeros(1 + len(fit)), loss='soft_l1', f_scale=OUTLIER).x
+    factors = dict(zip(fit, np.exp(logs[0] + logs[1:])))
+    found = {entry: round(float(ns * factors.get(entry, np.exp(logs[0]))), 3)
+             for entry, ns in shipped.items() if ns > 0.0}
+    return CostTable({method: {entry: found[method, entry] for entry in entries}
+                      for method, entries in SHIPPED.methods.items()}, SHIPPED.single,
+                     {name: ns for (section, name), ns in found.items() if section == 'effects'},
+                     per_thread)
 
 
 def particles_per_thread(frames: int, sides: Iterable[int] = SIDES) -> float:
@@ -95,30 +183,3 @@ def gain_of_two_threads(side: int, frames: int) -> float:
             took.append(time.perf_counter() - begin)
     one, two = map(median, times)
     return one / two
-
-
-def _measured(name: str, method: str, frames: int, rounds: int) -> Cost:
-    """Return the cost of a shipped scene with one method."""
-    scene = load_scene(name, {'solver.method': method,
-                              'solver.substeps': SUBSTEPS.get(method, FEW)})
-    return cost(scene, frames, rounds=rounds)
-
-
-def _ns(rows: dict, name: str) -> float:
-    """Return the time of a constraint of an effect [ns]."""
-    if name not in rows or not rows[name].constraints:
-        raise InputError(f'cost --calibrate: the scene has no {name}')
-    return max(rows[name].ns_per_constraint, 1e-3)
-
-
-def _by_particle(found: Cost, rows: dict, name: str) -> float:
-    """Return the time of an effect for each particle, besides its time per substep [ns]."""
-    return max((1e3 * rows[name].us_per_substep - OWN_NS[name]) / found.particles, 0.0)
-
-
-def _by_slot(found: Cost, rows: dict) -> float:
-    """Return the time of all else, for each particle [ns]."""
-    own = ('stretch', 'shear', 'bend', 'contact')
-    rest = [row.us_per_substep for name, row in rows.items() if name not in own]
-    rest += [row.us_per_substep for row in found.others if row.name in ('integration', 'rest')]
-    return max(1e3 * sum(rest) / found.particles, 1e-3)
