@@ -48,7 +48,7 @@ from xpbd_ros.sim.constraints.projection import (
     recall,
     xpbd_residual,
 )
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, sides_of
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.accumulators import row
@@ -178,6 +178,28 @@ def solve_membrane(membrane, apart, c, x, m):
             (1.0, fma3(p2, p, q2 * q)))
 
 
+@jit
+def energy_of(membrane, x):
+    """Return Σ Cᵀ α⁻¹ C / 2 [J]."""
+    particles, inverse, alpha = membrane.particles, membrane.inverse, membrane.compliance
+    total = 0.0
+    for c in range(particles.shape[1]):
+        i, j, k = particles[0, c], particles[1, c], particles[2, c]
+        if i == j:    # an empty place of a pack
+            continue
+        p1, q1, p2, q2 = inverse[0, c], inverse[1, c], inverse[2, c], inverse[3, c]
+        s11 = s22 = s12 = 0.0
+        for a in range(3):
+            d, e = x[a, j] - x[a, i], x[a, k] - x[a, i]
+            f1, f2 = p1 * d + p2 * e, q1 * d + q2 * e
+            s11, s22, s12 = s11 + f1 * f1, s22 + f2 * f2, s12 + f1 * f2
+        c1, c2, a12 = 0.5 * (s11 - 1.0), 0.5 * (s22 - 1.0), alpha[1, c]
+        det = alpha[0, c] * alpha[2, c] - a12 * a12
+        total += (alpha[2, c] * c1 * c1 - 2.0 * a12 * c1 * c2 + alpha[0, c] * c2 * c2) / det
+        total += s12 * s12 / alpha[3, c]
+    return 0.5 * total
+
+
 @dataclass(eq=False)
 class Triangles(Constraints):
     """The triangles one by one: the definition in NumPy."""
@@ -281,6 +303,10 @@ class BuiltMembrane(Built):
         self.data = Membrane(**packing.common((3,)), inverse=packing.column(inverse),
                              compliance=packing.column(np.where(soft, none, compliance), none))
         self.constraints = Triangles.of(self.data)
+        self.sides = sides_of(parameters)
+
+    def stored_energy(self, state):
+        return energy_of(self.data, state.x)
 
 
 EFFECT = Effect('membrane', Parameters, BuiltMembrane)

@@ -33,6 +33,7 @@ Limits: 0 ≤ poisson < 0.5; linear tetrahedra lock near 0.5, and in bending whe
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ from xpbd_ros.sim.constraints.projection import (
     recall,
     xpbd_residual,
 )
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, sides_of
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.accumulators import row
@@ -206,6 +207,37 @@ def solve_volume(volume, apart, c, x, m):
     return (1.0, i0), (1.0, i1), (1.0, i2), (1.0, i3)
 
 
+@jit(inline=True)
+def gradient_row(volume, c, x, a):
+    """Return row a of the deformation gradient F of tetrahedron c."""
+    particles, b = volume.particles, volume.inverse
+    first = x[a, particles[0, c]]
+    d, e = x[a, particles[1, c]] - first, x[a, particles[2, c]] - first
+    f = x[a, particles[3, c]] - first
+    return (d * b[0, c] + e * b[3, c] + f * b[6, c], d * b[1, c] + e * b[4, c] + f * b[7, c],
+            d * b[2, c] + e * b[5, c] + f * b[8, c])
+
+
+@jit
+def energy_of(volume, x):
+    """Return Σ C_D² / (2 α_D) + C_H² / (2 α_H) [J]."""
+    total, alpha = 0.0, volume.compliance
+    for c in range(volume.particles.shape[1]):
+        if volume.particles[0, c] == volume.particles[1, c]:    # an empty place of a pack
+            continue
+        p1, p2, p3 = gradient_row(volume, c, x, 0)
+        q1, q2, q3 = gradient_row(volume, c, x, 1)
+        r1, r2, r3 = gradient_row(volume, c, x, 2)
+        growth = (p1 * (q2 * r3 - q3 * r2) + p2 * (q3 * r1 - q1 * r3)
+                  + p3 * (q1 * r2 - q2 * r1)) - 1.0
+        trace = (p1 * p1 + p2 * p2 + p3 * p3 + q1 * q1 + q2 * q2 + q3 * q3
+                 + r1 * r1 + r2 * r2 + r3 * r3)
+        square = (trace - 3.0 - 2.0 * growth + 8.0 / 9.0 * growth**2
+                  + (sqrt(trace) - REST)**2 / 3.0)
+        total += max(square, 0.0) / alpha[0, c] + growth**2 / alpha[1, c]
+    return 0.5 * total
+
+
 @dataclass(eq=False)
 class Tetrahedra(Constraints):
     """The tetrahedra one by one: the definition in NumPy."""
@@ -270,6 +302,10 @@ class BuiltVolume(Built):
         self.data = Volume(**packing.common((2,)), inverse=packing.column(inverse),
                            compliance=packing.column(alpha, 1.0))
         self.constraints = Tetrahedra.of(self.data)
+        self.sides = sides_of(parameters)
+
+    def stored_energy(self, state):
+        return energy_of(self.data, state.x)
 
 
 EFFECT = Effect('volume', Parameters, BuiltVolume)

@@ -165,13 +165,13 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     Return a mix of ``explicit`` and ``line`` where its substeps fit the budget, else ``line``.
 
     Effects whose force is not in the velocities at a frame's ends have no mix, as a change of
-    method would change momentum; nor have those that stretch without edges, as the check of
-    ``explicit`` frames looks at the strain of edges. A simulation that began with a mix keeps its
+    method would change momentum; nor have those that stretch without edges or ``sides``, as the
+    check of ``explicit`` frames looks at these. A simulation that began with a mix keeps its
     storage, and returns to ``explicit`` when it can.
     """
     barred = {method for built in effects.values() for method in built.incompatible_with}
     unfit = any(built.explicit_velocity_lags or _is_swept_stretch(name, built)
-                for name, built in effects.items())
+                and built.sides is None for name, built in effects.items())
     if (lines.method != 'line' or 'explicit' in barred or unfit or keys.integrator is not None
             or keys.error_target is not None or keys.substeps is not None and not live):
         return lines

@@ -1,6 +1,6 @@
 """What an effect is: the value that its file registers, and what it becomes in a simulation."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -125,6 +125,13 @@ def is_grid(mesh: Mesh) -> bool:
     return mesh.grid is not None
 
 
+def sides_of(cloths: Iterable[Cloth]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the edges of cloths: slots, shape (edges, 2), and lengths at rest [m]."""
+    slots, lengths = zip(*((cloth.slots[cloth.mesh.edges], np.linalg.norm(np.subtract(
+        *cloth.mesh.positions[cloth.mesh.edges.T]), axis=1)) for cloth in cloths))
+    return np.concatenate(slots), np.concatenate(lengths)
+
+
 class Built:
     """
     An effect compiled for one scene.
@@ -156,6 +163,9 @@ class Built:
     """the constraints of each of the parts, where there are several"""
     cells: Sequence[Any] = ()
     """constraints on both diagonals of grid cells, which ``explicit_guard`` watches"""
+    sides: tuple[np.ndarray, np.ndarray] | None = None
+    """particles whose distance tells the strain of what stretches without edges, shape (sides, 2),
+    and their distances at rest [m], for ``explicit_guard``"""
     loaded_edges: Sequence[tuple[np.ndarray, Any]] = ()
     """multipliers and ``distance.Edges`` of elastic edges, for ``measure.stiffness_given``"""
     packs: np.ndarray | None = None
@@ -193,6 +203,10 @@ class Built:
         Of its sum over the particles [N], and of the acceleration of one of them [m/s²].
         """
         return 0.0, 0.0
+
+    def stored_energy(self, state: State) -> float:
+        """Return the elastic energy of what stretches without edges [J] (``explicit_guard``)."""
+        return 0.0
 
     def work(self, state: State, dt: float) -> float:
         """

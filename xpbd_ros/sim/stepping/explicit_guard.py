@@ -50,8 +50,17 @@ class EdgeProbe(NamedTuple):
     """as of edges, shape (cells,)"""
 
 
-def probed_edges(lists: Sequence, cells: Sequence = ()) -> EdgeProbe:
-    """Return lists of edges (``distance.Edges``) and cells (``shear_cells.Slants``) to look at."""
+def probed_edges(lists: Sequence, cells: Sequence = (),
+                 sides: Sequence[tuple[np.ndarray, np.ndarray]] = ()) -> EdgeProbe:
+    """
+    Return what to look at.
+
+    Parameters
+    ----------
+    lists, cells : edges (``distance.Edges``) and cells (``shear_cells.Slants``)
+    sides : of elements, ``Built.sides``; their strain counts whole, and they store no energy
+
+    """
     def of(lists, name, empty):
         return np.concatenate([empty, *(getattr(edges, name) for edges in lists)])
 
@@ -61,9 +70,14 @@ def probed_edges(lists: Sequence, cells: Sequence = ()) -> EdgeProbe:
     least = np.full(max(particles.max(initial=-1), corners.max(initial=-1)) + 1, np.inf)
     np.minimum.at(least, particles, compliance[:, None])
     np.minimum.at(least, corners, 0.5 * slack[:, None])    # a cell pulls at twice as many as edges
-    return EdgeProbe(particles, of(lists, 'rest_length', np.zeros(0)), compliance,
-                least[particles].min(axis=1) / compliance, corners, slack,
-                least[corners].min(axis=1) / (0.5 * slack))
+    slots, lengths = (np.concatenate(each) for each in zip(
+        (np.zeros((0, 2), np.int64), np.zeros(0)), *sides))
+    return EdgeProbe(
+        np.concatenate([particles, slots]),
+        np.concatenate([of(lists, 'rest_length', np.zeros(0)), lengths]),
+        np.concatenate([compliance, np.full(len(slots), np.inf)]),
+        np.concatenate([least[particles].min(axis=1) / compliance, np.ones(len(slots))]),
+        corners, slack, least[corners].min(axis=1) / (0.5 * slack))
 
 
 @jit
@@ -147,8 +161,10 @@ class ExplicitGuard:
         return solver.rough if self._left and solver.method == 'explicit' else solver
 
     def _look(self) -> tuple[float, float, float]:
-        state = self._simulation.state
-        return look(self._edges, state.x, state.v, state.mass, state.inv_mass)
+        state, effects = self._simulation.state, self._simulation.effects
+        strain, energy, pinned = look(self._edges, state.x, state.v, state.mass, state.inv_mass)
+        energy += sum(built.stored_energy(state) for built in effects.values())
+        return strain, energy, pinned
 
     def compile(self) -> None:
         """Compile the check and ``line``."""
@@ -167,7 +183,8 @@ class ExplicitGuard:
         self._edges = probed_edges(
             [these for built in effects.values() for these in built.by_part
              if these.particles.shape[1] == 2],
-            [these for built in effects.values() for these in built.cells])
+            [these for built in effects.values() for these in built.cells],
+            [built.sides for built in effects.values() if built.sides is not None])
 
     def reset(self) -> None:
         """Go to the scene's start."""
