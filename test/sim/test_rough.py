@@ -188,8 +188,7 @@ def test_one_plain_sweep_of_lines_with_bdf2_is_wilder(kinds, substeps):
         sheet = swing('line', 'bdf2', substeps, 21, stiffness)
 
         def bare(commands, sheet=sheet):
-            for command in commands:
-                sheet._apply((command,), None)
+            assert sheet.apply(commands) == []
             advance_one_sweep(sheet._tuple, sheet.state, sheet.frame_dt, substeps)
         for key, most in plain.items():
             sheet.apply([Reset()])
