@@ -6,6 +6,13 @@ from support.soak import soak
 
 
 @pytest.mark.slow
+def test_ten_minutes_at_the_default_setting_leave_nothing_behind():
+    found = soak(600.0, {})
+    assert found['worse'] == [], found
+    assert found['method_switches'] > 10
+
+
+@pytest.mark.slow
 def test_ten_minutes_leave_nothing_behind():
     found = soak(600.0)
     assert found['worse'] == [], found
