@@ -161,6 +161,18 @@ def test_a_live_key_set_to_what_it_is_changes_no_bit(options):
         assert plain.hash() == touched.hash(), k
 
 
+def test_a_live_key_leaves_no_garbage_to_the_collector():
+    simulation = with_effects(**MOVING)
+    simulation.step([SetKey('gravity', [0.0, 0.0, -9.0])])
+    gc.collect()
+    gc.disable()
+    try:
+        simulation.step([SetKey('gravity', [0.0, 0.0, -8.0])])
+        assert gc.collect() == 0
+    finally:
+        gc.enable()
+
+
 @pytest.mark.parametrize('key, value, text', [
     ('cloths.c.effects.stretch.warp', -1, 'must be > 0 N/m (got -1)'),
     ('cloths.c.effects.stretch.warp', float('nan'), 'must be finite N/m (got nan)'),

@@ -109,7 +109,7 @@ def soak(seconds: float, keys: dict | None = None, *, say=lambda text: None) -> 
              'strain': measure.largest_strain(simulation),
              'frames_taken_back': simulation.stats()['frames_taken_back'],
              'method_switches': simulation.stats().get('method_switches', 0)}
-    if found['grown_mb'] > 16.0:
+    if found['grown_mb'] > 4.0:
         worst.append('memory grows')
     if found['handles'] > 0:
         worst.append('files are left open')

@@ -228,8 +228,6 @@ class BuiltContact(Built):
             bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
         self.data = Contact(self.contacts, bounce, None if parameters.when == 'sweep'
                             else np.array([0, world.iterations]))
-        self.commands = {MoveCollider: self.move, PlaceCollider: self.place,
-                         RemoveCollider: self.remove, RemoveAllColliders: self.remove_all}
         self.placed: dict[str, Placed] = {}
         self._fields: dict[tuple, Field] = {}    # of meshes about to be placed
         self.changes = 0
@@ -407,6 +405,9 @@ class BuiltContact(Built):
     def remove_all(self, command, clock, state) -> None:
         """Remove all colliders."""
         self._remove(list(self.placed))
+
+    commands = {MoveCollider: move, PlaceCollider: place, RemoveCollider: remove,
+                RemoveAllColliders: remove_all}
 
     def _remove(self, names: Iterable[str]) -> None:
         for name in names:

@@ -208,8 +208,6 @@ class BuiltPin(Built):
         """pins that have slipped since the start"""
         self._v_before = np.zeros((3, 0))
         self._news: list[str] = []
-        self.commands = {Grasp: self.grasp, Release: self.release, ReleaseAll: self.release_all,
-                         MovePin: self.move, Click: self.click}
 
     def reset(self, state, now_ns):
         self.release_all(None, None, state)
@@ -354,6 +352,9 @@ class BuiltPin(Built):
                 self._changed()
         motion.aim(command.pose, command.twist, command.stamp_ns, clock.begin_ns)
 
+    commands = {Grasp: grasp, Release: release, ReleaseAll: release_all, MovePin: move,
+                Click: click}
+
     def begin(self, clock, state):
         for name in [n for n, held in self.held.items()
                      if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]:
@@ -412,8 +413,7 @@ class BuiltPin(Built):
         return news
 
     def adopt(self, old):
-        own = {'scale': self.scale, 'commands': self.commands}
-        self.__dict__.update({**old.__dict__, **own})
+        self.__dict__.update({**old.__dict__, 'scale': self.scale})
         self._changed()
 
     def reported(self, frame_dt):

@@ -68,16 +68,17 @@ class BuiltWind(Built):
         self.velocity = np.array(parameters.velocity)
         """mean velocity of the scene or of the last command [m/s]"""
         self.data = Wind(*(np.zeros(3) for _ in range(3)))
-        self.commands = {SetWind: self.set}
         self._start_ns = 0
 
     def refusal(self, commands, state):
         return next((f'wind: {list(command.velocity)} is faster than {FASTEST:g} m/s'
                      for command in commands if max(map(abs, command.velocity)) > FASTEST), None)
 
-    def set(self, command, clock, state) -> None:
+    def change(self, command, clock, state) -> None:
         """Change the mean velocity."""
         self.velocity = np.array(command.velocity)
+
+    commands = {SetWind: change}
 
     def begin(self, clock, state):
         for velocity, now_ns in ((self.data.start, clock.begin_ns), (self.data.goal,

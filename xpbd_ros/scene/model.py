@@ -1,5 +1,6 @@
 """A scene file as frozen dataclasses."""
 
+from collections.abc import Iterator
 import dataclasses
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
@@ -147,27 +148,27 @@ class Scene:
 
 def live_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
     """Return (dataclass field, present value) of the live keys, by dotted key."""
-    found = {}
-
-    def walk(prefix: str, values: Any) -> None:
-        for field in fields(values):
-            value = getattr(values, field.name)
-            if is_dataclass(value):
-                walk(f'{prefix}{field.name}.', value)
-            elif field.metadata.get('live') and value is not None:
-                found[f'{prefix}{field.name}'] = (field, value)
-
-    walk('', scene.top)
+    found = dict(_live_fields('', scene.top))
     for name, cloth in scene.cloths.items():
-        walk(f'cloths.{name}.', cloth)
+        found.update(_live_fields(f'cloths.{name}.', cloth))
         for effect, parameters in scene.cloth_effects[name].items():
-            walk(f'cloths.{name}.effects.{effect}.', parameters)
+            found.update(_live_fields(f'cloths.{name}.effects.{effect}.', parameters))
     for section, entries in scene.sections.items():
         for name, entry in entries.items():
-            walk(f'{section}.{name}.', entry)
+            found.update(_live_fields(f'{section}.{name}.', entry))
     for effect, parameters in scene.effects.items():
-        walk(f'effects.{effect}.', parameters)
+        found.update(_live_fields(f'effects.{effect}.', parameters))
     return found
+
+
+def _live_fields(prefix: str, values: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """Yield dotted keys and (field, value) of a dataclass and of those in it."""
+    for field in fields(values):
+        value = getattr(values, field.name)
+        if is_dataclass(value):
+            yield from _live_fields(f'{prefix}{field.name}.', value)
+        elif field.metadata.get('live') and value is not None:
+            yield f'{prefix}{field.name}', (field, value)
 
 
 def with_key(raw: dict, key: str, value: Any) -> dict:

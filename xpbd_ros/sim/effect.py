@@ -137,11 +137,13 @@ class Built:
     An effect compiled for one scene.
 
     ``data`` is the NamedTuple that the kernels get, None where there is nothing to do; ``also``
-    are more of them. ``commands`` maps a command's type to a method ``(command, clock, state)``
-    that applies it, once ``refusal`` has nothing against it.
+    are more of them. ``commands`` maps a command's type to the function of the class that applies
+    it, ``(self, command, clock, state)``, once ``refusal`` has nothing against it; bound methods
+    would tie the arrays into a cycle, and these would wait for the garbage collector.
     """
 
     data: Any
+    commands: Mapping[type, Callable[[Any, Any, Clock, State], None]] = {}
     incompatible_with: tuple[str, ...] = ()
     """methods and integrators that do without it"""
     also: Sequence[Any] = ()
@@ -179,7 +181,6 @@ class Built:
     def __init__(self):
         self.notes: list[str] = []
         """what a user must know before anything runs"""
-        self.commands: dict[type, Callable[[Command, Clock, State], None]] = {}
 
     @property
     def parts(self) -> tuple[Any, ...]:

@@ -260,7 +260,7 @@ class Simulation:
                 return reason if len(group) == 1 else f'{reason}; nothing of it was done'
         for owner, mine in owners.values():
             for command in mine:
-                owner.commands[type(command)](command, clock, self.state)
+                owner.commands[type(command)](owner, command, clock, self.state)
         return None
 
     def _reset(self, command: Reset) -> None:
