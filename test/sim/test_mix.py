@@ -9,7 +9,7 @@ from support.newton import balance
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import CALM_FRAMES
+from xpbd_ros.scene.auto import CALM_FRAMES, cost
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import explicit
@@ -243,6 +243,16 @@ def test_other_keys_leave_auto_with_line(keys):
     assert (solver.method, solver.mixes) == ('line', False)
     assert compile_scene(load_scene('swing', {
         'cloths.sheet.grid.resolution': [9, 9]})).solver.mixes
+
+
+def test_a_mix_may_exceed_the_budget_by_a_tenth():
+    def taken(budget_ms):
+        return compile_scene(load_scene('swing', {
+            'cloths.sheet.grid.resolution': [9, 9], 'solver.budget_ms': budget_ms}))
+    roomy = taken(8.0)
+    time = 1e-6 * roomy.solver.substeps * cost('explicit', 1, roomy.effects, roomy.state)
+    assert taken(time / 1.09).solver.method == 'explicit'
+    assert taken(time / 1.11).solver.method == 'line'
 
 
 def test_rigid_edges_leave_auto_with_line():

@@ -34,6 +34,9 @@ ROUGH = ('rough_frames', 'rough_integrator', 'rough_substeps')
 """keys of the frames where ``explicit`` is unstable"""
 MAX_SUBSTEPS = 10_000
 """substeps of ``explicit`` that ``auto`` chooses at most, as ``solver.substeps`` allows"""
+EXCESS = 1.1
+"""time of ``explicit`` over ``budget_ms`` that a mix may have at most: the cost table cannot tell
+so little, and the error is several times smaller than that of ``line``"""
 CALM_FRAMES = 30
 """calm frames of ``line`` after an unstable one of ``explicit``, in a mix"""
 
@@ -164,6 +167,8 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     """
     Return a mix of ``explicit`` and ``line`` where its substeps fit the budget, else ``line``.
 
+    They may exceed it by ``EXCESS``.
+
     Effects whose force is not in the velocities at a frame's ends have no mix, as a change of
     method would change momentum; nor have those that stretch without edges or ``sides``, as the
     check of ``explicit`` frames looks at these. A simulation that began with a mix keeps its
@@ -179,7 +184,8 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
                                                         state, frame_dt)
     per = cost('explicit', 1, effects, state, table_of(keys))
     wanted = _stable_substeps(effects, state, frame_dt)
-    substeps = keys.substeps or _bounded(wanted, max(1, int(keys.budget_ms * 1e6 / per)))
+    affordable = max(1, int(EXCESS * keys.budget_ms * 1e6 / per))
+    substeps = keys.substeps or _bounded(wanted, affordable)
     fits = (keys.iterations == 1 and MAX_SUBSTEPS >= substeps >= wanted
             and not rounds_away(state, frame_dt / substeps))
     if not fits and not live:
