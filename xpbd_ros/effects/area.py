@@ -14,6 +14,7 @@ lets a triangle shear without bound.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from xpbd_ros.sim.constraints.builders import Packing
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
 from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, sides_of
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, triangle_areas
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint
@@ -80,6 +81,22 @@ def solve_area(area, apart, c, x, m):
     return (df, g0), (df, g1), (df, g2)
 
 
+@jit
+def energy_of(area, x):
+    """Return Σ C² / (2 α) [J]."""
+    total = 0.0
+    for c in range(area.particles.shape[1]):
+        i, j, k = area.particles[0, c], area.particles[1, c], area.particles[2, c]
+        if i == j:    # an empty place of a pack
+            continue
+        ax, ay, az = x[0, j] - x[0, i], x[1, j] - x[1, i], x[2, j] - x[2, i]
+        bx, by, bz = x[0, k] - x[0, i], x[1, k] - x[1, i], x[2, k] - x[2, i]
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        residual = 0.5 * sqrt(nx * nx + ny * ny + nz * nz) - area.rest_area[c]
+        total += residual * residual / area.compliance[c]
+    return 0.5 * total
+
+
 @dataclass(eq=False)
 class Triangles(Constraints):
     """The triangles one by one: the definition in NumPy."""
@@ -115,6 +132,10 @@ class BuiltArea(Built):
         self.data = Area(**packing.common(), rest_area=packing.column(rest),
                          compliance=packing.compliance(compliance))
         self.constraints = Triangles.of(self.data)
+        self.sides = sides_of(parameters)
+
+    def stored_energy(self, state):
+        return energy_of(self.data, state.x)
 
 
 EFFECT = Effect('area', Parameters, BuiltArea)

@@ -39,7 +39,7 @@ from xpbd_ros.sim.constraints.projection import (
     xpbd_residual,
 )
 from xpbd_ros.sim.constraints.spin_correction import keep_places, turn_back
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, sides_of
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.accumulators import moves, row
@@ -307,6 +307,7 @@ class BuiltPressure(Built):
         self._names = [cloth.name for cloth in parameters]
         self.constraints = Gas(particles, np.zeros(len(parts), np.int64), listed,
                                np.array(volumes), np.array(compliance))
+        self.sides = sides_of(parameters)
 
     def load(self, state):
         """Return bounds of the force of the gas."""
