@@ -144,6 +144,15 @@ def test_a_filled_budget_has_no_room_for_one_more_substep(compliance, method, it
     assert used <= 3.0e6 < used / substeps * (substeps + 1)
 
 
+def test_cloth_that_touches_itself_gets_four_substeps_whatever_the_budget():
+    """Fewer move it further in each, and the searches cost what the substeps save."""
+    chosen = resolved({'compliance': 1e-4}, solver={'budget_ms': 1e-6},
+                      effects={'self_collision': {'thickness': 0.01}})
+    assert chosen.substeps == 4
+    assert ('4 substeps exceed the budget of 1e-06 ms, but fewer take no less time with '
+            'self_collision, about ') in chosen.reason
+
+
 def test_a_budget_for_nothing_buys_one_substep():
     assert resolved(n=60, solver={'budget_ms': 1e-6}).substeps == 1
 

@@ -223,9 +223,8 @@ class BuiltContact(Built):
             world.built['self_collision'].heed(self.contacts)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
-        bounce = None
-        if any(entry.restitution > 0.0 for entry in self.entries.values()):
-            bounce = Bounce(np.zeros(capacity), np.zeros((room, 3)))
+        bounces = any(entry.restitution > 0.0 for entry in self.entries.values())
+        bounce = Bounce(np.zeros(capacity), np.zeros((room, 3))) if bounces else None
         self.data = Contact(self.contacts, bounce, None if parameters.when == 'sweep'
                             else np.array([0, world.iterations]))
         self.placed: dict[str, Placed] = {}

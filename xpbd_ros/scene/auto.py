@@ -90,7 +90,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
     asked, also for the constraints that are in no line. An effect may need a number of substeps
     of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
-    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table.
+    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table, but not below
+    ``Built.fewest_substeps``.
     """
     barred = {method: name for name, built in effects.items()
               for method in built.incompatible_with}
@@ -104,6 +105,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     table = table_of(keys)
     per = cost(method, keys.iterations, effects, state, table)
     affordable = _affordable(keys.budget_ms * 1e6 / per, method, state, frame_dt)
+    costly = [name for name, built in effects.items() if built.fewest_substeps > affordable]
+    affordable = max([affordable, *(effects[name].fewest_substeps for name in costly)])
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]
     if integrator in barred:
@@ -151,15 +154,23 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
                              'line, raise budget_ms or give substeps')
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
-    reason = f'auto: {method}, {integrator}, {substeps} substeps'
-    if wanted <= affordable:
-        reason += ' resolve the stretch'
-    elif wanted < 1e9:
-        reason += f' fill the budget of {keys.budget_ms:g} ms; {ceil(wanted)} would resolve it'
-    else:
-        reason += f' fill the budget of {keys.budget_ms:g} ms; no number resolves rigid edges'
     took = 1e-6 * substeps * per * compensation(method, state, frame_dt / substeps)
-    return Solver(substeps=substeps, reason=f'{reason}, about {took:.2g} ms per frame', **chosen)
+    met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
+    return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
+                  f'{met}, about {took:.2g} ms per frame', **chosen)
+
+
+def _what_they_meet(wanted: float, affordable: int, budget_ms: float, costly: list[str]) -> str:
+    """Return whether substeps resolve the stretch or meet the budget, in words."""
+    if wanted <= affordable:
+        return 'resolve the stretch'
+    if costly:
+        return (f'exceed the budget of {budget_ms:g} ms, but fewer take no less time with '
+                f'{", ".join(costly)}')
+    fill = f'fill the budget of {budget_ms:g} ms; '
+    if wanted < 1e9:
+        return f'{fill}{ceil(wanted)} would resolve it'
+    return f'{fill}no number resolves rigid edges'
 
 
 def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: float, *,

@@ -151,6 +151,8 @@ class Built:
     """time in a substep besides its constraints [ns], for ``auto`` (``scene.cost_table``)"""
     ns_per_substep: float = 0.0
     """time in a substep whatever the particles [ns], for ``auto``"""
+    fewest_substeps: int = 1
+    """substeps of a frame below which it takes no less time"""
     explicit_velocity_lags: bool = False
     """True if ``explicit`` leaves half a substep of its force out of the velocities at a frame's
     ends, so that ``auto`` must not switch methods"""
