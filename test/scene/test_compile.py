@@ -64,6 +64,16 @@ def test_a_cloth_too_heavy_or_too_light_for_numbers_is_refused(size, weight):
                                 'size, density or resolution')
 
 
+@pytest.mark.parametrize('keys', [
+    {'grid': {'size': [3e6, 1.0], 'resolution': [11, 11]}, 'density': 1e-9},
+    {'grid': {'size': [1.0, 1.0], 'resolution': [11, 11]}, 'density': 0.2,
+     'pose': {'position': [0.0, 3e6, 0.0]}}])
+def test_a_cloth_too_far_away_to_compute_with_is_refused(keys):
+    with pytest.raises(InputError, match=r'far.yaml: cloths.c: a particle would be .+e\+06 m '
+                                         r'away, and 1e\+06 m is the most; correct size, scale'):
+        compile_scene(scene_from_mapping({'cloths': {'c': keys}}, where='far.yaml', name='far'))
+
+
 def test_what_is_wrong_with_a_pin_is_told_with_the_file():
     """Found only when the cloths are laid out."""
     with pytest.raises(InputError) as error:

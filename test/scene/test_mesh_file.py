@@ -47,6 +47,13 @@ def test_a_line_that_is_not_obj_is_told(line, tmp_path):
     assert str(error.value) == f'{path}: line 5: cannot be read as OBJ (got {line!r})'
 
 
+def test_a_vertex_that_does_not_exist_is_told_with_its_line(tmp_path):
+    path = written(tmp_path, f'{V}f 1 2 3\nf 1 2 7\nf 1 2 6\n')
+    with pytest.raises(InputError) as error:
+        read_mesh_file(path)
+    assert str(error.value) == f'{path}: line 6: vertex 7 does not exist (there are 4)'
+
+
 @pytest.mark.parametrize('name', ['disc.stl', 'disc.ply', 'disc.off', 'disc.vtk', 'disc.vtu',
                                   'disc.msh'])
 def test_other_formats_hold_the_same_surface(name, tmp_path, meshio):
@@ -93,3 +100,9 @@ def test_a_file_that_is_gone_is_named(tmp_path):
     with pytest.raises(InputError) as error:
         read_mesh_file(tmp_path / 'none.obj')
     assert str(error.value).startswith(f"no such file: {tmp_path / 'none.obj'}; ")
+
+
+def test_a_folder_is_no_mesh(tmp_path):
+    with pytest.raises(InputError) as error:
+        read_mesh_file(tmp_path)
+    assert str(error.value) == f'{tmp_path} is a folder; name a file in it'

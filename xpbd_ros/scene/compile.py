@@ -15,6 +15,7 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.scene.threads import with_threads
+from xpbd_ros.sim.command_check import FAR
 from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -63,6 +64,10 @@ def compile_scene(scene: Scene) -> Simulation:
         if not (np.isfinite(1.0 / mass).all() and np.isfinite(mass).all()):
             raise InputError(f'{scene.where}: cloths: a particle would weigh {mass.min():.3g} kg; '
                              'correct size, density or resolution')
+    for cloth, positions in zip(cloths, x):
+        if (far := np.abs(positions).max()) > FAR:
+            raise InputError(f'{scene.where}: cloths.{cloth.name}: a particle would be {far:.3g} '
+                             f'm away, and {FAR:g} m is the most; correct size, scale or pose')
     slot = np.concatenate([cloth.slots for cloth in cloths])
     state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
                       pins='pin' in scene.effects, dtype=dtype)

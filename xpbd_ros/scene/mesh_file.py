@@ -29,16 +29,24 @@ def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     tetrahedra : indices, shape (tetrahedra, 4)
 
     """
-    if not path.is_file():
-        raise InputError(f'no such file: {path}; restore it, or correct the path')
+    require_file(path)
     try:
         return _read_obj(path) if path.suffix.lower() == '.obj' else _read_with_meshio(path)
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from error
 
 
+def require_file(path: Path) -> None:
+    """Raise InputError unless a path is that of a file."""
+    if path.is_dir():
+        raise InputError(f'{path} is a folder; name a file in it')
+    if not path.is_file():
+        raise InputError(f'no such file: {path}; restore it, or correct the path')
+
+
 def _read_obj(path: Path):
     vertices, triangles = [], []
+    last, named_in = -1, 0    # the vertex of the highest number, and the line that names it
     text = path.read_text(encoding='utf-8', errors='replace').replace('\\\n', ' ')
     for number, line in enumerate(text.splitlines(), 1):
         key, *words = line.partition('#')[0].split() or ['']
@@ -54,9 +62,14 @@ def _read_obj(path: Path):
                 if min(corners) < 0:
                     raise ValueError
                 triangles += _fan(corners)
+                if max(corners) > last:
+                    last, named_in = max(corners), number
         except ValueError:
             raise InputError(f'{path}: line {number}: cannot be read as OBJ '
                              f'(got {line.strip()[:40]!r})') from None
+    if last >= len(vertices):
+        raise InputError(f'{path}: line {named_in}: vertex {last + 1} does not exist (there are '
+                         f'{len(vertices)})')
     return (np.array(vertices, float).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3),
             np.zeros((0, 4), np.int64))
 
@@ -102,8 +115,7 @@ def _read_with_meshio(path: Path):
 def read_table(file: str) -> np.ndarray:
     """Return a table of numbers from a .npy file, or from text with commas or blanks between."""
     path = Path(file)
-    if not path.is_file():
-        raise InputError(f'no such file: {path}; restore it, or correct the path')
+    require_file(path)
     try:
         if path.suffix.lower() == '.npy':
             return np.load(path, allow_pickle=False)
