@@ -12,6 +12,8 @@ from xpbd_ros.sim.commands import Reset, SetKey, SetWind
 
 AIR, NORMAL, SKIN = 1.2, 1.2, 0.01
 STILL = (0.0, 0.0, 0.0)
+METHOD = {'backward_euler': 'gauss_seidel', 'bdf2': 'gauss_seidel_symmetric', 'ndf2': 'line',
+          'leapfrog': 'explicit'}
 
 
 def sheet(wind=None, *, drag=None, gravity=STILL, density=0.1, grid=(4, 3), **options):
@@ -23,21 +25,35 @@ def sheet(wind=None, *, drag=None, gravity=STILL, density=0.1, grid=(4, 3), **op
                     density=density, **options)
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', slow('bdf2')])
-def test_a_flat_sheet_falls_as_tanh_to_its_terminal_speed(integrator):
-    """V17: v = v_t tanh(g t / v_t), v_t = √(2 ρ g / (ρ_a C)); order 1."""
+@pytest.mark.parametrize('integrator, order', [
+    ('backward_euler', 1.0), slow('bdf2', 2.0), ('ndf2', 2.0), ('leapfrog', 2.0)])
+def test_a_flat_sheet_falls_as_tanh_to_its_terminal_speed(integrator, order):
+    """V17: v = v_t tanh(g t / v_t), v_t = √(2 ρ g / (ρ_a C))."""
     terminal = np.sqrt(2.0 * 0.1 * GRAVITY / (AIR * NORMAL))
     assert terminal == pytest.approx(1.167, abs=1e-3)
     errors = []
     for substeps in (4, 8, 16):
         simulation = sheet(drag={'density': AIR}, gravity=(0, 0, -GRAVITY), substeps=substeps,
-                           integrator=integrator)
+                           integrator=integrator, method=METHOD[integrator])
         frame = run(simulation, 6)
         exact = -terminal * np.tanh(GRAVITY * 0.1 / terminal)
         assert np.ptp(frame.v, 0).max() < 1e-12
         errors.append(abs(frame.v[0, 2] - exact))
-    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 1.0, atol=0.1)
+    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), order, atol=0.1)
     assert run(simulation, 120).v[:, 2] == pytest.approx(-terminal, rel=2e-3)
+
+
+def test_a_flag_in_a_gust_has_the_order_of_the_leapfrog():
+    """Where normals, velocities and the wind are those at x_n; any of them late gives order 1."""
+    at = []
+    for substeps in (64, 128, 256):
+        flag = sheet((0.0, 1.0, 4.0), gust={'gust': [0.5, 0.0, -1.0], 'period': 0.4},
+                     pins={'a': {'cloth': 'c', 'at': 'edge_x0'}}, gravity=(0, 0, -GRAVITY),
+                     substeps=substeps, method='explicit', integrator='leapfrog',
+                     effects={'stretch': {'warp': 20.0, 'weft': 20.0}})
+        at.append(run(flag, 6).x)
+    coarse, fine = (np.abs(a - b).max() for a, b in zip(at, at[1:]))
+    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
 
 
 @pytest.mark.parametrize('precision', ['float64', slow('float32')])

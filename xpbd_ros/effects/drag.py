@@ -10,8 +10,8 @@ which is c_n (u·n) n + c_t u_t and includes both sides of the cloth. Each of it
 a third of c_n n nᵀ + c_t (1 - n nᵀ), times its own relative velocity u_i: together F, and sawtooth
 motion has drag as well. (On a grid, where diagonals alternate, the third is replaced by the
 fraction that makes its area that of its mass, so that a flat sheet stays flat.) With D_i, the sum
-of these matrices at a particle, Z = H w D_i and u_i at the velocity that the integrator starts
-from, a substep adds
+of these matrices at a particle, Z = H w D_i and u_i at the velocity that is expected where the
+force acts, a substep adds
 
     Δv = Z u_i / max(1, trace Z).
 
@@ -21,11 +21,18 @@ would overshoot (doc/numerics.md 6.2). A step with trace Z > 1 is too long, and 
 by that factor. ``auto`` chooses the substeps so that trace Z stays below RESOLVED in the scene's
 wind; particles above it continue with backward Euler, since the v̄ of BDF2 would overshoot.
 
-Limits: no lift from separated flow, no lee, no added mass of air. Coefficients and normals are
-those of the substep's start: first order in time. A strip of one row has no triangles.
+The expected velocity continues the present acceleration. A step of BDF2 or NDF2 starts from v̄,
+which a constant acceleration has at t_n + h - H, so at the end it has v_n + h / (h - H) (v̄ - v_n).
+The leapfrog has v_n-1/2 + (v_n-1/2 - v_n-3/2) / 2 at x_n. So the force is of second order in time.
+Where Z is large it would overshoot, so from half of RESOLVED on it changes to u_i at v̄, of first
+order, as it is with backward Euler.
+
+Limits: no lift from separated flow, no lee, no added mass of air. A strip of one row has no
+triangles.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +42,11 @@ from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
 from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
+from xpbd_ros.sim.constraints.projection import at_the_end
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import triangle_areas
 from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.particles.explicit_updates import half_of
 from xpbd_ros.sim.particles.history import discard_history, step_at
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.records import new_records
@@ -76,6 +85,10 @@ class Drag(NamedTuple):
     """slots of the corners, shape (3, triangles)"""
     share: np.ndarray
     """fraction of its triangles' force that each particle takes, shape (slots,)"""
+    area: np.ndarray
+    """of each particle [m²], shape (slots,)"""
+    past: np.ndarray
+    """velocities before the last substep, for the leapfrog [m/s], shape (3, slots)"""
     x: np.ndarray
     """positions as records, shape (slots, 4)"""
     u: np.ndarray
@@ -97,7 +110,10 @@ def _air(wind, k):    # Numba prunes a branch on None where that is an argument
 @jit
 def drag_triangles(drag, state, substep):
     """Sum the matrices of the triangles, then change the velocity of each particle."""
-    _add_up(drag, state, substep.h)
+    x, lead = state.x, 0.0
+    if not at_the_end(state.apart):
+        x, lead = state.x_prev, -1.0 if substep.begin == 0.0 else 0.5    # first, the frame's v
+    _add_up(drag, state, x, substep.h, substep.h, lead)
     begin, end, turn = turns_on_device(state.team, drag.slots[1] - drag.slots[0])
     for n in range(begin, end, turn):
         i = drag.slots[0] + n
@@ -113,8 +129,8 @@ def drag_triangles(drag, state, substep):
 @stage(add_explicit_forces, Drag)
 @jit
 def kick_drag(drag, state, substep):
-    """H² F / m, from the velocities as they are."""
-    _add_up(drag, state, 0.0)
+    """H² F / m at an end of a frame."""
+    _add_up(drag, state, state.x, 0.0, substep.h, 0.0 if half_of(substep) < 0.0 else 0.5)
     move = state.apart.move
     for i in range(drag.slots[0], drag.slots[1]):
         (dx, dy, dz), _ = _change(drag, state, i, substep.h)
@@ -124,19 +140,27 @@ def kick_drag(drag, state, substep):
 
 
 @jit
-def _add_up(drag, state, h):
-    """Write Σ D and u; v has changed by gravity in a substep of h since u's time."""
+def _add_up(drag, state, x, fallen, h, lead):
+    """
+    Write Σ D and u.
+
+    Parameters
+    ----------
+    drag, state : data and particles
+    x : positions where the force acts [m], shape (3, slots)
+    fallen : time for which gravity has been added to v, before H [s]
+    h : substep [s]
+    lead : of the leapfrog, the change of v since the last substep to be added once more
+
+    """
     first, last = drag.slots[0], drag.slots[1]
-    x, v, gravity = state.x, state.v, state.gravity
-    wx, wy, wz = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
+    wind = _air(drag.wind, 0), _air(drag.wind, 1), _air(drag.wind, 2)
     begin, end, turn = turns_on_device(state.team, last - first)
     for n in range(begin, end, turn):
         i = first + n
-        fall = step_at(state.history, i, h) if state.inv_mass[i] > 0.0 else 0.0
-        drag.x[i, 0], drag.x[i, 1], drag.x[i, 2] = x[0, i], x[1, i], x[2, i]
-        drag.u[i, 0] = wx - (v[0, i] - fall * gravity[0])
-        drag.u[i, 1] = wy - (v[1, i] - fall * gravity[1])
-        drag.u[i, 2] = wz - (v[2, i] - fall * gravity[2])
+        _load_velocity(drag, state, wind, i, fallen, h, lead)
+        for k in range(3):
+            drag.x[i, k] = x[k, i]
         for k in range(4):
             drag.along[i, k] = 0.0
             drag.across[i, k] = 0.0
@@ -144,6 +168,48 @@ def _add_up(drag, state, h):
     if alone_on_device(state.team):
         _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
     wait_on_device(state.team)
+
+
+@jit(inline=True)
+def _load_velocity(drag, state, wind, i, fallen, h, lead):
+    """Write u of a particle, from the velocity that is expected where the force acts."""
+    fall, ahead = 0.0, 0.0
+    if state.inv_mass[i] > 0.0:
+        fall = step_at(state.history, i, fallen)
+        ahead = _lead_of(state.history, step_at(state.history, i, h), h, lead)
+    square = 0.0
+    for k in range(3):
+        v = state.v[k, i] - fall * state.gravity[k]
+        square += (wind[k] - v)**2
+        drag.u[i, k] = v
+    ahead *= _trust(drag, step_at(state.history, i, h) * state.inv_mass[i], i, square)
+    for k in range(3):
+        v = drag.u[i, k]
+        drag.u[i, k] = wind[k] - (v + ahead * (v - _earlier(state.history, drag.past, i, k)))
+        drag.past[k, i] = v
+
+
+@jit(inline=True)
+def _lead_of(history, step, h, lead):
+    """Return by how much of its change since an earlier velocity v continues."""
+    if history is None:
+        return lead
+    return step / (h - step) if step < h else 0.0
+
+
+@jit(inline=True)
+def _earlier(history, past, i, k):
+    """Return that earlier velocity of a particle: v_n, or of the leapfrog the one before."""
+    if history is None:
+        return past[k, i]
+    return history.v[k, i]
+
+
+@jit(inline=True)
+def _trust(drag, per_mass, i, square):
+    """Return 1 where a bound of trace Z is below half of RESOLVED, 0 above RESOLVED."""
+    grip = drag.area[i] * (2.0 * drag.coefficient[0] + 4.0 * drag.coefficient[1])
+    return min(1.0, max(0.0, 2.0 - 2.0 / RESOLVED * per_mass * grip * sqrt(square)))
 
 
 @jit
@@ -243,14 +309,16 @@ class BuiltDrag(Built):
         dtype, wind = world.state.x.dtype, world.built.get('wind')
         triangles = np.concatenate([cloth.slots[cloth.mesh.triangles] for cloth in world.cloths])
         order, share = pack(triangles), zeros(world.slots, dtype)
+        self._area = np.zeros(world.slots)
         for cloth in world.cloths:
             share[cloth.slots] = shares(cloth.mesh)
+            self._area[cloth.slots] = shares(cloth.mesh) * areas(cloth.mesh)
         self.data = Drag(
             None if wind is None else wind.data.now,
             parameters.density * np.array([0.25 * parameters.normal, 0.5 * parameters.tangential]),
             np.array([triangles.min(initial=0), triangles.max(initial=-1) + 1]),
-            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share,
-            *(new_records(world.slots, dtype) for _ in range(4)))
+            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share, self._area,
+            zeros((3, world.slots), dtype), *(new_records(world.slots, dtype) for _ in range(4)))
         self._wind = None if wind is None else wind.data
         self._parameters, self._cloths, self._mass = parameters, world.cloths, world.state.mass
         self._speed = 0.0
@@ -260,9 +328,6 @@ class BuiltDrag(Built):
                 wind.parameters.velocity, wind.parameters.gust))
 
         self.pulls_taut = self._speed > 0.0
-        self._area = np.zeros(world.slots)
-        for cloth in world.cloths:
-            self._area[cloth.slots] = shares(cloth.mesh) * areas(cloth.mesh)
 
     def load(self, state):
         """Return bounds of the force of the wind, which still air does not have."""

@@ -19,6 +19,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.commands import SetWind
+from xpbd_ros.sim.constraints.projection import at_the_end
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import add_explicit_forces, force, stage
@@ -47,16 +48,27 @@ class Wind(NamedTuple):
     goal: np.ndarray
     """velocity at its end [m/s], shape (3,)"""
     now: np.ndarray
-    """velocity at the substep's end [m/s], shape (3,)"""
+    """velocity where the substep's forces act [m/s], shape (3,)"""
 
 
-@stage(add_explicit_forces, Wind)
 @stage(force, Wind)
 @jit
 def blow(wind, state, substep):
-    """Interpolate the velocity at the substep's end."""
+    """Interpolate the velocity at the substep's end; at its start for the leapfrog."""
+    _blow_at(wind, substep.end if at_the_end(state.apart) else substep.begin)
+
+
+@stage(add_explicit_forces, Wind)
+@jit
+def blow_at_an_end(wind, state, substep):
+    """Interpolate the velocity at an end of the frame."""
+    _blow_at(wind, substep.end)
+
+
+@jit
+def _blow_at(wind, share):
     for k in range(3):
-        wind.now[k] = wind.start[k] + substep.end * (wind.goal[k] - wind.start[k])
+        wind.now[k] = wind.start[k] + share * (wind.goal[k] - wind.start[k])
 
 
 class BuiltWind(Built):

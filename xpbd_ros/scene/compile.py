@@ -15,7 +15,6 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.scene.threads import with_threads
-from xpbd_ros.sim.command_check import FAR
 from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -35,6 +34,8 @@ APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
 CHOSEN_SUBSTEPS = ('solver.substeps', 'solver.rough_substeps')
 """live keys that ``auto`` chooses unless they are given"""
+FAR = 1e9
+"""largest coordinate of a particle at the start [m]"""
 COARSE = 1e-3
 """rounding error over the distance of neighbours above which there is a warning about float32"""
 

@@ -73,29 +73,34 @@ def round_a_drum(n: int, mu: float, radius: float = 0.1):
 
 
 def drawn(n: int) -> float:
-    """Return the ratio of the end forces of a strip that two pins draw over a cylinder."""
+    """Return the ratio of the mean end forces of a strip that two pins draw over a cylinder."""
     strip, ends = round_a_drum(n, DRAWN)
-    ratios, speed = [], 0.05
+    pulls, speed = [], 0.05
     for k in range(1, 91):
         way = {'hold': speed * k / 60.0, 'pull': -speed * k / 60.0}
         frame = strip.step([MovePin(name, Pose((end[0], 0.0, end[2] + way[name])))
                             for name, end in ends.items()])
-        ratios.append(frame.pins['pull'].force[2] / frame.pins['hold'].force[2])
-    return float(np.mean(ratios[45:]))
+        pulls.append([frame.pins[name].force[2] for name in ('hold', 'pull')])
+    return ratio_of_means(pulls[45:])
 
 
 def turned(n: int) -> float:
-    """Return the ratio of the end forces of a strip over a turning cylinder."""
+    """Return the ratio of the mean end forces of a strip over a turning cylinder."""
     strip, _ = round_a_drum(n, TURNED)
-    ratios = []
+    pulls = []
     for k in range(1, 121):
         c, s = np.cos(k / 120.0), np.sin(k / 120.0)    # half the angle, at 1 rad/s
         about_x, about_w = ALONG_Y[0], ALONG_Y[3]
         frame = strip.step([MoveCollider('bar', Pose((0.0, 0.0, 0.0), (
             c * about_x, s * about_w, -s * about_x, c * about_w)))])
-        pulls = [frame.pins[name].force[2] for name in ('hold', 'pull')]
-        ratios.append(max(pulls) / min(pulls) if max(pulls) > 0.0 else min(pulls) / max(pulls))
-    return float(np.mean(ratios[60:]))
+        pulls.append([frame.pins[name].force[2] for name in ('hold', 'pull')])
+    return ratio_of_means(pulls[60:])
+
+
+def ratio_of_means(pulls) -> float:
+    """Return the larger mean force over the smaller: the strip rings, and a ratio is not linear."""
+    one, other = np.abs(np.mean(pulls, 0))
+    return float(max(one, other) / min(one, other))
 
 
 @case('V16', 'capstan')
