@@ -98,7 +98,7 @@ def turned(n: int) -> float:
 
 
 def ratio_of_means(pulls) -> float:
-    """Return the larger mean force over the smaller: the strip rings, and a ratio is not linear."""
+    """Return the larger mean force over the smaller; the strip rings, so no mean of ratios."""
     one, other = np.abs(np.mean(pulls, 0))
     return float(max(one, other) / min(one, other))
 
