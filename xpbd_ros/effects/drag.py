@@ -87,8 +87,8 @@ class Drag(NamedTuple):
     """fraction of its triangles' force that each particle takes, shape (slots,)"""
     area: np.ndarray
     """of each particle [m²], shape (slots,)"""
-    past: np.ndarray
-    """velocities before the last substep, for the leapfrog [m/s], shape (3, slots)"""
+    past: np.ndarray | None
+    """velocities before the last substep [m/s], shape (3, slots); None without ``explicit``"""
     x: np.ndarray
     """positions as records, shape (slots, 4)"""
     u: np.ndarray
@@ -113,7 +113,7 @@ def drag_triangles(drag, state, substep):
     x, lead = state.x, 0.0
     if not at_the_end(state.apart):
         x, lead = state.x_prev, -1.0 if substep.begin == 0.0 else 0.5    # first, the frame's v
-    _add_up(drag, state, x, substep.h, substep.h, lead)
+    _add_up(drag, state, x, substep.h, 1.0, lead)
     begin, end, turn = turns_on_device(state.team, drag.slots[1] - drag.slots[0])
     for n in range(begin, end, turn):
         i = drag.slots[0] + n
@@ -130,7 +130,7 @@ def drag_triangles(drag, state, substep):
 @jit
 def kick_drag(drag, state, substep):
     """H² F / m at an end of a frame."""
-    _add_up(drag, state, state.x, 0.0, substep.h, 0.0 if half_of(substep) < 0.0 else 0.5)
+    _add_up(drag, state, state.x, substep.h, 0.0, 0.0 if half_of(substep) < 0.0 else 0.5)
     move = state.apart.move
     for i in range(drag.slots[0], drag.slots[1]):
         (dx, dy, dz), _ = _change(drag, state, i, substep.h)
@@ -140,7 +140,7 @@ def kick_drag(drag, state, substep):
 
 
 @jit
-def _add_up(drag, state, x, fallen, h, lead):
+def _add_up(drag, state, x, h, fallen, lead):
     """
     Write Σ D and u.
 
@@ -148,8 +148,8 @@ def _add_up(drag, state, x, fallen, h, lead):
     ----------
     drag, state : data and particles
     x : positions where the force acts [m], shape (3, slots)
-    fallen : time for which gravity has been added to v, before H [s]
     h : substep [s]
+    fallen : 1 where gravity over H has been added to v, 0 at an end of a frame
     lead : of the leapfrog, the change of v since the last substep to be added once more
 
     """
@@ -158,7 +158,7 @@ def _add_up(drag, state, x, fallen, h, lead):
     begin, end, turn = turns_on_device(state.team, last - first)
     for n in range(begin, end, turn):
         i = first + n
-        _load_velocity(drag, state, wind, i, fallen, h, lead)
+        _load_velocity(drag, state, wind, i, h, fallen, lead)
         for k in range(3):
             drag.x[i, k] = x[k, i]
         for k in range(4):
@@ -171,22 +171,21 @@ def _add_up(drag, state, x, fallen, h, lead):
 
 
 @jit(inline=True)
-def _load_velocity(drag, state, wind, i, fallen, h, lead):
+def _load_velocity(drag, state, wind, i, h, fallen, lead):
     """Write u of a particle, from the velocity that is expected where the force acts."""
-    fall, ahead = 0.0, 0.0
-    if state.inv_mass[i] > 0.0:
-        fall = step_at(state.history, i, fallen)
-        ahead = _lead_of(state.history, step_at(state.history, i, h), h, lead)
-    square = 0.0
+    w, step = state.inv_mass[i], step_at(state.history, i, h)
+    fall, ahead, square = 0.0, 0.0, 0.0
+    if w > 0.0:
+        fall, ahead = step * fallen, _lead_of(state.history, step, h, lead)
     for k in range(3):
         v = state.v[k, i] - fall * state.gravity[k]
         square += (wind[k] - v)**2
         drag.u[i, k] = v
-    ahead *= _trust(drag, step_at(state.history, i, h) * state.inv_mass[i], i, square)
+    ahead *= _trust(drag, step * w, i, square)
     for k in range(3):
         v = drag.u[i, k]
         drag.u[i, k] = wind[k] - (v + ahead * (v - _earlier(state.history, drag.past, i, k)))
-        drag.past[k, i] = v
+        _keep(state.history, drag.past, i, k, v)
 
 
 @jit(inline=True)
@@ -200,9 +199,20 @@ def _lead_of(history, step, h, lead):
 @jit(inline=True)
 def _earlier(history, past, i, k):
     """Return that earlier velocity of a particle: v_n, or of the leapfrog the one before."""
-    if history is None:
+    if history is not None:
+        return history.v[k, i]
+    if past is not None:
         return past[k, i]
-    return history.v[k, i]
+    return 0.0
+
+
+@jit(inline=True)
+def _keep(history, past, i, k, v):
+    """Keep v for the next substep of the leapfrog."""
+    if history is not None:    # Numba prunes the branches
+        return
+    if past is not None:
+        past[k, i] = v
 
 
 @jit(inline=True)
@@ -309,18 +319,22 @@ class BuiltDrag(Built):
         dtype, wind = world.state.x.dtype, world.built.get('wind')
         triangles = np.concatenate([cloth.slots[cloth.mesh.triangles] for cloth in world.cloths])
         order, share = pack(triangles), zeros(world.slots, dtype)
-        self._area = np.zeros(world.slots)
+        area = np.zeros(world.slots)
         for cloth in world.cloths:
             share[cloth.slots] = shares(cloth.mesh)
-            self._area[cloth.slots] = shares(cloth.mesh) * areas(cloth.mesh)
+            area[cloth.slots] = shares(cloth.mesh) * areas(cloth.mesh)
         self.data = Drag(
             None if wind is None else wind.data.now,
             parameters.density * np.array([0.25 * parameters.normal, 0.5 * parameters.tangential]),
             np.array([triangles.min(initial=0), triangles.max(initial=-1) + 1]),
-            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share, self._area,
-            zeros((3, world.slots), dtype), *(new_records(world.slots, dtype) for _ in range(4)))
+            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share, area,
+            zeros((3, world.slots), dtype) if world.explicit else None,
+            *(new_records(world.slots, dtype) for _ in range(4)))
         self._wind = None if wind is None else wind.data
-        self._parameters, self._cloths, self._mass = parameters, world.cloths, world.state.mass
+        self._parameters = parameters
+        there = world.state.mass > 0.0
+        self._area_per_mass = float((area[there] / world.state.mass[there]).max())
+        """largest of a particle [m²/kg]"""
         self._speed = 0.0
         """largest speed of the scene's wind [m/s]"""
         if wind is not None:
@@ -334,21 +348,17 @@ class BuiltDrag(Built):
         moving = self._wind
         if moving is None or not (moving.goal.any() or moving.start.any()):
             return 0.0, 0.0
-        keys, there = self._parameters, state.mass > 0.0
+        keys = self._parameters
         wind = max(np.linalg.norm(moving.start), np.linalg.norm(moving.goal))
         speed = float(wind + np.sqrt((state.v.astype(float)**2).sum(0).max()))
         pressure = 0.5 * keys.density * (keys.normal + 2.0 * keys.tangential) * speed**2
-        return (pressure * float(self._area.sum()),
-                pressure * float((self._area[there] / state.mass[there]).max()))
+        return pressure * float(self.data.area.sum()), pressure * self._area_per_mass
 
     def least_substeps(self, frame_dt):
         """Return the substeps for trace Z ≤ RESOLVED at rest in the scene's wind."""
-        keys, most = self._parameters, 0.0
+        keys = self._parameters
         grip = keys.density * self._speed * (0.5 * keys.normal + 2.0 * keys.tangential)
-        for cloth in self._cloths:
-            area = shares(cloth.mesh) * areas(cloth.mesh)
-            most = max(most, float((area / self._mass[cloth.slots]).max(initial=0.0)))
-        return frame_dt * grip * most / RESOLVED
+        return frame_dt * grip * self._area_per_mass / RESOLVED
 
 
 EFFECT = Effect('drag', Parameters, BuiltDrag)

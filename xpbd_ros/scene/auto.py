@@ -105,7 +105,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
     table = table_of(keys)
     per = cost(method, keys.iterations, effects, state, table)
     affordable = _affordable(keys.budget_ms * 1e6 / per, method, state, frame_dt)
-    costly = [name for name, built in effects.items() if built.fewest_substeps > affordable]
+    costly = [name for name, built in effects.items()
+              if method != 'explicit' and built.fewest_substeps > affordable]
     affordable = max([affordable, *(effects[name].fewest_substeps for name in costly)])
     needed, swept = _needed(effects, state, frame_dt)
     integrator = keys.integrator or INTEGRATOR[method]

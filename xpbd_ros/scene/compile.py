@@ -34,7 +34,7 @@ APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
 CHOSEN_SUBSTEPS = ('solver.substeps', 'solver.rough_substeps')
 """live keys that ``auto`` chooses unless they are given"""
-FAR = 1e9
+FARTHEST = 1e9
 """largest coordinate of a particle at the start [m]"""
 COARSE = 1e-3
 """rounding error over the distance of neighbours above which there is a warning about float32"""
@@ -66,9 +66,10 @@ def compile_scene(scene: Scene) -> Simulation:
             raise InputError(f'{scene.where}: cloths: a particle would weigh {mass.min():.3g} kg; '
                              'correct size, density or resolution')
     for cloth, positions in zip(cloths, x):
-        if (far := np.abs(positions).max()) > FAR:
+        if (far := np.abs(positions).max()) > FARTHEST:
             raise InputError(f'{scene.where}: cloths.{cloth.name}: a particle would be {far:.3g} '
-                             f'm away, and {FAR:g} m is the most; correct size, scale or pose')
+                             f'm away, and {FARTHEST:g} m is the most; correct size, scale or '
+                             'pose')
     slot = np.concatenate([cloth.slots for cloth in cloths])
     state = new_state(np.concatenate(x), mass, scene.top.gravity, slot, slots,
                       pins='pin' in scene.effects, dtype=dtype)
@@ -158,6 +159,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
                   or solver.method not in ONE_PASS, lines=solver.method in LINES,
+                  explicit=solver.method in ('auto', 'explicit'),
                   coloured=solver.order == 'coloured', iterations=solver.iterations,
                   threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE)
     for name in scene.effect_names:

@@ -29,14 +29,14 @@ def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     tetrahedra : indices, shape (tetrahedra, 4)
 
     """
-    require_file(path)
+    _require_file(path)
     try:
         return _read_obj(path) if path.suffix.lower() == '.obj' else _read_with_meshio(path)
     except OSError as error:
         raise InputError(f'{path}: {error.strerror or error}') from error
 
 
-def require_file(path: Path) -> None:
+def _require_file(path: Path) -> None:
     """Raise InputError unless a path is that of a file."""
     if path.is_dir():
         raise InputError(f'{path} is a folder; name a file in it')
@@ -115,7 +115,7 @@ def _read_with_meshio(path: Path):
 def read_table(file: str) -> np.ndarray:
     """Return a table of numbers from a .npy file, or from text with commas or blanks between."""
     path = Path(file)
-    require_file(path)
+    _require_file(path)
     try:
         if path.suffix.lower() == '.npy':
             return np.load(path, allow_pickle=False)

@@ -95,6 +95,9 @@ class BuildContext:
     lines: bool = False
     """True if the solver may solve whole lines: method ``line``, or ``auto``"""
 
+    explicit: bool = False
+    """True if it may be the leapfrog: method ``explicit``, or ``auto``"""
+
     coloured: bool = False
     """True if constraints are swept by colours (``constraints.coloured_batches``)"""
 
