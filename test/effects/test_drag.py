@@ -44,7 +44,7 @@ def test_a_flat_sheet_falls_as_tanh_to_its_terminal_speed(integrator, order):
 
 
 def test_a_flag_in_a_gust_has_the_order_of_the_leapfrog():
-    """Where normals, velocities and the wind are those at x_n; any of them late gives order 1."""
+    """Second order: a lag of the normals, the velocities or the wind would make it first order."""
     at = []
     for substeps in (64, 128, 256):
         flag = sheet((0.0, 1.0, 4.0), gust={'gust': [0.5, 0.0, -1.0], 'period': 0.4},

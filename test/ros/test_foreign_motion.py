@@ -225,7 +225,8 @@ def test_a_plan_is_joined_by_lines_and_held_at_its_end(tmp_path):
     assert height[-80:] == pytest.approx(np.full(80, 0.45), abs=1e-9), 'held beyond its timeout'
 
 
-@pytest.mark.skipif(find_spec('yourdfpy') is None, reason='yourdfpy is missing')
+@pytest.mark.skipif(find_spec('yourdfpy') is None,
+                    reason="yourdfpy is missing: pip install '.[robot]'")
 @pytest.mark.parametrize('by', quick_only(['joint_states', 'tf'], 'joint_states'))
 def test_a_recorded_robot_picks_up_a_cloth_that_was_not_there(tmp_path, by):
     from xpbd_ros.scene.urdf import Description

@@ -81,7 +81,7 @@ def drawn(n: int) -> float:
         frame = strip.step([MovePin(name, Pose((end[0], 0.0, end[2] + way[name])))
                             for name, end in ends.items()])
         pulls.append([frame.pins[name].force[2] for name in ('hold', 'pull')])
-    return ratio_of_means(pulls[45:])
+    return pull_over_hold(pulls[45:])
 
 
 def turned(n: int) -> float:
@@ -94,13 +94,14 @@ def turned(n: int) -> float:
         frame = strip.step([MoveCollider('bar', Pose((0.0, 0.0, 0.0), (
             c * about_x, s * about_w, -s * about_x, c * about_w)))])
         pulls.append([frame.pins[name].force[2] for name in ('hold', 'pull')])
-    return ratio_of_means(pulls[60:])
+    ratio = pull_over_hold(pulls[60:])
+    return max(ratio, 1.0 / ratio)
 
 
-def ratio_of_means(pulls) -> float:
-    """Return the larger mean force over the smaller; the strip rings, so no mean of ratios."""
-    one, other = np.abs(np.mean(pulls, 0))
-    return float(max(one, other) / min(one, other))
+def pull_over_hold(pulls) -> float:
+    """Return the ratio of the mean forces; the strip rings, so no mean of the frames' ratios."""
+    hold, pull = np.mean(pulls, 0)
+    return float(pull / hold)
 
 
 @case('V16', 'capstan')
