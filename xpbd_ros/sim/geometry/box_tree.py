@@ -44,6 +44,8 @@ class BoxTree(NamedTuple):
     """high corners [m], float32, shape (3, boxes)"""
     begin: np.ndarray
     """first box of each level, and the end, shape (levels + 1,)"""
+    marked: np.ndarray
+    """bits of the marked items of each pack, shape (packs,)"""
     found: np.ndarray
     """scratch of ``find_packs``: two lists of packs for each thread, shape (threads, 2, packs)"""
 
@@ -68,6 +70,7 @@ def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray,
     begin = np.cumsum([0, *(-(-size // PACK) * PACK for size in sizes)])
     low = np.full((3, begin[-1]), np.inf, np.float32)
     return BoxTree(np.ascontiguousarray(corners[order].T.astype(np.int32)), low, -low, begin,
+                   np.zeros(begin[1] // PACK, np.int64),
                    np.zeros((threads, 2, max(1, begin[1] // PACK)), np.int64))
 
 
@@ -116,6 +119,18 @@ def update_boxes(tree, spheres):
                 for k in range(below + pack * PACK, below + (pack + 1) * PACK):
                     least, most = min(least, low[a, k]), max(most, high[a, k])
                 low[a, first + pack], high[a, first + pack] = least, most
+
+
+@jit
+def mark_items(tree, marks):
+    """Mark the items of which a particle is marked."""
+    corners = tree.corners
+    tree.marked[:] = 0
+    for c in range(corners.shape[1]):
+        found = False
+        for p in range(len(corners)):
+            found |= marks[corners[p, c]]
+        tree.marked[c // PACK] |= found << (c % PACK)
 
 
 @jit(inline=True)

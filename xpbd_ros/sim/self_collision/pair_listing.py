@@ -28,9 +28,11 @@ from xpbd_ros.sim.self_collision.pair_contacts import load_corners
 
 ALL, RENEWED, SWAPPED = range(3)
 """
-which pairs: all; those of the renewed items of the first tree; those of renewed items, in a pair
-the second side, with others that are not
+which pairs: all; those of the marked items of the first tree; those of marked items, in a pair the
+second side, with others that are not
 """
+NO_ITEMS = 1 << PACK
+"""bits of no item of a pack, behind those of all"""
 
 
 def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
@@ -133,7 +135,7 @@ def room_in(corners):
     return corners.shape[1] - CANDIDATES
 
 
-@jit(inline=True)
+@jit
 def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, which):
     """
     Append the pairs of the items of a pack to a list of a thread.
@@ -150,70 +152,44 @@ def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, whic
     end of the pairs; it may be beyond the room
 
     """
-    if which == ALL:
-        return list_whole_pack(near, corners, me, kind, tree, others, size, pack, end, room)
-    return list_renewed(near, corners, me, kind, tree, others, size, pack, end, room,
-                        which == SWAPPED)
-
-
-@jit
-def list_whole_pack(near, corners, me, kind, tree, others, size, pack, end, room):
-    """Do so for all items of the pack."""
+    wanted, count = NO_ITEMS - 1 if which == ALL else tree.marked[pack // PACK], 0
+    if wanted == 0:
+        return end
     packs, reached = find_packs(others, bounds_of(tree, pack, size), me)
-    count = 0
     for n in range(reached):
         other = packs[n]
-        if kind != TRIANGLES and other < pack:    # only pairs with a later item
+        free = allowed(others, kind, pack, other, which)
+        if free == 0 and other != pack:
             continue
-        mine = overlaps(tree, pack, bounds_of(others, other, size))
+        mine = wanted & overlaps(tree, pack, bounds_of(others, other, size))
         while mine:
-            c = pack + lowest_bit(mine)
+            lane = lowest_bit(mine)
             mine &= mine - 1
-            hit = overlaps(others, other, box_of(tree, c, size))
-            if kind != TRIANGLES and other == pack:
-                hit &= -(2 << (c - pack))
+            hit = overlaps(others, other, box_of(tree, pack + lane, size))
+            hit &= free | -(2 << lane) if kind != TRIANGLES and other == pack else free
             if count + PACK > CANDIDATES:
                 end, count = keep_close(near, corners, kind, size, end, room, count), 0
             while hit:
                 d = other + lowest_bit(hit)
                 hit &= hit - 1
-                count += add_candidate(near, corners, kind, tree, others, c, d, count)
-    return keep_close(near, corners, kind, size, end, room, count)
-
-
-@jit
-def list_renewed(near, corners, me, kind, tree, others, size, pack, end, room, swapped):
-    """Do so for the renewed items of the pack."""
-    count = 0
-    for c in range(pack, min(pack + PACK, tree.corners.shape[1])):
-        if not is_renewed(near, tree, c):
-            continue
-        box = box_of(tree, c, size)
-        packs, reached = find_packs(others, box, me)
-        for n in range(reached):
-            other = packs[n]
-            hit = overlaps(others, other, box)
-            if count + PACK > CANDIDATES:
-                end, count = keep_close(near, corners, kind, size, end, room, count), 0
-            while hit:
-                d = other + lowest_bit(hit)
-                hit &= hit - 1
-                if (swapped or (kind != TRIANGLES and d <= c)) and is_renewed(near, others, d):
-                    continue
-                if swapped or (kind != TRIANGLES and d < c):
-                    count += add_candidate(near, corners, kind, others, tree, d, c, count)
-                else:
-                    count += add_candidate(near, corners, kind, tree, others, c, d, count)
+                count += add_candidate(near, corners, kind, tree, others, pack + lane, d, count,
+                                       which)
     return keep_close(near, corners, kind, size, end, room, count)
 
 
 @jit(inline=True)
-def is_renewed(near, tree, c):
-    """Return True if an item of a tree has a renewed particle."""
-    found = False
-    for p in range(len(tree.corners)):
-        found |= near.renewed[tree.corners[p, c]]
-    return found
+def allowed(others, kind, pack, other, which):
+    """
+    Return bits of the items of another pack with which those of a pack may be in a pair.
+
+    Of the pairs of a tree with itself that would be found twice, those with a later item count;
+    within a pack, these are in addition to the bits returned.
+    """
+    if which == ALL:
+        return NO_ITEMS - 1 if kind == TRIANGLES or other > pack else 0
+    if which == RENEWED and (kind == TRIANGLES or other > pack):
+        return NO_ITEMS - 1
+    return NO_ITEMS - 1 & ~others.marked[other // PACK]
 
 
 @jit(inline=True)
@@ -230,28 +206,28 @@ def bounds_of(tree, pack, size):
 
 
 @jit(inline=True)
-def add_candidate(near, corners, kind, tree, others, c, d, count):
-    """Write a pair of items behind a list unless they are joined; return True if written."""
+def add_candidate(near, corners, kind, tree, others, c, d, count, which):
+    """Write a pair of items behind a list; return False if they are joined, so it does not count."""
     kin, dummy = near.kin, len(near.slot)
     k = room_in(corners) + count
     if kind == TRIANGLES:
+        if which == SWAPPED:
+            tree, others, c, d = others, tree, d, c
         i = others.corners[0, d]
         j, l, m = tree.corners[0, c], tree.corners[1, c], tree.corners[2, c]
-        if are_welded(kin, i, j) or are_welded(kin, i, l) or are_welded(kin, i, m):
-            return False
+        joined = are_welded(kin, i, j) | are_welded(kin, i, l) | are_welded(kin, i, m)
     elif kind == EDGES:
+        c, d = min(c, d), max(c, d)
         i, j = tree.corners[0, c], tree.corners[1, c]
         l, m = others.corners[0, d], others.corners[1, d]
-        if (are_welded(kin, i, l) or are_welded(kin, i, m) or are_welded(kin, j, l)
-                or are_welded(kin, j, m)):
-            return False
+        joined = (are_welded(kin, i, l) | are_welded(kin, i, m) | are_welded(kin, j, l)
+                  | are_welded(kin, j, m))
     else:
         i, j = tree.corners[0, c], others.corners[0, d]
         i, j, l, m = min(i, j), max(i, j), dummy, dummy
-        if are_welded(kin, i, j):
-            return False
+        joined = are_welded(kin, i, j)
     corners[0, k], corners[1, k], corners[2, k], corners[3, k] = i, j, l, m
-    return True
+    return not joined
 
 
 @jit

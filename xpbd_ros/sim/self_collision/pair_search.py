@@ -11,7 +11,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker, workers
-from xpbd_ros.sim.geometry.box_tree import update_boxes
+from xpbd_ros.sim.geometry.box_tree import mark_items, update_boxes
 from xpbd_ros.sim.self_collision.near_pairs import kept_distance
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
@@ -124,15 +124,19 @@ def bring_new_forward(team, near, kind):
 
 @jit
 def drop_all_renewed(team, near, surface):
-    """Drop the pairs of renewed particles from the list, and plan where the others end."""
+    """Drop the pairs of renewed particles, plan where the others end, and mark renewed items."""
     if surface is None:
         if alone(team):
             near.plan[POINTS] = drop_renewed(near, POINTS)
+            mark_items(near.points, near.renewed)
     else:    # Numba prunes the branch that is not taken
         if alone(team):
             near.plan[TRIANGLES] = drop_renewed(near, TRIANGLES)
+            mark_items(near.points, near.renewed)
+            mark_items(surface.triangles, near.renewed)
         if worker(team) == workers(team) - 1:
             near.plan[EDGES] = drop_renewed(near, EDGES)
+            mark_items(surface.edges, near.renewed)
     wait_uneven(team)
 
 
