@@ -32,7 +32,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import absolute, both, either, fma, lowest_bit, select
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.geometry.closest_points_simd import dot
-from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
+from xpbd_ros.sim.self_collision.neighbour_list import EDGES, INV_MASS
 
 STIFFEST = 1e3
 """largest κ: in single precision, more would leave no digits of 1 - s"""
@@ -242,25 +242,24 @@ def take_part(backing, axes, n, b, movable):
 
 
 @jit(inline=True)
-def may_take_part(backing, particles, weight, q, found):
-    """Return False if none of the pairs q + k of all bits k takes part in this turn."""
+def may_take_part(backing, particles, kind, q, found):
+    """Return False if none of the pairs q + k of all bits k, of a kind, takes part in this turn."""
     if backing is None:
         return True
     else:    # Numba prunes the branch that is not taken
         if not is_further_turn(backing):
             return True
-        behind = backing.behind
+        behind, both_sides = backing.behind, False
         while found:
             k = q + lowest_bit(found)
             found &= found - 1
-            first = other = False
-            for p in range(4):
-                if behind[particles[p, k]]:
-                    first |= weight[p, k] > 0.0
-                    other |= weight[p, k] < 0.0
-            if first and other:
-                return True
-        return False
+            first, second = behind[particles[0, k]], behind[particles[1, k]]
+            rest = behind[particles[2, k]] | behind[particles[3, k]]
+            if kind == EDGES:
+                both_sides |= (first | second) & rest
+            else:
+                both_sides |= first & (second | rest)
+        return both_sides
 
 
 @jit(inline=True)

@@ -54,7 +54,7 @@ from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
 @jit
 def find_contacts(near, planes, pairs, x, apart):
     """
-    Set normals, weights and gaps of the near pairs, and list the planes.
+    Set normals, weights and deficits of the near pairs, and list the planes.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     distance, reach = root(dot(v, v)), travel_of(kind, a, b, c, d)
     zero = distance - distance
     store(pairs.push, q, zero)
-    store(pairs.gap, q, zero + NEVER)
+    store(pairs.deficit, q, zero + NEVER)
     store(pairs.overlap, q, zero)
     zero_slip(pairs.friction, q, zero)
     keep = load(pairs.keep, q)
@@ -88,7 +88,7 @@ def find_some(near, planes, pairs, x, kind, q, apart):
         close = both(close, either(is_inside(kind, weight), distance <= reach))
     if not any_lane(close):
         return
-    moves = load_corners(near.move, pairs.particles, q)
+    starts, moves = (a, b, c, d), load_corners(near.move, pairs.particles, q)
     a, b, c, d = (plus(a, moves[0]), plus(b, moves[1]), plus(c, moves[2]), plus(d, moves[3]))
     close = both(close, mobility_of(weight, a, b, c, d) > 0.0)
     if not any_lane(close):
@@ -97,7 +97,7 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     per = 1.0 / select(there, distance, 1.0)
     n = per * v[0], per * v[1], per * v[2]
     store_vector(pairs.normal, q, n)
-    store(pairs.gap, q, distance)    # for those that follow
+    store(pairs.deficit, q, distance)    # for those that follow
     list_planes_of(planes, pairs, kind, q, bits(both(close, both(there, distance <= reach))))
     gap = smaller(keep, distance + apart)
     inside = both(close, is_inside(kind, weight))
@@ -107,8 +107,8 @@ def find_some(near, planes, pairs, x, kind, q, apart):
                                         weight, distance, (a, b, c, d))
     store_vector(pairs.normal, q, n)
     store_weights(pairs, q, weight)
-    gap = select(inside, gap, NEVER)
-    store(pairs.gap, q, gap)
+    a, b, c, d = starts
+    store(pairs.deficit, q, select(inside, gap - dot(n, weighted(weight, a, b, c, d)), NEVER))
     store(pairs.overlap, q, select(inside, larger(gap - distance, 0.0), 0.0))
     together = bits(both(inside, distance <= 0.0))
     if together:
@@ -139,7 +139,7 @@ def list_planes_of(planes, pairs, kind, q, found):
             found &= found - 1
             p, n = pairs.particles, pairs.normal
             add_plane(planes, 2 if kind == EDGES else 1, p[0, k], p[1, k], p[2, k], p[3, k],
-                      (n[0, k], n[1, k], n[2, k]), pairs.gap[k], pairs.keep[k])
+                      (n[0, k], n[1, k], n[2, k]), pairs.deficit[k], pairs.keep[k])
 
 
 @jit(inline=True)
@@ -185,7 +185,7 @@ def is_separated(planes, near, pairs, x, kind, k):
                           (p[0, k], p[1, k], p[2, k], p[3, k]), near.x, near.slot,
                           x)
     return 1.0 if part(planes.points, planes.shares, count, (n[0, k], n[1, k], n[2, k]),
-                       CLEAR * pairs.gap[k])[0] else 0.0
+                       CLEAR * pairs.deficit[k])[0] else 0.0
 
 
 @jit
@@ -195,7 +195,7 @@ def separate(near, pairs, kind, k):
     n = fallback_normal(kind, at(x, p[0, k]), at(x, p[1, k]), at(x, p[2, k]), at(x, p[3, k]))
     size = length(n)
     if size == 0.0:
-        pairs.gap[k] = NEVER
+        pairs.deficit[k] = NEVER
         pairs.overlap[k] = 0.0
         return
     for a in range(3):

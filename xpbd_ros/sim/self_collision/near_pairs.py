@@ -158,7 +158,7 @@ def group_pairs(near, pairs, kind, found):
     number of pairs beyond the capacity
 
     """
-    count = max(0, min(found, len(pairs.gap) - PACK - pairs.end[0]))
+    count = max(0, min(found, len(pairs.push) - PACK - pairs.end[0]))
     groups = (count + PACK - 1) // PACK
     for g in range(groups):
         first, rounds = pairs.end[0], 1

@@ -45,7 +45,7 @@ from xpbd_ros.sim.self_collision.backing import (
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
 
 NEVER = -1e30
-"""gap of pairs that are no contacts in a substep [m]"""
+"""-C of pairs that are no contacts in a substep [m]"""
 
 
 class PairFriction(NamedTuple):
@@ -84,8 +84,8 @@ class PairContacts(NamedTuple):
     """b, shape (4, capacity)"""
     normal: np.ndarray
     """n, constant in the substep, shape (3, capacity)"""
-    gap: np.ndarray
-    """r, the distance to be kept in this substep [m], or NEVER; shape (capacity,)"""
+    deficit: np.ndarray
+    """-C at the substep's start, r - n · Σ b x [m], or NEVER; shape (capacity,)"""
     overlap: np.ndarray
     """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
@@ -123,7 +123,7 @@ def new_pair_contacts(room: int, particles: int) -> PairContacts:
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
                       static: np.ndarray) -> PairFriction:
     """Return the friction data of pair contacts, with μ_k and μ_s by pair of cloths."""
-    return PairFriction(kinetic, static, np.zeros_like(pairs.gap), np.zeros_like(pairs.gap),
+    return PairFriction(kinetic, static, np.zeros_like(pairs.push), np.zeros_like(pairs.push),
                         np.zeros_like(pairs.normal))
 
 
@@ -183,21 +183,23 @@ def mobility_of(b, p, q, r, s):
 @jit(inline=True)
 def displace(near, pairs, q, active):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
-    move, v, backing = near.precise_move, pairs.impulse, pairs.backing
+    move, rounded, backing = near.precise_move, near.move, pairs.backing
     while active:
         lane = lowest_bit(active)
         active &= active - 1
         k, rest = q + lane, 0.0
+        v = pairs.impulse[0, lane], pairs.impulse[1, lane], pairs.impulse[2, lane]
         for p in range(3, -1, -1):
-            i = pairs.particles[p, k]
+            i = np.uint32(pairs.particles[p, k])
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
-            held = prevented(backing, pairs.normal, k, i, share, v[0, lane], v[1, lane],
-                             v[2, lane])
-            for a in range(3):
-                move[i, a] += share * v[a, lane] - held[a]
-                near.move[i, a] = move[i, a]
+            held = prevented(backing, pairs.normal, k, i, share, v[0], v[1], v[2])
+            x, y, z, w = (move[i, 0] + (share * v[0] - held[0]),
+                          move[i, 1] + (share * v[1] - held[1]),
+                          move[i, 2] + (share * v[2] - held[2]), move[i, INV_MASS] + 0.0)
+            move[i, 0], move[i, 1], move[i, 2], move[i, INV_MASS] = x, y, z, w
+            rounded[i, 0], rounded[i, 1], rounded[i, 2], rounded[i, INV_MASS] = x, y, z, w
 
 
 @jit(inline=True)
@@ -215,24 +217,23 @@ def project_pairs(near, pairs):
     for group in range(0, pairs.end[0], PACK):
         for turn in range(pairs.rounds[group // PACK]):
             for q in range(group, group + PACK, lanes(near.move)):
-                project_round(near, pairs, q, float(turn))
+                project_round(near, pairs, pairs.kind[group // PACK], q, float(turn))
 
 
 @jit(inline=True)
-def project_round(near, pairs, q, turn):
+def project_round(near, pairs, kind, q, turn):
     """Project those of a vector of pairs that are contacts, and that belong to a round."""
-    now, gap = load(pairs.turn, q), load(pairs.gap, q)
-    mine = both(gap > NEVER, both(now >= turn, now <= turn))
+    now, deficit = load(pairs.turn, q), load(pairs.deficit, q)
+    mine = both(deficit > NEVER, both(now >= turn, now <= turn))
     found = bits(mine)
-    if found and may_take_part(pairs.backing, pairs.particles, pairs.weight, q, found):
-        project_some(near, pairs, q, mine, load_corners(near.start, pairs.particles, q),
-                     load_corners(near.move, pairs.particles, q),
+    if found and may_take_part(pairs.backing, pairs.particles, kind, q, found):
+        project_some(near, pairs, q, mine, load_corners(near.move, pairs.particles, q),
                      load_axes(pairs.backing, pairs.particles, q),
-                     load_vector(pairs.normal, q), load_weights(pairs, q), gap)
+                     load_vector(pairs.normal, q), load_weights(pairs, q), deficit)
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, mine, starts, moves, axes, n, weight, gap):
+def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit):
     """
     Project a vector of pairs.
 
@@ -240,18 +241,17 @@ def project_some(near, pairs, q, mine, starts, moves, axes, n, weight, gap):
     ----------
     near : neighbour list, with the records of the displacements in this substep
     pairs, q, mine : the pairs are those of the mask ``mine`` in q to q + lanes
-    starts, moves : records of their particles at the substep's start, and of the displacements
+    moves : records of the displacements of their particles
     axes : records of the colliders behind them (``self_collision.backing``)
-    n, weight, gap : normals, weights and gaps [m]
+    n, weight, deficit : normals, weights and -C at the substep's start [m]
 
     """
     p, r, s, t = moves
     friction = pairs.friction
-    distance = dot(n, weighted(weight, starts[0], starts[1], starts[2], starts[3]))
     way = weighted(weight, p, r, s, t)
     total = mobility_of(weight, p, r, s, t)
     along, before = dot(n, way), load(pairs.push, q)
-    push = larger(by_backing(pairs.backing, gap - distance - along, axes, n, weight, moves, total),
+    push = larger(by_backing(pairs.backing, deficit - along, axes, n, weight, moves, total),
                   -before)
     there = take_part(pairs.backing, axes, n, weight, both(mine, total > 0.0))
     push = select(there, push, 0.0)

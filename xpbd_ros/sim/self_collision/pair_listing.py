@@ -207,7 +207,7 @@ def bounds_of(tree, pack, size):
 
 @jit(inline=True)
 def add_candidate(near, corners, kind, tree, others, c, d, count, which):
-    """Write a pair of items behind a list; return False if they are joined, so it does not count."""
+    """Write a pair of items behind a list; return True unless they are joined: it counts."""
     kin, dummy = near.kin, len(near.slot)
     k = room_in(corners) + count
     if kind == TRIANGLES:
