@@ -243,7 +243,7 @@ def take_part(backing, axes, n, b, movable):
 
 @jit(inline=True)
 def may_take_part(backing, particles, kind, q, found):
-    """Return False if none of the pairs q + k of all bits k, of a kind, takes part in this turn."""
+    """Return False if none of a kind's pairs q + k of all bits k takes part in this turn."""
     if backing is None:
         return True
     else:    # Numba prunes the branch that is not taken
