@@ -97,7 +97,7 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     per = 1.0 / select(there, distance, 1.0)
     n = per * v[0], per * v[1], per * v[2]
     store_vector(pairs.normal, q, n)
-    store(pairs.deficit, q, distance)    # for those that follow
+    store(pairs.deficit, q, distance)    # distance, for those that follow
     list_planes_of(planes, pairs, kind, q, bits(both(close, both(there, distance <= reach))))
     gap = smaller(keep, distance + apart)
     inside = both(close, is_inside(kind, weight))

@@ -183,23 +183,21 @@ def mobility_of(b, p, q, r, s):
 @jit(inline=True)
 def displace(near, pairs, q, active):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
-    move, rounded, backing = near.precise_move, near.move, pairs.backing
+    move, v, backing = near.precise_move, pairs.impulse, pairs.backing
     while active:
         lane = lowest_bit(active)
         active &= active - 1
         k, rest = q + lane, 0.0
-        v = pairs.impulse[0, lane], pairs.impulse[1, lane], pairs.impulse[2, lane]
         for p in range(3, -1, -1):
-            i = np.uint32(pairs.particles[p, k])
+            i = pairs.particles[p, k]
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
-            held = prevented(backing, pairs.normal, k, i, share, v[0], v[1], v[2])
-            x, y, z, w = (move[i, 0] + (share * v[0] - held[0]),
-                          move[i, 1] + (share * v[1] - held[1]),
-                          move[i, 2] + (share * v[2] - held[2]), move[i, INV_MASS] + 0.0)
-            move[i, 0], move[i, 1], move[i, 2], move[i, INV_MASS] = x, y, z, w
-            rounded[i, 0], rounded[i, 1], rounded[i, 2], rounded[i, INV_MASS] = x, y, z, w
+            held = prevented(backing, pairs.normal, k, i, share, v[0, lane], v[1, lane],
+                             v[2, lane])
+            for a in range(3):
+                move[i, a] += share * v[a, lane] - held[a]
+                near.move[i, a] = move[i, a]
 
 
 @jit(inline=True)

@@ -31,8 +31,8 @@ ALL, RENEWED, SWAPPED = range(3)
 which pairs: all; those of the marked items of the first tree; those of marked items, in a pair the
 second side, with others that are not
 """
-NO_ITEMS = 1 << PACK
-"""bits of no item of a pack, behind those of all"""
+EVERY = (1 << PACK) - 1
+"""bits of all items of a pack"""
 
 
 def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
@@ -152,7 +152,7 @@ def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, whic
     end of the pairs; it may be beyond the room
 
     """
-    wanted, count = NO_ITEMS - 1 if which == ALL else tree.marked[pack // PACK], 0
+    wanted, count = EVERY if which == ALL else tree.marked[pack // PACK], 0
     if wanted == 0:
         return end
     packs, reached = find_packs(others, bounds_of(tree, pack, size), me)
@@ -186,10 +186,10 @@ def allowed(others, kind, pack, other, which):
     within a pack, these are in addition to the bits returned.
     """
     if which == ALL:
-        return NO_ITEMS - 1 if kind == TRIANGLES or other > pack else 0
+        return EVERY if kind == TRIANGLES or other > pack else 0
     if which == RENEWED and (kind == TRIANGLES or other > pack):
-        return NO_ITEMS - 1
-    return NO_ITEMS - 1 & ~others.marked[other // PACK]
+        return EVERY
+    return EVERY & ~others.marked[other // PACK]
 
 
 @jit(inline=True)

@@ -125,14 +125,14 @@ def bring_new_forward(team, near, kind):
 @jit
 def drop_all_renewed(team, near, surface):
     """Drop the pairs of renewed particles, plan where the others end, and mark renewed items."""
+    if alone(team):
+        mark_items(near.points, near.renewed)
     if surface is None:
         if alone(team):
             near.plan[POINTS] = drop_renewed(near, POINTS)
-            mark_items(near.points, near.renewed)
     else:    # Numba prunes the branch that is not taken
         if alone(team):
             near.plan[TRIANGLES] = drop_renewed(near, TRIANGLES)
-            mark_items(near.points, near.renewed)
             mark_items(surface.triangles, near.renewed)
         if worker(team) == workers(team) - 1:
             near.plan[EDGES] = drop_renewed(near, EDGES)
