@@ -25,9 +25,9 @@ from xpbd_ros.sim.constraints.curvature import curvature_shapes, twist_shapes
 from xpbd_ros.sim.constraints.distance import grid_edges, mesh_edges
 from xpbd_ros.sim.constraints.grid_batches import Shape
 from xpbd_ros.sim.constraints.line_solver import grid_lines, solve_warp, solve_weft
+from xpbd_ros.sim.effect import BuildContext
 from xpbd_ros.sim.geometry.mesh import cuthill_mckee
 from xpbd_ros.sim.particles.memory_layout import blocks, zeros
-from xpbd_ros.sim.particles.records import new_records
 from xpbd_ros.sim.particles.state import new_state, places, Substep
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping.methods import METHODS
@@ -62,7 +62,7 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
         first = np.cumsum([0, *(len(s.rows) * len(s.columns) for s in shapes)])[:-1]
         edges = grid_edges([sheet.block], lambda rows, columns: shapes,
                            [work.edges.rest_length[first]],
-                           [work.edges.compliance[first, None]], world=sheet)
+                           [work.edges.compliance[first, None]], world=sheet.world)
         effects = (Stretch(edges, None, None),)
     else:
         sheet = _Sheet(work.n, work.x, work.inv_mass, work.gravity, precision,
@@ -71,7 +71,7 @@ def whole_steps(work: Work, *, method: str, precision: str, threads: int) -> Can
             raise NotAvailableError('threads share out grids only')
         effects = (MeshStretch(mesh_edges([sheet.slot[work.edges.particles]],
                                           [work.edges.rest_length], [work.edges.compliance],
-                                          world=sheet)),)
+                                          world=sheet.world)),)
     step, how, crew = compiled(('stretch',)), METHODS[method](1), ThreadPool(threads)
 
     def run(frames):
@@ -115,7 +115,7 @@ def bend_passes(work: Work, *, precision: str) -> Candidate:
     sheet = _Sheet(work.n, work.x, work.inv_mass, np.zeros(3), precision, forces=True)
     effects = []
     for kind, shapes_of in ((Curvature, curvature_shapes), (Twist, twist_shapes)):
-        rows = Rows([sheet.block], shapes_of, sheet)
+        rows = Rows([sheet.block], shapes_of, sheet.world)
         alpha = np.full((len(rows.families), 1), work.hinges.compliance[0])
         effects.append(kind(**rows.common([alpha], (3,))))
     effects = tuple(effects)
@@ -135,10 +135,8 @@ def _passes(effects, state, substep, count):
 class _Sheet:
     """The particles of a work as the simulation lays them out, and as an effect sees them."""
 
-    pins = False
-
     def __init__(self, n, x, inv_mass, gravity, precision, *, order=None, forces=False):
-        self.forces, dtype = forces, np.dtype(precision)
+        dtype = np.dtype(precision)
         shape = (n, n) if order is None else cuthill_mckee(order, len(x))
         (self.block,), self.slots = blocks([shape], dtype)
         self.slot, self.x = self.block.slots.ravel(), x
@@ -146,7 +144,7 @@ class _Sheet:
         self.state = new_state(x, 1.0 / np.where(held, 1.0, inv_mass), gravity, self.slot,
                                self.slots, dtype=dtype)
         self.state.inv_mass[self.slot[held]] = 0.0
-        self.records = new_records(self.slots, dtype)
+        self.world = BuildContext((), self.state, {}, {}, pins=False, forces=forces)
 
     def reset(self) -> None:
         """Go back to the start."""

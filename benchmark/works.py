@@ -201,7 +201,7 @@ def scene_work(problem, n: int) -> Work:
     order = np.lexsort((first, kind))
     edges = Edges(ends, rest_length, 1.0 / stiffness).ordered(order)
     hinges = None
-    if bends := problem.all_of(reference.Sums):
+    if bends := problem.all_of(reference.LinearSums):
         particles, weight, stiffness = bends
         order = np.argsort(particles[:, 0], kind='stable')
         hinges = Hinges(particles[order], weight[order], 1.0 / stiffness[order])

@@ -9,13 +9,14 @@ import sys
 
 import pytest
 
-pytestmark = pytest.mark.slow
+from support.tiers import slow
+
 CHECKOUT = Path(__file__).parents[2]
 ROW = {'what', 'method', 'precision', 'n', 'threads', 'ns_per_projection', 'ratio_to_textbook',
        'ratio_to_limit'}
 
 
-@pytest.fixture(scope='module')
+@pytest.fixture(scope='module', params=[slow('small')])
 def report(tmp_path_factory) -> dict:
     if not any(map(shutil.which, ('g++', 'clang++', 'c++'))):
         pytest.skip('no C++ compiler for the baselines: install g++ or clang++')
