@@ -19,8 +19,8 @@ from xpbd_ros.sim.commands import (
     SetState,
 )
 
-CARDS = [{'order': 'shuffled', 'grid': (1, 2), 'block': (4, 2)},
-         {'order': 'backwards', 'grid': (2, 3), 'block': (2, 1)}]
+CARDS = [{'order': 'shuffled', 'grid': 2, 'block': 8},
+         {'order': 'backwards', 'grid': 6, 'block': 2}]
 """two orders of threads, and two grids of them"""
 
 
@@ -93,7 +93,7 @@ def test_the_barrier_holds_whatever_thread_goes_on(on_card, holds):
             assert '@%mp2 bra $L_look;' in ptx or '// meet_all' not in ptx
             return super().load(ptx if holds else ptx.replace('@%mp2 bra $L_look;', ''))
 
-    card = Card(order='random', grid=(1, 3), block=(2, 1), barrier_too=True)
+    card = Card(order='random', grid=3, block=2, barrier_too=True)
     ours, theirs = crumpled(on_cpu()), crumpled(on_card(card))
     assert same(ours.step(), theirs.step()) == holds
 
@@ -108,9 +108,10 @@ COMMANDS = {
 }
 
 
-def test_commands_reach_the_card(on_card):
+@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+def test_commands_reach_the_card(on_card, integrator):
     card = EmulatedCard()
-    ours, theirs = on_cpu(), on_card(card)
+    ours, theirs = on_cpu(integrator=integrator), on_card(card, integrator=integrator)
     for index in range(11):
         left, right = (each.step(COMMANDS.get(index, ())) for each in (ours, theirs))
         assert not left.refused

@@ -51,7 +51,7 @@ UNARY = {
 }
 
 
-def run(code: str, *arrays, grid=(1, 1), block=(1, 1), **options):
+def run(code: str, *arrays, grid=1, block=1, **options):
     """Run code whose first parameter is the address of arrays, one after another."""
     size = sum(array.nbytes for array in arrays)
     card = EmulatedCard(**options)
@@ -136,17 +136,17 @@ NEIGHBOUR = """xor.b32 %r2, %r8, 1;
 
 
 def test_races_are_counted_and_only_races():
-    assert run(ONE_WORD, np.zeros(4, np.int32), block=(4, 1)).races > 0
-    assert run(OWN_WORD, np.zeros(4, np.int32), block=(4, 1)).races == 0
+    assert run(ONE_WORD, np.zeros(4, np.int32), block=4).races > 0
+    assert run(OWN_WORD, np.zeros(4, np.int32), block=4).races == 0
 
 
 @pytest.mark.parametrize('order', ['in turn', 'backwards', 'shuffled', 'random'])
 def test_what_a_neighbour_wrote_is_read_behind_the_barrier(order):
     found = np.zeros(8, np.int32)
-    card = run(OWN_WORD + MEET + NEIGHBOUR, found, block=(4, 1), order=order)
+    card = run(OWN_WORD + MEET + NEIGHBOUR, found, block=4, order=order)
     assert card.races == 0 and card.barriers == 1
     assert found.tolist() == [0, 1, 2, 3, 1, 0, 3, 2]
-    assert run(OWN_WORD + NEIGHBOUR, np.zeros(8, np.int32), block=(4, 1), order=order).races > 0
+    assert run(OWN_WORD + NEIGHBOUR, np.zeros(8, np.int32), block=4, order=order).races > 0
 
 
 def test_accesses_outside_of_the_memory_are_counted():
@@ -173,7 +173,7 @@ def test_only_what_the_host_changed_replaces_what_the_card_has():
     card.put(memory.address(x), 10.0 * np.arange(6.0))    # as a kernel would
     x[2] = 0.5
     memory.upload([x, y])
-    memory.download([x])
+    memory.get([x])
     np.testing.assert_array_equal(x, [0.0, 10.0, 0.5, 30.0, 40.0, 50.0])
     np.testing.assert_array_equal(y, [0, 1, 2])
     assert memory.address(x[2:]) == memory.address(x) + 16

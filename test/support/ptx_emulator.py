@@ -1,7 +1,7 @@
 """
 A card that is emulated: PTX thread by thread, in any order, with every race between threads found.
 
-    card = EmulatedCard(order='shuffled', grid=(1, 2), block=(4, 2))
+    card = EmulatedCard(order='shuffled', grid=2, block=8)
 
 has the methods of ``backend.cuda.Card``. Between two barriers each word of memory remembers who
 wrote and who read it: two threads at one word, one of them writing, are a race, whatever the
@@ -157,7 +157,7 @@ class EmulatedCard:
     Parameters
     ----------
     order : 'in turn', 'backwards', 'shuffled', or 'random' (a random thread goes on each time)
-    grid, block : blocks of a launch and threads of a block, along rows and across them
+    grid, block : blocks of a launch, and threads of a block
     seed : of the order
     step : True to change threads before each access to memory, with the order 'random'
     barrier_too : True to run the barrier's own instructions instead of one that holds
@@ -166,7 +166,7 @@ class EmulatedCard:
 
     name, arch = 'emulator', 'sm_90'
 
-    def __init__(self, *, order: str = 'shuffled', grid=(1, 2), block=(4, 2), seed: int = 0,
+    def __init__(self, *, order: str = 'shuffled', grid: int = 2, block: int = 8, seed: int = 0,
                  **options):
         self.order, self.grid, self.block, self.options = order, grid, block, options
         self.races = self.astray = self.barriers = self.launches = 0
@@ -201,13 +201,17 @@ class EmulatedCard:
         assert self._start <= address and address + array.nbytes <= self._end
         ctypes.memmove(array.ctypes.data, address, array.nbytes)
 
+    def lock(self, array: np.ndarray) -> bool:
+        """Lock nothing."""
+        return False
+
     def sequence(self, launches: Sequence[tuple]) -> Callable[[], None]:
-        """Return what runs (kernel, parameters, whether all threads share it), in order."""
+        """Return what runs (kernel, parameters, threads), in order."""
         def run():
-            for k, (kernel, parameters, shared) in enumerate(launches):
+            for k, (kernel, parameters, threads) in enumerate(launches):
                 before = self.races
-                self.launch(kernel, parameters, self.grid if shared else (1, 1),
-                            self.block if shared else (1, 1))
+                self.launch(kernel, parameters, *(
+                    (1, 1) if threads == 1 else (self.grid, self.block)))
                 if self.races > before:
                     self.told[k] = self.told.get(k, 0) + self.races - before
         return run
@@ -225,7 +229,7 @@ class EmulatedCard:
         before = mode()(0x1f80)
         mode()(before | FLUSH)
         try:
-            self._turns(kernel.run, threads, race, block[0] * block[1])
+            self._turns(kernel.run, threads, race, block)
         finally:
             mode()(before)
         self._epoch = int(race[RACE.index('epoch')])
@@ -267,11 +271,5 @@ class EmulatedCard:
 
 def places(grid, block) -> np.ndarray:
     """Return the record ``special`` of each thread, shape (threads, NUMBER + 1)."""
-    found = []
-    for by in range(grid[1]):
-        for bx in range(grid[0]):
-            for ty in range(block[1]):
-                for tx in range(block[0]):
-                    k = len(found)
-                    found.append((tx, ty, 0, *block, 1, bx, by, 0, *grid, 1, k % 32, k))
-    return np.array(found, np.int32)
+    return np.array([(k % block, 0, 0, block, 1, 1, k // block, 0, 0, grid, 1, 1, k % 32, k)
+                     for k in range(grid * block)], np.int32)

@@ -413,9 +413,36 @@ class BuiltContact(Built):
             del self.placed[name]
         self._changed()
 
-    def begin(self, clock, state):
-        gone = [name for name, placed in self.placed.items()
+    def expires(self, clock):
+        return bool(self._expired(clock))
+
+    def _expired(self, clock) -> list[str]:
+        """Return the names of the colliders whose time is over."""
+        return [name for name, placed in self.placed.items()
                 if placed.expires_ns is not None and placed.expires_ns <= clock.begin_ns]
+
+    def only_aims(self, command):
+        return isinstance(command, MoveCollider) and command.collider in self.placed
+
+    def written_by_begin(self):
+        colliders = self.colliders
+        return (colliders.start, colliders.goal, colliders.moving, colliders.has_twist,
+                colliders.twist, self.contacts.wrenches.impulse)
+
+    def read_by_frame(self):
+        return self.contacts.wrenches.impulse,
+
+    def read_by_stats(self):
+        contacts, pads = self.contacts, self.contacts.pads
+        yield contacts.count
+        found = max(0, contacts.count[0])    # as it is when the count has come
+        yield contacts.push[:found]
+        if pads is not None:
+            yield contacts.collider[:found]
+            yield pads.force[:found]
+
+    def begin(self, clock, state):
+        gone = self._expired(clock)
         if gone:
             self._remove(gone)
         self.contacts.wrenches.impulse[:] = 0.0

@@ -183,6 +183,9 @@ class BuiltHinge(Built):
         self._before = self.data.angle.copy()
         self.constraints = Angles.of(self.data)
 
+    def read_by_frame(self):
+        return self.data.angle,
+
     def begin(self, clock, state):
         self._before[:] = self.data.angle
 

@@ -355,9 +355,32 @@ class BuiltPin(Built):
     commands = {Grasp: grasp, Release: release, ReleaseAll: release_all, MovePin: move,
                 Click: click}
 
+    def expires(self, clock):
+        return bool(self._expired(clock))
+
+    def _expired(self, clock) -> list[str]:
+        """Return the names of the pins whose time is over."""
+        return [name for name, held in self.held.items()
+                if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]
+
+    def only_aims(self, command):
+        if not isinstance(command, MovePin):
+            return False
+        held = self.held.get(command.pin)
+        return held is not None and not held.axes_open
+
+    def written_by_begin(self):
+        return self.data.start, self.data.goal, *self._forces()
+
+    def read_by_frame(self):
+        return (*self._forces(), *(spring.place[:spring.pin.count[0]] for spring in self.also))
+
+    def _forces(self) -> list[np.ndarray]:
+        """Return the forces of the pinned particles, of each list."""
+        return [pin.force[:pin.count[0]] for pin in self._lists]
+
     def begin(self, clock, state):
-        for name in [n for n, held in self.held.items()
-                     if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]:
+        for name in self._expired(clock):
             self._let_go(name, state)
         motions = [held.motion for held in self.held.values()]
         for motion in (*motions, *self.open.values()):
@@ -369,8 +392,8 @@ class BuiltPin(Built):
         pinned = self.data.particle[:self.data.count[0]]
         state.reaction[:, pinned] = 0.0
         self._v_before = state.v.take(pinned, axis=1)    # the same layout even if empty
-        for pin in self._lists:
-            pin.force[:] = 0.0
+        for force in self._forces():
+            force[:] = 0.0
 
     def again(self):
         for pin in self._lists:

@@ -318,6 +318,9 @@ class BuiltPressure(Built):
             acceleration = max(acceleration, float(p * (slopes[there] / state.mass[there]).max()))
         return force, acceleration
 
+    def read_by_stats(self):
+        return [part.force for part in self.parts]
+
     def stats(self):
         return {f'overpressure_{name}_pa': float(part.force[0])
                 for name, part in zip(self._names, self.parts)}

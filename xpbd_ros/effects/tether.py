@@ -177,6 +177,9 @@ class BuiltTether(Built):
         for column, numbers in zip(self.data[1:4], found):
             column[:len(order)] = numbers[order]
 
+    def read_by_stats(self):
+        return self.data.force,
+
     def stats(self):
         taut = self.data.force[:self.data.count[0]] < 0.0
         return {'tethers': len(taut), 'tethers_taut': int(taut.sum())}

@@ -108,6 +108,9 @@ class BuiltWind(Built):
         if self.parameters.velocity == old.parameters.velocity:
             self.velocity = old.velocity
 
+    def written_by_begin(self):
+        return self.data.start, self.data.goal
+
     def stats(self):
         return {'wind_m_s': float(np.linalg.norm(self.data.goal))}
 

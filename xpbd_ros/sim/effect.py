@@ -245,6 +245,26 @@ class Built:
     def end(self, clock: Clock, state: State) -> None:
         """Look at a frame that is done."""
 
+    def expires(self, clock: Clock) -> bool:
+        """Return True if ``begin`` will remove something: arrays that kernels write change."""
+        return False
+
+    def only_aims(self, command: Command) -> bool:
+        """Return True if a command sets a target: only what ``begin`` writes changes."""
+        return False
+
+    def written_by_begin(self) -> Sequence[np.ndarray]:
+        """Return the arrays that ``begin`` writes in every frame."""
+        return ()
+
+    def read_by_frame(self) -> Sequence[np.ndarray]:
+        """Return what ``begin``, ``end``, ``work`` and ``reported`` read of what kernels write."""
+        return ()
+
+    def read_by_stats(self) -> Iterable[np.ndarray]:
+        """Return what ``stats`` reads of what kernels write; each is read before the next."""
+        return ()
+
     def reset(self, state: State, now_ns: int) -> None:
         """Go to the scene's start, at this simulation time [ns]."""
 

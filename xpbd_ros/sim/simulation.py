@@ -142,6 +142,8 @@ class Simulation:
         refused = self.apply(commands)
         applied, self._pending = tuple(self._pending), []
         clock = self._clock()
+        if any(built.expires(clock) for built in self.effects.values()):
+            self.fetch()
         for built in self.effects.values():
             built.begin(clock, self.state)
         if any(built.pinned_changed for built in self.effects.values()):
@@ -169,8 +171,9 @@ class Simulation:
         """
         refused: list[tuple[Command, str]] = []
         for group in commands:
-            self._crew.host_changed()
             group = group if isinstance(group, tuple) else (group,)
+            if not all(map(self._only_aims, group)):
+                self.fetch()
             try:
                 group = tuple(map(checked, group))
                 reason = self._apply(group)
@@ -181,6 +184,11 @@ class Simulation:
             else:
                 refused.append((group[0], reason))
         return refused
+
+    def _only_aims(self, command: Command) -> bool:
+        """Return True if a command sets a target, which changes no array before ``begin``."""
+        return any(type(command) in built.commands and built.only_aims(command)
+                   for built in self.effects.values())
 
     @property
     def pending(self) -> tuple[Command, ...]:
@@ -383,6 +391,7 @@ class Simulation:
 
     def stats(self) -> dict[str, float]:
         """Return the effects' statistics of the last frame, by name."""
+        self._crew.fetch_stats()
         found = {key: value for built in self.effects.values()
                  for key, value in built.stats().items()}
         found['frames_taken_back'] = self._last.taken_back

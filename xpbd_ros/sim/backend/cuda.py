@@ -8,15 +8,16 @@ cooperative launches: their blocks are on the card at once.
 from collections.abc import Callable, Sequence
 import ctypes
 from ctypes import byref, c_int, c_size_t, c_uint64, c_void_p
+import mmap
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.backend.nvptx import ENTRY
+from xpbd_ros.sim.backend.nvptx import ENTRY, THREADS
 
 LIBRARY = 'libcuda.so.1'
-BLOCK = (32, 8)
-"""threads of a block, along a row and across rows"""
+WARP = 32
+"""threads of a block, where few threads are spread over the card"""
 PROCESSORS, MAJOR, MINOR, COOPERATIVE = 16, 75, 76, 95
 """numbers of CUdevice_attribute"""
 OLDEST = 70
@@ -25,6 +26,7 @@ REGISTERS = 4
 """number of CUfunction_attribute"""
 ERROR_LOG, ERROR_LOG_SIZE = 5, 6
 """numbers of CUjit_option"""
+PAGE = mmap.PAGESIZE
 RELAXED = 2
 """capture mode: other threads may call the driver"""
 
@@ -55,6 +57,7 @@ class Card:
         self._call('cuDeviceGetName', name, len(name), self._device)
         self.name = name.value.decode()
         self.processors = self._attribute(PROCESSORS)
+        self._locked: dict[int, tuple[int, int]] = {}    # pages by the address of their array
 
     def _call(self, name: str, *arguments) -> None:
         code = getattr(self._driver, name)(*arguments)
@@ -97,7 +100,7 @@ class Card:
         """Return how many blocks of a kernel are on the card at once."""
         value = c_int()
         self._call('cuOccupancyMaxActiveBlocksPerMultiprocessor', byref(value), kernel,
-                   BLOCK[0] * BLOCK[1], c_size_t(0))
+                   THREADS, c_size_t(0))
         return value.value * self.processors
 
     def allocate(self, size: int) -> int:
@@ -113,31 +116,67 @@ class Card:
         self._call('cuMemFree_v2', c_uint64(address))
 
     def put(self, address: int, array: np.ndarray) -> None:
-        """Copy a contiguous array to the card."""
+        """Copy a contiguous array to the card, before all that is begun later."""
         self._enter()
-        self._call('cuMemcpyHtoD_v2', c_uint64(address), c_void_p(array.ctypes.data),
-                   c_size_t(array.nbytes))
+        for offset, host, size in self._pieces(array):
+            self._call('cuMemcpyHtoDAsync_v2', c_uint64(address + offset), c_void_p(host),
+                       c_size_t(size), self._stream)
 
     def get(self, address: int, array: np.ndarray) -> None:
-        """Copy from the card into a contiguous array."""
+        """Copy from the card into a contiguous array, after all that was begun before."""
         self._enter()
-        self._call('cuMemcpyDtoH_v2', c_void_p(array.ctypes.data), c_uint64(address),
-                   c_size_t(array.nbytes))
+        for offset, host, size in self._pieces(array):
+            self._call('cuMemcpyDtoHAsync_v2', c_void_p(host), c_uint64(address + offset),
+                       c_size_t(size), self._stream)
+        self.wait()
+
+    def _pieces(self, array: np.ndarray) -> list[tuple[int, int, int]]:
+        """Return the offset, address and size of what to copy at once: locked pages, or not."""
+        start, end = array.ctypes.data, array.ctypes.data + array.nbytes
+        first, last = self._locked.get(start, (start, end))
+        cuts = [start, min(first, end), min(last, end), end]
+        return [(begin - start, begin, stop - begin)
+                for begin, stop in zip(cuts, cuts[1:]) if stop > begin]
+
+    def lock(self, array: np.ndarray) -> bool:
+        """
+        Lock the pages that an array fills, for faster copies; return False if that is not allowed.
+
+        Pages that it shares with others stay as they are: no copy may reach into locked ones.
+        """
+        self._enter()
+        start = array.ctypes.data
+        first, last = -(-start // PAGE) * PAGE, (start + array.nbytes) // PAGE * PAGE
+        if first >= last:
+            return False
+        try:
+            self._call('cuMemHostRegister_v2', c_void_p(first), c_size_t(last - first), 0)
+        except RuntimeError:
+            return False
+        self._locked[start] = first, last
+        return True
+
+    def unlock(self, array: np.ndarray) -> None:
+        """Undo ``lock``."""
+        self._enter()
+        self._call('cuMemHostUnregister', c_void_p(self._locked.pop(array.ctypes.data)[0]))
 
     def copy(self, target: int, source: int, size: int) -> None:
         """Begin a copy within the card."""
         self._call('cuMemcpyDtoDAsync_v2', c_uint64(target), c_uint64(source), c_size_t(size),
                    self._stream)
 
-    def launch(self, kernel: c_void_p, parameters: np.ndarray, shared: bool) -> None:
-        """Begin a kernel on all threads of the card, or on one."""
+    def launch(self, kernel: c_void_p, parameters: np.ndarray, threads: int) -> None:
+        """Begin a kernel on so many threads, or on all that the card has at once."""
         pointers = (c_void_p * 1)(parameters.ctypes.data)
-        blocks, block = (self.blocks(kernel), BLOCK) if shared else (1, (1, 1))
-        self._call('cuLaunchCooperativeKernel', kernel, 1, blocks, 1, *block, 1, 0, self._stream,
-                   pointers)
+        few = threads <= WARP * self.processors
+        block = min(threads, WARP if few else THREADS)
+        blocks = min(-(-threads // block), self.blocks(kernel))
+        self._call('cuLaunchCooperativeKernel', kernel, blocks, 1, 1, block, 1, 1, 0,
+                   self._stream, pointers)
 
     def sequence(self, launches: Sequence[tuple]) -> Callable[[], None]:
-        """Return what runs (kernel, parameters, shared) in order, to the end, as one graph."""
+        """Return what runs (kernel, parameters, threads) in order, to the end, as one graph."""
         def all_launches() -> None:
             for each in launches:
                 self.launch(*each)

@@ -3,16 +3,18 @@ Arrays on a card: one piece of memory for all, what the host changed goes up, wh
 
 Views of one array stay views of it. The host's copy of an array that kernels write is older than
 the card's. So a change by the host is what differs from the host's array as it was last in step
-with the card, element by element.
+with the card, element by element. Arrays that are in step after every frame go up as they are.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 ALIGNED = 256
 """bytes"""
+LARGE = 2**16
+"""bytes of an array whose pages are worth locking"""
 
 
 def base_of(array: np.ndarray) -> np.ndarray:
@@ -52,6 +54,7 @@ class DeviceMemory:
         self.size = size
         """bytes"""
         self._start = card.allocate(size)
+        self._locked: list[np.ndarray] = []
         self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for array in self._bases.values():
             card.put(self.address(array), array)
@@ -85,12 +88,25 @@ class DeviceMemory:
                 self._card.put(self.address(array), merged)
                 before[...] = array
 
-    def download(self, arrays: Sequence[np.ndarray]) -> None:
-        """Bring arrays from the card to the host."""
+    def put(self, arrays: Iterable[np.ndarray]) -> None:
+        """Bring arrays, or contiguous parts of them, to the card as they are."""
         for array in arrays:
-            self._card.get(self.address(array), words_of(array))
-        self.remember(arrays)
+            self._card.put(self.address(array), array)
+
+    def get(self, arrays: Iterable[np.ndarray]) -> None:
+        """Bring arrays, or contiguous parts of them, to the host."""
+        for array in arrays:
+            if array.nbytes:
+                self._card.get(self.address(array), words_of(array))
+
+    def lock(self, arrays: Iterable[np.ndarray]) -> None:
+        """Lock pages of the host's memory, where the system allows it, for faster copies."""
+        for array in arrays:
+            if array.nbytes >= LARGE and self._card.lock(array):
+                self._locked.append(array)
 
     def free(self) -> None:
         """Give the card's memory back."""
+        for array in self._locked:
+            self._card.unlock(array)
         self._card.free(self._start)

@@ -17,14 +17,10 @@ MEET_ALL = 'meet_all'
 class DeviceTeam(NamedTuple):
     """One thread's place in the grid of threads of a launch."""
 
-    x: int
-    """along a row"""
-    y: int
-    """across rows"""
-    width: int
-    """threads along a row"""
-    height: int
-    """threads across rows"""
+    worker: int
+    """number of this thread; those of neighbours on the card follow one another"""
+    workers: int
+    """number of threads"""
     gate: np.ndarray
     """state of the barrier, shape (1,)"""
 

@@ -13,7 +13,7 @@ import re
 
 from llvmlite import binding as llvm
 
-from xpbd_ros.sim.backend.device_team import DeviceTeam, MEET_ALL
+from xpbd_ros.sim.backend.device_team import MEET_ALL
 
 LAYOUT = 'e-p6:32:32-i64:64-i128:128-i256:256-v16:16-v32:32-n16:32:64'
 TRIPLE = 'nvptx64-nvidia-cuda'
@@ -26,7 +26,6 @@ THREADS = 256
 SLOT = 8
 """bytes that each parameter of a kernel takes"""
 EXACT = ['add', 'sub', 'mul', 'fma', 'div', 'sqrt', 'rcp']
-PLACES = ('x', 'y')
 REGISTERS = ('tid', 'ntid', 'ctaid', 'nctaid')
 OF_LIBM = ('sqrt', 'fabs', 'floor', 'ceil', 'trunc', 'rint')
 """functions that are exact, on a CPU as on a GPU"""
@@ -35,17 +34,11 @@ BARRIER = """{ // meet_all
 .reg .b32 %mr<8>;
 bar.sync 0;
 mov.u32 %mr1, %tid.x;
-mov.u32 %mr2, %tid.y;
-or.b32 %mr1, %mr1, %mr2;
 setp.ne.s32 %mp1, %mr1, 0;
 @%mp1 bra $L_done;
 mov.u32 %mr1, %nctaid.x;
-mov.u32 %mr2, %nctaid.y;
-mul.lo.s32 %mr1, %mr1, %mr2;
 sub.s32 %mr1, -2147483647, %mr1;
 mov.u32 %mr2, %ctaid.x;
-mov.u32 %mr3, %ctaid.y;
-or.b32 %mr2, %mr2, %mr3;
 setp.eq.s32 %mp1, %mr2, 0;
 selp.b32 %mr1, %mr1, 1, %mp1;
 fence.acq_rel.gpu;
@@ -80,16 +73,14 @@ def for_gpu(text: str) -> str:
                   text)
 
 
-def _places() -> list[str]:
-    """Return code that finds the place of a thread among those of the launch."""
+def _place() -> list[str]:
+    """Return code that finds the number of a thread, and of all threads of the launch."""
     lines = []
-    for a in PLACES:
-        for register in REGISTERS:
-            lines += [f'%{register}{a}32 = call i32 @llvm.nvvm.read.ptx.sreg.{register}.{a}()',
-                      f'%{register}{a} = zext i32 %{register}{a}32 to i64']
-        lines += [f'%o{a} = mul i64 %ctaid{a}, %ntid{a}', f'%at{a} = add i64 %o{a}, %tid{a}',
-                  f'%all{a} = mul i64 %nctaid{a}, %ntid{a}']
-    return lines
+    for register in REGISTERS:
+        lines += [f'%{register}32 = call i32 @llvm.nvvm.read.ptx.sreg.{register}.x()',
+                  f'%{register} = zext i32 %{register}32 to i64']
+    return [*lines, '%begin = mul i64 %ctaid, %ntid', '%worker = add i64 %begin, %tid',
+            '%workers = mul i64 %nctaid, %ntid']
 
 
 def entry(name: str, kinds: list[str], teams: list[int]) -> str:
@@ -105,8 +96,7 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
     """
     place: dict[int, str] = {}
     for at in teams:
-        place.update(zip(range(at, at + len(DeviceTeam._fields) - 1),
-                         ('%atx', '%aty', '%allx', '%ally')))
+        place[at], place[at + 1] = '%worker', '%workers'
     values, loads = [], []
     for k, kind in enumerate(kinds):
         if k not in place:
@@ -118,9 +108,9 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
         f'define internal void @{MEET_ALL}(ptr %gate) alwaysinline convergent {{',
         f'call void asm sideeffect "{barrier}", "l,~{{memory}}"(ptr %gate) convergent',
         'ret void', '}',
-        *(f'declare i32 @llvm.nvvm.read.ptx.sreg.{s}.{a}()' for s in REGISTERS for a in PLACES),
+        *(f'declare i32 @llvm.nvvm.read.ptx.sreg.{s}.x()' for s in REGISTERS),
         f'define ptx_kernel void @{ENTRY}(ptr byval([{len(kinds)} x i64]) align {SLOT} %all) {{',
-        '%result = alloca ptr', '%error = alloca ptr', *_places(), *loads,
+        '%result = alloca ptr', '%error = alloca ptr', *_place(), *loads,
         f'%status = call i32 @{name}(ptr %result, ptr %error, {", ".join(values)})',
         'ret void', '}'])
 

@@ -60,12 +60,26 @@ def turns_of_few(team, count, most):
     """Return the same where at most so many threads of a GPU may work: each has scratch memory."""
 
 
-def across(team, rows):
-    """Return the same for the rows of a table that the threads share."""
+def first_cell(team):
+    """Return how many cells there are before this thread's first one in the tables that follow."""
 
 
-def along(team, columns):
-    """Return the same for the columns of one of these rows."""
+def cells(team, rows, columns, before):
+    """
+    Return this thread's cells of a table, row by row.
+
+    Parameters
+    ----------
+    rows, columns : of the table
+    before : how many cells there are before this thread's first one
+
+    Returns
+    -------
+    row, column : of the first cell
+    end : the cells end before this row
+    down, over : rows and columns to the next cell, which is in the next row if it is beyond this
+
+    """
 
 
 def turns_on_device(team, count):
@@ -116,7 +130,7 @@ def is_on_device(team) -> bool:
 @inline(share)
 def _share(team, count):
     if is_on_device(team):    # right for any kernel, and slow: one thread does it all
-        return lambda team, count: (0, count if team.x + team.y == 0 else 0)
+        return lambda team, count: (0, count if team.worker == 0 else 0)
     if _none(team):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,
@@ -126,7 +140,7 @@ def _share(team, count):
 @inline(turns)
 def _turns(team, count):
     if is_on_device(team):
-        return lambda team, count: (team.y * team.width + team.x, count, team.width * team.height)
+        return lambda team, count: (team.worker, count, team.workers)
     return lambda team, count: (*share(team, count), 1)
 
 
@@ -136,23 +150,30 @@ def _turns_of_few(team, count, most):
         return lambda team, count, most: (*share(team, count), 1)
 
     def few(team, count, most):
-        number, step = team.y * team.width + team.x, min(team.width * team.height, most)
-        return number, count if number < step else 0, step
+        step = min(team.workers, most)
+        return team.worker, count if team.worker < step else 0, step
     return few
 
 
-@inline(across)
-def _across(team, rows):
-    if is_on_device(team):
-        return lambda team, rows: (team.y, rows, team.height)
-    return lambda team, rows: (*share(team, rows), 1)
+@inline(first_cell)
+def _first_cell(team):
+    return (lambda team: team.worker) if is_on_device(team) else lambda team: 0
 
 
-@inline(along)
-def _along(team, columns):
-    if is_on_device(team):
-        return lambda team, columns: (team.x, columns, team.width)
-    return lambda team, columns: (0, columns, 1)
+@inline(cells)
+def _cells(team, rows, columns, before):
+    if not is_on_device(team):
+        def of_rows(team, rows, columns, before):
+            first, last = share(team, rows)
+            return first, 0, last, 0, 1
+        return of_rows
+
+    def every_nth(team, rows, columns, before):
+        wide = np.uint32(columns)    # a GPU divides 32 bits much faster than 64
+        row = np.int64(np.uint32(before) // wide)
+        down = np.int64(np.uint32(team.workers) // wide)
+        return row, before - row * columns, rows, down, team.workers - down * columns
+    return every_nth
 
 
 @inline(turns_on_device)
@@ -181,22 +202,16 @@ def _wait_within(team):
 
 @inline(alone)
 def _alone(team):
-    if is_on_device(team):
-        return lambda team: team.x + team.y == 0
     return (lambda team: True) if _none(team) else lambda team: team.worker == 0
 
 
 @inline(worker)
 def _worker(team):
-    if is_on_device(team):
-        return lambda team: team.y * team.width + team.x
     return (lambda team: 0) if _none(team) else lambda team: team.worker
 
 
 @inline(workers)
 def _workers(team):
-    if is_on_device(team):
-        return lambda team: team.width * team.height
     return (lambda team: 1) if _none(team) else lambda team: team.workers
 
 
@@ -317,6 +332,9 @@ class ThreadPool:
         """Do nothing: threads of the CPU work in the host's memory; cf. ``stepping.device``."""
 
     def fetch(self) -> None:
+        """Do nothing, for the same reason."""
+
+    def fetch_stats(self) -> None:
         """Do nothing, for the same reason."""
 
     def _join(self, worker: int, step, effects, state, *arguments) -> None:

@@ -53,14 +53,16 @@ def coloured_runs(block: Block, shapes: list[Shape], slots: int, *, families: in
                                rows.step * block.row_stride)
                 anchors = (start + np.arange(len(rows))[:, None] * step
                            + np.flatnonzero(present[number, place:place + count]))
-                touched = (anchors[..., None] + np.array(offset)).ravel()
-                assert len(np.unique(touched)) == touched.size
-                colour = next((k for k, taken in enumerate(used) if not taken[touched].any()),
+                places = anchors[..., None] + np.array(offset)
+                touched = np.zeros(slots, bool)
+                touched[places] = True
+                assert np.count_nonzero(touched) == places.size
+                colour = next((k for k, taken in enumerate(used) if not (taken & touched).any()),
                               len(used))
                 if colour == len(used):
                     used.append(np.zeros(slots, bool))
                     colours.append([])
-                used[colour][touched] = True
+                used[colour] |= touched
                 colours[colour].append((
                     start, count, len(rows), step, *offset, (families + shape.family) * slots,
                     shapes_before + number, place))

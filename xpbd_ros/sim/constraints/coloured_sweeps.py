@@ -4,7 +4,7 @@ from numba import types
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, first, lanes, load
-from xpbd_ros.sim.backend.threads import across, along, turns, wait, wait_within
+from xpbd_ros.sim.backend.threads import cells, first_cell, turns, wait, wait_within
 from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.constraints.pinned import listed_range, listed_range_of
 from xpbd_ros.sim.constraints.sweeps import (
@@ -37,26 +37,29 @@ def sweep_coloured_runs(batch, state, substep, reverse):
     colours = len(runs.colour) - 1
     for k in range(colours):
         colour = colours - 1 - k if reverse else k
+        before = first_cell(state.team)
         for r in range(runs.colour[colour], runs.colour[colour + 1]):
             shape, offsets = runs.shape[r], offsets_of(batch, r)
             constants = constants_of(batch, shape)
             number, base, count = shape * places + runs.place[r], runs.base[r], runs.count[r]
             pinned, past = listed_range_of(batch.stops, r)
-            top, bottom, down = across(state.team, runs.rows[r])
-            left, right, over = along(state.team, (count + step - 1) // step)
-            for b in range(top, bottom, down):
-                anchor = runs.start[r] + b * runs.stride[r]
-                for p in range(left, right, over):
-                    q = p * step
-                    there = first(mobility, count - q)
-                    if any_lane(both(there, load(batch.compliance, number + q) >= 0.0)):
-                        c, stop, on = base + anchor + q, pinned, pinned
-                        if pinned < past:
-                            stop = first_listed(held, pinned, past, c)
-                            on = first_listed(held, stop, past, c + step)
-                        project_run(batch, state.apart, x, to, errors, mobility, anchor + q,
-                                    offsets, c, number + q, shape, there, constants, held, stop,
-                                    on, part, state.reaction)
+            columns = (count + step - 1) // step
+            b, p, bottom, down, over = cells(state.team, runs.rows[r], columns, before)
+            while b < bottom:
+                anchor, q = runs.start[r] + b * runs.stride[r], p * step
+                there = first(mobility, count - q)
+                if any_lane(both(there, load(batch.compliance, number + q) >= 0.0)):
+                    c, stop, on = base + anchor + q, pinned, pinned
+                    if pinned < past:
+                        stop = first_listed(held, pinned, past, c)
+                        on = first_listed(held, stop, past, c + step)
+                    project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
+                                c, number + q, shape, there, constants, held, stop, on, part,
+                                state.reaction)
+                b, p = b + down, p + over
+                if p >= columns:
+                    b, p = b + 1, p - columns
+            before = (b - bottom) * columns + p
             wait_within(state.team)
         wait(state.team)
 

@@ -2,9 +2,9 @@
 Frames on a card (``solver.device: cuda``): the place of ``ThreadPool`` in a simulation.
 
 The state stays on the card. A frame is one CUDA graph of small kernels (``stepping.launches``).
-Before it what the host changed goes up: what effects write in ``begin``, and after commands any
-change. After it x, v, inv_mass and what effects read in ``end`` come down. All else on the host is
-older than the card's, until ``fetch``.
+Before it what effects write in ``begin`` goes up, and after commands other than targets whatever
+changed. After it x, v, inv_mass and what effects read in ``end`` come down. All else on the host
+is older than the card's, until ``fetch``.
 """
 
 from collections.abc import Iterator
@@ -16,9 +16,6 @@ from xpbd_ros.sim.backend.device_kernel import compile_kernels, flat, packed
 from xpbd_ros.sim.backend.device_memory import DeviceMemory
 from xpbd_ros.sim.stepping.launches import Launch, launches_of
 
-REPORTS = ('end', 'reported', 'stats', 'news', 'work')
-"""methods with which an effect looks at a frame that is done"""
-
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:
     """Yield the arrays of nested tuples."""
@@ -28,12 +25,6 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
     elif isinstance(value, tuple):
         for item in value:
             yield from arrays_in(item)
-
-
-def has_own(built: Any, *methods: str) -> bool:
-    """Return True if an effect (``sim.effect.Built``) defines one of some methods itself."""
-    common = type(built).__mro__[-2]    # the class of all effects
-    return any(getattr(type(built), name) is not getattr(common, name) for name in methods)
 
 
 class DeviceCrew:
@@ -53,10 +44,10 @@ class DeviceCrew:
         self._simulation, self._card = simulation, card
         self._made: tuple | None = None    # what the frame below was made for
         self._memory: DeviceMemory | None = None
-        self._all: list[np.ndarray] = []
-        self._up: list[np.ndarray] = []
-        self._down: list[np.ndarray] = []
-        self._changed = False
+        self._mirrored: list[np.ndarray] = []    # in step after every frame
+        self._others: list[np.ndarray] = []
+        self._changed = False    # the host has changed arrays
+        self._fetched = False    # all arrays are in step
 
     def __deepcopy__(self, memo: dict) -> 'DeviceCrew':
         """Return a crew for the copy of the simulation, with memory of its own."""
@@ -69,10 +60,15 @@ class DeviceCrew:
         if not substeps:
             return
         assert self._memory is not None
-        self._memory.upload(self._all if self._changed else self._up)
-        self._changed = False
+        if self._changed:
+            self._bring_changes()
+        for built in self._simulation.effects.values():
+            self._memory.put(built.written_by_begin())
         self.frame()
-        self._memory.download(self._down)
+        self._memory.get(self._mirrored)
+        for built in self._simulation.effects.values():
+            self._memory.get(built.read_by_frame())
+        self._changed = self._fetched = False
 
     def host_changed(self) -> None:
         """Look for changes in all arrays before the next frame."""
@@ -80,10 +76,23 @@ class DeviceCrew:
 
     def fetch(self) -> None:
         """Bring all arrays to the host, which may change them then."""
-        if self._memory is not None:
-            self._memory.upload(self._all)    # changes that are not there yet
-            self._memory.download(self._all)
-        self._changed = True
+        if self._memory is not None and not self._fetched:
+            self._bring_changes()
+            self._memory.get(self._others)
+            self._memory.remember(self._others)
+        self._changed = self._fetched = True
+
+    def fetch_stats(self) -> None:
+        """Bring what the effects' ``stats`` read to the host."""
+        if self._memory is not None and not self._changed:
+            for built in self._simulation.effects.values():
+                self._memory.get(built.read_by_stats())
+
+    def _bring_changes(self) -> None:
+        """Bring what the host has changed to the card."""
+        assert self._memory is not None
+        self._memory.put(self._mirrored)
+        self._memory.upload(self._others)
 
     def _make(self, effects, state, method, frame_dt, substeps) -> None:
         """Compile and load a frame, unless it is the last one."""
@@ -94,16 +103,19 @@ class DeviceCrew:
         if self._memory is not None:
             self._memory.free()
         launches, gate = launches_of(effects, state, method, frame_dt, substeps)
-        self._all = list({id(array): array
-                          for array in arrays_in((effects, state, gate))}.values())
-        self._memory = DeviceMemory(self._card, self._all)
-        self._memory.remember(self._all)
-        self._exchange(state)
+        every = {id(array): array for array in arrays_in((effects, state, gate))}
+        self._memory = DeviceMemory(self._card, every.values())
+        self._mirrored = [state.x, state.v, state.inv_mass, *fresh_of(state.history)]
+        for array in self._mirrored:
+            del every[id(array)]
+        self._others = list(every.values())
+        self._memory.remember(self._others)
+        self._memory.lock(self._mirrored)
         self.frame = self._card.sequence(self._loaded(launches))
         self._made = wanted
 
     def _loaded(self, launches: list[Launch]) -> list[tuple]:
-        """Return (kernel, parameters, shared) of each launch that does something."""
+        """Return (kernel, parameters, threads) of each launch that does something."""
         assert self._memory is not None
         requests = [launch.request(self._card.arch) for launch in launches]
         unique = {request.key: request for request in requests}
@@ -111,24 +123,13 @@ class DeviceCrew:
         loaded = {key: self._card.load(ptx) for key, ptx in found.items() if writes(ptx)}
         return [(loaded[request.key],
                  packed([leaf for value, kind in zip(launch.arguments, request.signature)
-                         for leaf in flat(value, kind)], self._memory.address), launch.shared)
+                         for leaf in flat(value, kind)], self._memory.address), launch.threads)
                 for launch, request in zip(launches, requests) if request.key in loaded]
 
-    def _exchange(self, state) -> None:
-        """Note which arrays go up before each frame, and which come down after it."""
-        up, down = [], [state.x, state.v, state.inv_mass]
-        if state.reaction is not None:
-            up.append(state.reaction)
-            down.append(state.reaction)
-        for built in self._simulation.effects.values():
-            for part in built.parts:
-                if has_own(built, 'begin'):
-                    up += arrays_in(part)
-                if has_own(built, *REPORTS):
-                    down += arrays_in(part)
-        known = {id(array) for array in self._all}
-        self._up, self._down = (list({id(array): array for array in each
-                                      if id(array) in known}.values()) for each in (up, down))
+
+def fresh_of(history: Any) -> list[np.ndarray]:
+    """Return what tells how long the history of each particle is; ``pin`` resets it at an end."""
+    return [] if history is None else [history.fresh]
 
 
 def writes(ptx: str) -> bool:

@@ -20,6 +20,7 @@ from xpbd_ros.sim.backend.device_kernel import Request
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.emit import WRITTEN
 from xpbd_ros.sim.backend.threads import alone, wait
+from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.particles import explicit_updates, history, integration
 from xpbd_ros.sim.particles.state import State
 from xpbd_ros.sim.stepping import methods, stages, step
@@ -32,8 +33,8 @@ class Launch(NamedTuple):
     arguments: tuple
     signature: tuple
     """types of the arguments, as Numba has them"""
-    shared: bool
-    """True if all threads share its work; else one thread does it"""
+    threads: int
+    """how many threads have something to do at the same time; 1: one does it all"""
 
     def request(self, arch: str) -> Request:
         """Return what to compile."""
@@ -60,8 +61,9 @@ def find(module: str, name: Any) -> Callable:
 class Recorder:
     """Writes launches down, where Numba's ``Writer`` writes LLVM; a value is a type and itself."""
 
-    def __init__(self):
+    def __init__(self, slots: int):
         self.launches: list[Launch] = []
+        self._slots = slots
         self._alone = False
         self._types: dict[int, tuple] = {}
 
@@ -88,7 +90,8 @@ class Recorder:
         elif function is not wait:    # a launch begins when the one before is done
             shared = not self._alone or function in stages.ON_DEVICE
             kinds = tuple(kind for kind, _ in values)
-            self.launches.append(Launch(function, found, kinds, shared))
+            threads = threads_for(function, found, self._slots) if shared else 1
+            self.launches.append(Launch(function, found, kinds, threads))
         return None
 
     def item(self, value, k):
@@ -132,6 +135,19 @@ class Recorder:
         return found
 
 
+def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
+    """Return how many threads can share a kernel: one for each constraint of a colour, or slot."""
+    solves_lines = (stages.name_of(kernel) or ('',))[0] == stages.solve_lines.__name__
+    for each in arguments:
+        if solves_lines and hasattr(each, 'lines'):
+            return len(each.lines.work)
+        batch = getattr(each, 'edges', each)
+        if isinstance(getattr(batch, 'runs', None), ColouredRuns):
+            cells = np.cumsum([0, *batch.runs.rows * batch.runs.count])
+            return int(np.diff(cells[batch.runs.colour]).max(initial=1))
+    return slots
+
+
 def turned(state: State) -> State:
     """Return the state of the next substep, as ``integration.turned``."""
     rotate = history._rotate_history(numba.typeof(state.history), None, None, None)
@@ -156,7 +172,7 @@ def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float,
     Effects with ``are_inequalities_unmet`` cannot be recorded: their turns depend on the state.
     """
     gate = np.zeros(1, np.int64)
-    recorder = Recorder()
+    recorder = Recorder(len(state.inv_mass))
     recorder.run(step.advance, tuple(effects),
-                 state._replace(team=DeviceTeam(0, 0, 1, 1, gate)), method, frame_dt, substeps)
+                 state._replace(team=DeviceTeam(0, 1, gate)), method, frame_dt, substeps)
     return recorder.launches, gate
