@@ -1,5 +1,7 @@
 """``solver.device: cuda`` on a card that is emulated: the CPU's bits, and no race of threads."""
 
+import gc
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from support.ptx_emulator import EmulatedCard
 from support.scenes import SMALL_SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.backend import cuda
+from xpbd_ros.sim.backend import cuda, device_memory
 from xpbd_ros.sim.commands import (
     Grasp,
     MovePin,
@@ -141,6 +143,17 @@ def test_a_frame_that_is_rolled_back_leaves_the_card_as_the_cpu(on_card):
         assert same(ours.step(), theirs.step())
     assert ours.stats()['frames_taken_back'] == theirs.stats()['frames_taken_back'] == 1
     assert ours.hash() == theirs.hash()
+
+
+def test_memory_is_unlocked_before_it_is_anothers(on_card, monkeypatch):
+    monkeypatch.setattr(device_memory, 'LARGE', 1)
+    card = EmulatedCard()
+    theirs = on_card(card)
+    theirs.step()
+    assert len(card.locked) == 3    # x, v, inv_mass
+    del theirs
+    gc.collect()
+    assert not card.locked
 
 
 def test_little_goes_up_and_down_in_a_frame(on_card):

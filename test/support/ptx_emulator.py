@@ -170,6 +170,7 @@ class EmulatedCard:
                  **options):
         self.order, self.grid, self.block, self.options = order, grid, block, options
         self.races = self.astray = self.barriers = self.launches = 0
+        self.locked: set[int] = set()
         self.told: dict[int, int] = {}
         """races by the place of a kernel in the frame"""
         self._pick = np.random.default_rng(seed)
@@ -202,8 +203,14 @@ class EmulatedCard:
         ctypes.memmove(array.ctypes.data, address, array.nbytes)
 
     def lock(self, array: np.ndarray) -> bool:
-        """Lock nothing."""
-        return False
+        """Note that the pages of an array are locked."""
+        assert array.ctypes.data not in self.locked
+        self.locked.add(array.ctypes.data)
+        return True
+
+    def unlock(self, array: np.ndarray) -> None:
+        """Undo ``lock``."""
+        self.locked.remove(array.ctypes.data)
 
     def sequence(self, launches: Sequence[tuple]) -> Callable[[], None]:
         """Return what runs (kernel, parameters, threads), in order."""

@@ -98,8 +98,10 @@ def tangential(contacts, k, state, substep):
     """Return Δp_t of contact k [m]."""
     i, n, x, before = contacts.particle[k], contacts.normal, state.x, state.x_prev
     ux, uy, uz = surface_motion(contacts, k, state, substep)
-    px, py = x[0, i] - before[0, i] - ux, x[1, i] - before[1, i] - uy
-    pz = x[2, i] - before[2, i] - uz
+    # in float64, as by lanes: the difference of two float32 numbers may not be one
+    px = np.float64(x[0, i]) - before[0, i] - ux
+    py = np.float64(x[1, i]) - before[1, i] - uy
+    pz = np.float64(x[2, i]) - before[2, i] - uz
     pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
     return px - pn * n[k, 0], py - pn * n[k, 1], pz - pn * n[k, 2]
 

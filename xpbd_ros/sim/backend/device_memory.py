@@ -8,6 +8,7 @@ with the card, element by element. Arrays that are in step after every frame go 
 
 from collections.abc import Iterable
 from typing import Any
+import weakref
 
 import numpy as np
 
@@ -55,6 +56,7 @@ class DeviceMemory:
         """bytes"""
         self._start = card.allocate(size)
         self._locked: list[np.ndarray] = []
+        self._release = weakref.finalize(self, release, card, self._start, self._locked)
         self._known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for array in self._bases.values():
             card.put(self.address(array), array)
@@ -106,7 +108,12 @@ class DeviceMemory:
                 self._locked.append(array)
 
     def free(self) -> None:
-        """Give the card's memory back."""
-        for array in self._locked:
-            self._card.unlock(array)
-        self._card.free(self._start)
+        """Give the card's memory back; that happens too when nothing refers to this any more."""
+        self._release()
+
+
+def release(card: Any, start: int, locked: list[np.ndarray]) -> None:
+    """Give memory back, and unlock arrays before their own memory can be another's."""
+    for array in locked:
+        card.unlock(array)
+    card.free(start)

@@ -94,6 +94,29 @@ def update_velocity_and_begin(state, substep):
 
 
 @jit(inline=True)
+def load_rows(x, q):
+    """Return the vectors of x, y and z at slot q; before any is stored: a GPU waits once."""
+    slots = x.shape[1]
+    return load(x, q), load(x, slots + q), load(x, 2 * slots + q)
+
+
+@jit(inline=True)
+def store_rows(x, q, values):
+    """Store vectors of x, y and z at slot q."""
+    slots = x.shape[1]
+    store(x, q, values[0])
+    store(x, slots + q, values[1])
+    store(x, 2 * slots + q, values[2])
+
+
+@jit(inline=True)
+def mean_rows(values, past, slots, q, a, b):
+    """Return ``history.mean`` of vectors of x, y and z at slot q."""
+    return (mean(values[0], past, q, a, b), mean(values[1], past, slots + q, a, b),
+            mean(values[2], past, 2 * slots + q, a, b))
+
+
+@jit(inline=True)
 def _begin(state, history, q, h):
     slots = len(state.inv_mass)
     w = load(state.inv_mass, q)
@@ -101,14 +124,18 @@ def _begin(state, history, q, h):
     past, (v, past_v) = earlier_positions(history), velocities(history, state.v)
     fresh = with_order_reduction(history, v, past_v, state.gap, q, h)
     step, a, b = weights(past, state.inv_mass, fresh, h)
+    x0, y0, z0 = load_rows(state.x_prev, q)
+    x, y, z = mean_rows((x0, y0, z0), past, slots, q, a, b)
+    vx, vy, vz = load_rows(v, q)
+    ux, uy, uz = mean_rows((vx, vy, vz), past_v, slots, q, a, b)
+    g = state.gravity
+    ux, uy, uz = ux + step * g[0], uy + step * g[1], uz + step * g[2]
     store(state.mobility, q, w * (step * step))
+    store_rows(state.v, q, (select(free, ux, vx), select(free, uy, vy), select(free, uz, vz)))
+    store_rows(state.x, q, (select(free, x + step * ux, x0), select(free, y + step * uy, y0),
+                            select(free, z + step * uz, z0)))
     for k in range(3):
-        i = k * slots + q
-        xi, vi = load(state.x_prev, i), load(v, i)
-        moved = mean(vi, past_v, i, a, b) + step * state.gravity[k]
-        store(state.v, i, select(free, moved, vi))
-        store(state.x, i, select(free, mean(xi, past, i, a, b) + step * moved, xi))
-        clear(moves(state.rounding), i)
+        clear(moves(state.rounding), k * slots + q)
 
 
 @jit(inline=True)
@@ -141,13 +168,16 @@ def _update_velocity(state, history, q, h):
     past = earlier_positions(history)
     as_predicted, fresh = end_age(history, state.inv_mass, q)
     step, a, b = weights(past, state.inv_mass, fresh, h)
-    per_step = 1.0 / step
-    for k in range(3):
-        i = k * slots + q
-        xi, start = load(state.x, i), mean(load(state.x_prev, i), past, i, a, b)
-        store(v, i, select(as_predicted, velocity(load(v, i), xi, start, step, per_step,
-                                                 moves(state.rounding), i),
-                           (xi - start) * per_step))
+    per_step, errors = 1.0 / step, moves(state.rounding)
+    x, y, z = load_rows(state.x, q)
+    x0, y0, z0 = mean_rows(load_rows(state.x_prev, q), past, slots, q, a, b)
+    vx, vy, vz = load_rows(v, q)
+    ux = velocity(vx, x, x0, step, per_step, errors, q)
+    uy = velocity(vy, y, y0, step, per_step, errors, slots + q)
+    uz = velocity(vz, z, z0, step, per_step, errors, 2 * slots + q)
+    store_rows(v, q, (select(as_predicted, ux, (x - x0) * per_step),
+                      select(as_predicted, uy, (y - y0) * per_step),
+                      select(as_predicted, uz, (z - z0) * per_step)))
 
 
 @jit

@@ -10,6 +10,7 @@ sooner, than one for a whole frame.
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 import importlib
+import operator
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -85,7 +86,7 @@ class Recorder:
             self.run(function, *found)
         elif function in VALUES:
             return self.typed(VALUES[function](*found))
-        elif function is alone:
+        elif function is alone or function is integration.restore_buffers and at_home(*found):
             return None
         elif function is not wait:    # a launch begins when the one before is done
             shared = not self._alone or function in stages.ON_DEVICE
@@ -133,6 +134,12 @@ class Recorder:
         if found in WRITTEN or found in VALUES or found in COMPOSITE or hasattr(found, 'part'):
             return lambda *values: (self.call(found, *map(self.typed, values)) or (None, None))[1]
         return found
+
+
+def at_home(home: State, state: State) -> bool:
+    """Return True if the buffers of a state, which ``turned`` exchanges, are in their places."""
+    return all(map(operator.is_, *((each.x, each.x_prev, each.v, *(each.history or ()))
+                                   for each in (home, state))))
 
 
 def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
