@@ -3,7 +3,7 @@
 import tempfile
 from types import FunctionType
 
-from hypothesis import given, HealthCheck, settings, strategies as st
+from hypothesis import assume, given, HealthCheck, settings, strategies as st
 import numpy as np
 import pytest
 
@@ -173,6 +173,7 @@ def does_not_depend_on_the_unit_of_length(options, power):
                 0.0, 0.0, -0.1 * options['size'][0] * by]}})
 
     by = 2.0**power
+    assume(by * max(options['size']) < 5e8)    # m: no scene is larger
     np.testing.assert_allclose(found(by) / by, found(1.0), rtol=0.0,
                                atol=1e-9 * options['size'][0])
 
