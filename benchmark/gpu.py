@@ -44,8 +44,9 @@ SIZES = {'bits': (16, 33, 100), 'speed': (100, 316, 1000, 2000), 'registers': (1
 SUBSTEPS, FRAMES, REPEATS = 4, 3, 50
 COPY = 2**31
 """bytes of the copy within the card"""
-MODELLED = {'H200': (4300.0, 1.5), 'RTX 5090': (1700.0, 1.5), 'Orin AGX': (180.0, 3.0)}
-"""bandwidth of a copy [GB/s], time of a barrier [µs]: assumed, not measured here"""
+MODELLED = {'H100': (3016.0, 5.0), 'RTX 5090': (1700.0, 5.0), 'Orin AGX': (180.0, 10.0)}
+"""bandwidth of a copy [GB/s], time of a barrier with its share of the launches [µs]: measured for
+the H100, assumed for the others"""
 SHARE = 0.5
 """of that bandwidth"""
 ARCHES = ('sm_90', 'sm_87')

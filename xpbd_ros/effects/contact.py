@@ -48,39 +48,18 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.commands import (
-    MoveCollider,
-    PlaceCollider,
-    RemoveAllColliders,
-    RemoveCollider,
-)
+from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, RemoveAllColliders, RemoveCollider
 from xpbd_ros.sim.contact.broad_phase import find_candidates
-from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed
-from xpbd_ros.sim.contact.collider_entries import Entry, shape_of, shape_size, SHAPES
+from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed, write_shape
+from xpbd_ros.sim.contact.collider_entries import Entry, shape_of
 from xpbd_ros.sim.contact.collider_motion import move_colliders
-from xpbd_ros.sim.contact.colliders import (
-    Colliders,
-    new_colliders,
-    steepness,
-    write_grid,
-    write_heights,
-)
-from xpbd_ros.sim.contact.contacts import (
-    Contacts,
-    count_penetrating,
-    new_contacts,
-    push_all,
-)
+from xpbd_ros.sim.contact.colliders import Colliders, new_colliders
+from xpbd_ros.sim.contact.contacts import Contacts, count_penetrating, new_contacts, push_all
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
 from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, forget_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
-from xpbd_ros.sim.contact.restitution import (
-    Bounce,
-    calm_overlaps,
-    calm_pads,
-    rebound,
-)
+from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
 from xpbd_ros.sim.contact.shape_data import shape_data
 from xpbd_ros.sim.contact.wrenches import bear_half_kick, begin_wrenches, work_of_colliders
 from xpbd_ros.sim.effect import Built, Effect
@@ -275,24 +254,13 @@ class BuiltContact(Built):
         """Write the colliders into the kernels' arrays."""
         colliders, nodes, places = self.colliders, 0, 0
         for c, placed in enumerate(self.placed.values()):
-            colliders.shape[c] = SHAPES[placed.entry.shape]
-            colliders.size[c] = shape_size(placed.entry)
-            colliders.reach[c], colliders.inner[c] = placed.reach, placed.inner
-            if placed.field is not None:
-                assert colliders.grids is not None
-                write_grid(colliders.grids, c, placed.field, nodes)
-                nodes += placed.field.values.size
-            if placed.heights is not None:
-                assert colliders.heights is not None and placed.entry.heights is not None
-                write_heights(colliders.heights, c, placed.heights, places)
-                colliders.size[c, 2] = steepness(placed.heights, placed.entry.heights.size)
-                places += placed.heights.size
+            nodes, places = write_shape(colliders, c, placed, nodes, places)
             if self.data.bounce is not None:
                 self.data.bounce.restitution[c] = placed.entry.restitution
-            if self.colliders.stiffness is not None and self.colliders.depth is not None:
+            if colliders.stiffness is not None and colliders.depth is not None:
                 pad = placed.entry.pad
-                self.colliders.stiffness[c] = 0.0 if pad is None else pad.stiffness / self.scale
-                self.colliders.depth[c] = placed.depth
+                colliders.stiffness[c] = 0.0 if pad is None else pad.stiffness / self.scale
+                colliders.depth[c] = placed.depth
             self._write_twist(c, placed)
             pose = placed.motion.pose
             colliders.start[c] = colliders.goal[c] = (*pose.position, *pose.orientation)
@@ -413,11 +381,7 @@ class BuiltContact(Built):
             del self.placed[name]
         self._changed()
 
-    def expires(self, clock):
-        return bool(self._expired(clock))
-
-    def _expired(self, clock) -> list[str]:
-        """Return the names of the colliders whose time is over."""
+    def expired(self, clock):
         return [name for name, placed in self.placed.items()
                 if placed.expires_ns is not None and placed.expires_ns <= clock.begin_ns]
 
@@ -442,7 +406,7 @@ class BuiltContact(Built):
             yield pads.force[:found]
 
     def begin(self, clock, state):
-        gone = self._expired(clock)
+        gone = self.expired(clock)
         if gone:
             self._remove(gone)
         self.contacts.wrenches.impulse[:] = 0.0

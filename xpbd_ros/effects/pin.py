@@ -355,18 +355,12 @@ class BuiltPin(Built):
     commands = {Grasp: grasp, Release: release, ReleaseAll: release_all, MovePin: move,
                 Click: click}
 
-    def expires(self, clock):
-        return bool(self._expired(clock))
-
-    def _expired(self, clock) -> list[str]:
-        """Return the names of the pins whose time is over."""
+    def expired(self, clock):
         return [name for name, held in self.held.items()
                 if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]
 
     def only_aims(self, command):
-        if not isinstance(command, MovePin):
-            return False
-        held = self.held.get(command.pin)
+        held = self.held.get(command.pin) if isinstance(command, MovePin) else None
         return held is not None and not held.axes_open
 
     def written_by_begin(self):
@@ -376,11 +370,10 @@ class BuiltPin(Built):
         return (*self._forces(), *(spring.place[:spring.pin.count[0]] for spring in self.also))
 
     def _forces(self) -> list[np.ndarray]:
-        """Return the forces of the pinned particles, of each list."""
         return [pin.force[:pin.count[0]] for pin in self._lists]
 
     def begin(self, clock, state):
-        for name in self._expired(clock):
+        for name in self.expired(clock):
             self._let_go(name, state)
         motions = [held.motion for held in self.held.values()]
         for motion in (*motions, *self.open.values()):
@@ -400,8 +393,7 @@ class BuiltPin(Built):
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
     def work(self, state, dt):
-        count = self.data.count[0]
-        power = (self.data.force[:count] * state.v.T[self.data.particle[:count]]).sum(1)
+        power = (self._forces()[0] * state.v.T[self.data.particle[:self.data.count[0]]]).sum(1)
         return float(dt * np.abs(power).sum())
 
     def compile(self, state):
@@ -418,15 +410,14 @@ class BuiltPin(Built):
         self._weigh(state, clock.dt)
         self.states = self._states(clock.dt)
         for name, held in list(self.held.items()):
-            slip = held.slip
-            if slip is not None and (force := float(length(self._wrench[held.slot, :3]))) > slip:
+            force = float(length(self._wrench[held.slot, :3]))
+            if held.slip is not None and force > held.slip:
                 self._let_go(name, state)
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
-                                  f'and it holds {slip:g} N')
+                                  f'and it holds {held.slip:g} N')
 
     def _states(self, dt: float) -> PinStates:
-        """Return the states of all pins after a frame."""
         slots = [held.slot for held in self.held.values()]
         return PinStates(list(self.held.values()), self.data.start[slots], self.data.goal[slots],
                          self._wrench[slots], self.number, dt)

@@ -245,9 +245,9 @@ class Built:
     def end(self, clock: Clock, state: State) -> None:
         """Look at a frame that is done."""
 
-    def expires(self, clock: Clock) -> bool:
-        """Return True if ``begin`` will remove something: arrays that kernels write change."""
-        return False
+    def expired(self, clock: Clock) -> Sequence[str]:
+        """Return the names of what ``begin`` will remove; arrays that kernels write change."""
+        return ()
 
     def only_aims(self, command: Command) -> bool:
         """Return True if a command sets a target: only what ``begin`` writes changes."""

@@ -1,6 +1,6 @@
 """A compiled scene: applies commands and computes one frame at a time; no callbacks, no I/O."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 import copy
 from dataclasses import dataclass
 from fractions import Fraction
@@ -14,6 +14,7 @@ from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
+from xpbd_ros.sim.frame import Frame
 from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
@@ -23,32 +24,6 @@ from xpbd_ros.sim.stepping.explicit_guard import ExplicitGuard
 from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.sim.stepping.rollback import FrameRollback
 from xpbd_ros.sim.stepping.solver import Solver
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The result of one frame; particles in natural order."""
-
-    index: int
-    """0 is the start"""
-    time_ns: int
-    """simulation time since the start [ns]; exact"""
-    x: np.ndarray
-    """positions [m], shape (particles, 3)"""
-    v: np.ndarray
-    """velocities [m/s], shape (particles, 3)"""
-    inv_mass: np.ndarray
-    """[1/kg], shape (particles,); 0 while pinned"""
-    pins: Mapping[str, Any]
-    """name: PinState"""
-    colliders: Mapping[str, Any]
-    """name: ColliderState"""
-    applied: tuple[Command, ...] = ()
-    """commands applied before this frame"""
-    refused: tuple[tuple[Command, str], ...] = ()
-    """commands refused before this frame, each with the reason"""
-    news: tuple[str, ...] = ()
-    """events of this frame that no command caused, such as a pin that was released"""
 
 
 class Simulation:
@@ -142,7 +117,7 @@ class Simulation:
         refused = self.apply(commands)
         applied, self._pending = tuple(self._pending), []
         clock = self._clock()
-        if any(built.expires(clock) for built in self.effects.values()):
+        if any(built.expired(clock) for built in self.effects.values()):
             self.fetch()
         for built in self.effects.values():
             built.begin(clock, self.state)
@@ -172,7 +147,8 @@ class Simulation:
         refused: list[tuple[Command, str]] = []
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
-            if not all(map(self._only_aims, group)):
+            if not all(any(built.only_aims(command) for built in self.effects.values())
+                       for command in group):
                 self.fetch()
             try:
                 group = tuple(map(checked, group))
@@ -184,11 +160,6 @@ class Simulation:
             else:
                 refused.append((group[0], reason))
         return refused
-
-    def _only_aims(self, command: Command) -> bool:
-        """Return True if a command sets a target, which changes no array before ``begin``."""
-        return any(type(command) in built.commands and built.only_aims(command)
-                   for built in self.effects.values())
 
     @property
     def pending(self) -> tuple[Command, ...]:

@@ -8,7 +8,14 @@ import numpy as np
 
 from xpbd_ros.sim.commands import Pose, Twist
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_size, SHAPES
-from xpbd_ros.sim.contact.colliders import inner, reach
+from xpbd_ros.sim.contact.colliders import (
+    Colliders,
+    inner,
+    reach,
+    steepness,
+    write_grid,
+    write_heights,
+)
 from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.geometry.quaternion import turns
 from xpbd_ros.sim.target_motion import MonotoneCubic, Motion
@@ -130,3 +137,26 @@ def motion_of(entry: Entry, now: float) -> Motion:
         keyframes = MonotoneCubic(entry.motion, now)
         pose = Pose(keyframes(now), pose.orientation)
     return Motion(pose, entry.max_speed, keyframes=keyframes, begins_at_target=bool(entry.frame))
+
+
+def write_shape(colliders: Colliders, c: int, placed: Placed, nodes: int,
+                places: int) -> tuple[int, int]:
+    """
+    Write the shape of collider c into the kernels' arrays.
+
+    ``nodes`` and ``places`` tell how much of the room for meshes and for heights is taken; they
+    are returned with what this one takes.
+    """
+    entry = placed.entry
+    colliders.shape[c], colliders.size[c] = SHAPES[entry.shape], shape_size(entry)
+    colliders.reach[c], colliders.inner[c] = placed.reach, placed.inner
+    if placed.field is not None:
+        assert colliders.grids is not None
+        write_grid(colliders.grids, c, placed.field, nodes)
+        nodes += placed.field.values.size
+    if placed.heights is not None:
+        assert colliders.heights is not None and entry.heights is not None
+        write_heights(colliders.heights, c, placed.heights, places)
+        colliders.size[c, 2] = steepness(placed.heights, entry.heights.size)
+        places += placed.heights.size
+    return nodes, places
