@@ -360,8 +360,8 @@ class BuiltPin(Built):
                 if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]
 
     def only_aims(self, command):
-        held = self.held.get(command.pin) if isinstance(command, MovePin) else None
-        return held is not None and not held.axes_open
+        return isinstance(command, MovePin) and not (
+            command.pin in self.held and self.held[command.pin].axes_open)
 
     def written_by_begin(self):
         return self.data.start, self.data.goal, *self._forces()
