@@ -12,7 +12,13 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.device import EFFECTS as ON_DEVICE
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend import cuda
-from xpbd_ros.sim.commands import MoveCollider, MovePin, Pose
+from xpbd_ros.sim.commands import (
+    Grasp,
+    MoveCollider,
+    MovePin,
+    PlaceCollider,
+    Pose,
+)
 
 pytestmark = pytest.mark.slow
 SHEET = ('stretch', 'shear', 'bend')
@@ -36,7 +42,7 @@ CASES = {
 }
 
 
-def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), **solver):
+def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, **solver):
     """Return a sheet of square cells, a disc or a body, pinned, with some effects."""
     of = {scope: {name: EXAMPLES[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
           for scope in ('cloth', 'scene')}
@@ -48,12 +54,18 @@ def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), **solver):
         'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 2,
                    'precision': 'float32', 'order': 'coloured', 'device': device, **solver},
         'cloths': {'c': {**shape, 'density': 1.0, 'effects': of['cloth']}},
-        'pins': {'a': {'cloth': 'c', 'at': [0]}}, 'effects': of['scene'],
+        'pins': {'a': {'cloth': 'c', 'at': [0], **(pin or {})}}, 'effects': of['scene'],
         **({'colliders': colliders} if 'contact' in names else {})}, where='x', name='x'))
 
 
 def test_the_cases_cover_what_a_gpu_has():
     assert {name for names, _ in CASES.values() for name in names} | {'pin'} == set(ON_DEVICE)
+
+
+def both(names, monkeypatch, **options) -> list:
+    """Return a scene on the CPU and on an emulated card."""
+    monkeypatch.setattr(cuda, 'Card', EmulatedCard)
+    return [scene(names, device=device, **options) for device in ('cpu', 'cuda')]
 
 
 def same_frames(case, cards, monkeypatch) -> None:
@@ -94,6 +106,43 @@ def test_frames_have_the_bits_of_the_cpu_and_no_race(case, monkeypatch):
     for card in cards:
         assert (card.races, card.astray) == (0, 0)
         assert card.launches > 30
+
+
+@pytest.mark.parametrize('compliance', [0.0, 1e-3])
+def test_what_expires_or_slips_does_so_on_the_card(compliance, monkeypatch):
+    """A pin and a collider with a lifetime, and a pin with a slip force; BDF2 has a history."""
+    found = both(('stretch', 'contact', 'friction'), monkeypatch, integrator='bdf2',
+                 pin={'slip': 0.3, 'compliance': compliance})
+    commands = {1: [Grasp('g', Pose((1.0, 0.8, 0.0)), radius=0.3, lifetime_ns=30_000_000),
+                    PlaceCollider('box', 'box', (0.4, 0.4, 0.1), Pose((0.8, 0.2, -0.05)),
+                                  lifetime_ns=60_000_000)],
+                6: [MovePin('a', Pose((0.0, 0.0, 0.1)))]}    # a target, which fetches nothing
+    seen = set()
+    for index in range(10):
+        ours, theirs = (each.step(commands.get(index, ())) for each in found)
+        assert not ours.refused
+        for name in ('x', 'v', 'inv_mass'):
+            assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes(), index
+        seen.add((tuple(ours.pins), tuple(ours.colliders)))
+        assert ours.pins.keys() == theirs.pins.keys()
+    assert {'box' in colliders for _, colliders in seen} == {True, False}
+    assert {'g' in pins for pins, _ in seen} == {'a' in pins for pins, _ in seen} == {True, False}
+    assert found[0].stats() == found[1].stats()
+
+
+def test_hinges_of_a_frame_that_is_rolled_back_are_those_before(monkeypatch):
+    found = both(('stretch', 'hinge'), monkeypatch)
+    for each in found:
+        for _ in range(2):
+            each.step()
+        each.state.v[:, each.slot[9]] = 1e9
+        each._crew.host_changed()    # as a command does, but nothing is fetched
+        each.step()
+        each.fetch()
+        assert each.stats()['frames_taken_back'] == 1
+    ours, theirs = (each.effects['hinge'].data.angle for each in found)
+    assert np.abs(ours).max() > 1e-4
+    np.testing.assert_array_equal(ours, theirs)
 
 
 @pytest.fixture(scope='module')

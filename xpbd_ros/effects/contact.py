@@ -62,7 +62,7 @@ from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
 from xpbd_ros.sim.contact.shape_data import shape_data
 from xpbd_ros.sim.contact.wrenches import bear_half_kick, begin_wrenches, work_of_colliders
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, overdue
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import (
     accumulate_impulses,
@@ -382,10 +382,9 @@ class BuiltContact(Built):
         self._changed()
 
     def expired(self, clock):
-        return [name for name, placed in self.placed.items()
-                if placed.expires_ns is not None and placed.expires_ns <= clock.begin_ns]
+        return overdue(self.placed, clock)
 
-    def only_aims(self, command):
+    def only_sets_target(self, command):
         return isinstance(command, MoveCollider) and command.collider in self.placed
 
     def written_by_begin(self):
@@ -399,7 +398,7 @@ class BuiltContact(Built):
     def read_by_stats(self):
         contacts, pads = self.contacts, self.contacts.pads
         yield contacts.count
-        found = max(0, contacts.count[0])    # as it is when the count has come
+        found = max(0, contacts.count[0])    # the count is copied by now
         yield contacts.push[:found]
         if pads is not None:
             yield contacts.collider[:found]

@@ -39,7 +39,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.commands import Click, Grasp, MovePin, Pose, Release, ReleaseAll
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, Effect, overdue
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.geometry.quaternion import conjugate, rotate
 from xpbd_ros.sim.parameters import quantity
@@ -356,10 +356,9 @@ class BuiltPin(Built):
                 Click: click}
 
     def expired(self, clock):
-        return [name for name, held in self.held.items()
-                if held.expires_ns is not None and held.expires_ns <= clock.begin_ns]
+        return overdue(self.held, clock)
 
-    def only_aims(self, command):
+    def only_sets_target(self, command):
         return isinstance(command, MovePin) and not (
             command.pin in self.held and self.held[command.pin].axes_open)
 
@@ -393,7 +392,8 @@ class BuiltPin(Built):
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
     def work(self, state, dt):
-        power = (self._forces()[0] * state.v.T[self.data.particle[:self.data.count[0]]]).sum(1)
+        count = self.data.count[0]
+        power = (self.data.force[:count] * state.v.T[self.data.particle[:count]]).sum(1)
         return float(dt * np.abs(power).sum())
 
     def compile(self, state):
@@ -410,12 +410,12 @@ class BuiltPin(Built):
         self._weigh(state, clock.dt)
         self.states = self._states(clock.dt)
         for name, held in list(self.held.items()):
-            force = float(length(self._wrench[held.slot, :3]))
-            if held.slip is not None and force > held.slip:
+            slip = held.slip
+            if slip is not None and (force := float(length(self._wrench[held.slot, :3]))) > slip:
                 self._let_go(name, state)
                 self.slipped += 1
                 self._news.append(f"pin '{name}' slipped: the cloth pulled with {force:.3g} N, "
-                                  f'and it holds {held.slip:g} N')
+                                  f'and it holds {slip:g} N')
 
     def _states(self, dt: float) -> PinStates:
         slots = [held.slot for held in self.held.values()]

@@ -135,6 +135,12 @@ def sides_of(cloths: Iterable[Cloth]) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(slots), np.concatenate(lengths)
 
 
+def overdue(items: Mapping[str, Any], clock: Clock) -> list[str]:
+    """Return the names of those whose ``expires_ns`` (None: never) is over at a frame's start."""
+    return [name for name, each in items.items()
+            if each.expires_ns is not None and each.expires_ns <= clock.begin_ns]
+
+
 class Built:
     """
     An effect compiled for one scene.
@@ -246,23 +252,23 @@ class Built:
         """Look at a frame that is done."""
 
     def expired(self, clock: Clock) -> Sequence[str]:
-        """Return the names of what ``begin`` will remove; arrays that kernels write change."""
+        """Return the names that ``begin`` will remove, which changes arrays that kernels write."""
         return ()
 
-    def only_aims(self, command: Command) -> bool:
-        """Return True if a command sets a target: only what ``begin`` writes changes."""
+    def only_sets_target(self, command: Command) -> bool:
+        """Return True if a command changes no array but those of ``written_by_begin``."""
         return False
 
     def written_by_begin(self) -> Sequence[np.ndarray]:
-        """Return the arrays that ``begin`` writes in every frame."""
+        """Return the arrays that ``begin`` writes in every frame, to be copied to a GPU."""
         return ()
 
     def read_by_frame(self) -> Sequence[np.ndarray]:
-        """Return what ``begin``, ``end``, ``work`` and ``reported`` read of what kernels write."""
+        """Return the kernels' output that ``begin``, ``end``, ``work`` and ``reported`` read."""
         return ()
 
     def read_by_stats(self) -> Iterable[np.ndarray]:
-        """Return what ``stats`` reads of what kernels write; each is read before the next."""
+        """Yield the kernels' output that ``stats`` reads; each is copied before the next."""
         return ()
 
     def reset(self, state: State, now_ns: int) -> None:

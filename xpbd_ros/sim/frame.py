@@ -1,4 +1,4 @@
-"""What one frame of a simulation gives."""
+"""The result of one frame of a simulation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from xpbd_ros.sim.commands import Command
 
 @dataclass(frozen=True)
 class Frame:
-    """The result of one frame; particles in natural order."""
+    """State after a frame, forces and events; particles in natural order."""
 
     index: int
     """0 is the start"""

@@ -147,7 +147,7 @@ class Simulation:
         refused: list[tuple[Command, str]] = []
         for group in commands:
             group = group if isinstance(group, tuple) else (group,)
-            if not all(any(built.only_aims(command) for built in self.effects.values())
+            if not all(any(built.only_sets_target(command) for built in self.effects.values())
                        for command in group):
                 self.fetch()
             try:

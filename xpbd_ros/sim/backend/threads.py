@@ -61,23 +61,24 @@ def turns_of_few(team, count, most):
 
 
 def first_cell(team):
-    """Return how many cells there are before this thread's first one in the tables that follow."""
+    """Return the index of this thread's first cell in the tables that follow, joined."""
 
 
 def cells(team, rows, columns, before):
     """
-    Return this thread's cells of a table, row by row.
+    Return this thread's cells of a table in row-major order.
 
     Parameters
     ----------
-    rows, columns : of the table
-    before : how many cells there are before this thread's first one
+    rows, columns : shape of the table
+    before : index of this thread's first cell, which may lie behind the table
 
     Returns
     -------
     row, column : of the first cell
-    end : the cells end before this row
-    down, over : rows and columns to the next cell, which is in the next row if it is beyond this
+    end : first row that is not this thread's
+    down, over : stride to the next cell in rows and columns; a column beyond the last one
+        continues in the next row
 
     """
 

@@ -53,14 +53,14 @@ def coloured_runs(block: Block, shapes: list[Shape], slots: int, *, families: in
                                rows.step * block.row_stride)
                 anchors = (start + np.arange(len(rows))[:, None] * step
                            + np.flatnonzero(present[number, place:place + count]))
-                places = anchors[..., None] + np.array(offset)
-                touched = np.zeros(slots, bool)
+                places = anchors[..., None] + np.array(offset) - block.first
+                touched = np.zeros(block.size, bool)
                 touched[places] = True
                 assert np.count_nonzero(touched) == places.size
                 colour = next((k for k, taken in enumerate(used) if not (taken & touched).any()),
                               len(used))
                 if colour == len(used):
-                    used.append(np.zeros(slots, bool))
+                    used.append(np.zeros(block.size, bool))
                     colours.append([])
                 used[colour] |= touched
                 colours[colour].append((

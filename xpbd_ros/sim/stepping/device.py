@@ -2,9 +2,9 @@
 Frames on a card (``solver.device: cuda``): the place of ``ThreadPool`` in a simulation.
 
 The state stays on the card. A frame is one CUDA graph of small kernels (``stepping.launches``).
-Before it what effects write in ``begin`` goes up, and after commands other than targets whatever
-changed. After it x, v, inv_mass and what effects read in ``end`` come down. All else on the host
-is older than the card's, until ``fetch``.
+Before it, what effects write in ``begin`` is uploaded; after a command that does not just set a
+target, whatever the host changed. After it x, v, inv_mass and what effects read in ``end`` are
+downloaded. Other arrays on the host are stale until ``fetch``.
 """
 
 from collections.abc import Iterator
@@ -128,7 +128,7 @@ class DeviceCrew:
 
 
 def fresh_of(history: Any) -> list[np.ndarray]:
-    """Return what tells how long the history of each particle is; ``pin`` resets it at an end."""
+    """Return the lengths of the particles' histories, which a pin that slips resets in ``end``."""
     return [] if history is None else [history.fresh]
 
 

@@ -35,7 +35,7 @@ class Launch(NamedTuple):
     signature: tuple
     """types of the arguments, as Numba has them"""
     threads: int
-    """how many threads have something to do at the same time; 1: one does it all"""
+    """number of threads that can share the work; 1: it is serial"""
 
     def request(self, arch: str) -> Request:
         """Return what to compile."""
@@ -137,13 +137,13 @@ class Recorder:
 
 
 def at_home(home: State, state: State) -> bool:
-    """Return True if the buffers of a state, which ``turned`` exchanges, are in their places."""
+    """Return True if the buffers that ``turned`` rotates are back where the frame began."""
     return all(map(operator.is_, *((each.x, each.x_prev, each.v, *(each.history or ()))
                                    for each in (home, state))))
 
 
 def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
-    """Return how many threads can share a kernel: one for each constraint of a colour, or slot."""
+    """Return the number of threads that can share a kernel: constraints of a colour, or slots."""
     solves_lines = (stages.name_of(kernel) or ('',))[0] == stages.solve_lines.__name__
     for each in arguments:
         if solves_lines and hasattr(each, 'lines'):
