@@ -159,8 +159,8 @@ def read_shape(marker: Marker, what: str) -> tuple[str, tuple[float, ...]]:
     if marker.type == Marker.TRIANGLE_LIST:
         corners = tuple(c * s for p in marker.points for c, s in zip((p.x, p.y, p.z), size))
         if not corners or len(corners) % 9 or not all(-FAR <= c <= FAR for c in corners):
-            raise InputError(f'{what}: {len(marker.points)} points are no triangles within '
-                             f'{FAR:g} m')
+            raise InputError(f'{what}: {len(marker.points)} points are no triangles: 3 '
+                             f'each, within {FAR:g} m')
         return 'mesh', corners
     if marker.type not in (Marker.SPHERE, Marker.CYLINDER):
         raise InputError(f'{what}: type {marker.type} is no collider (known: CUBE, SPHERE, '

@@ -27,7 +27,7 @@ from xpbd_ros.sim.simulation import Change, Simulation
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
 LINES = ('line', 'auto')
-"""methods that may solve whole lines"""
+"""methods that may solve whole lines; so do the rough frames of a mix"""
 LINES_AT_ONCE = 1024
 """threads of a GPU that solve lines, each with scratch memory for one"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
@@ -158,7 +158,8 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   solver.compliance_scale, before or {},
                   lambda file: read_mesh_file(Path(file))[:2], read_table,
                   forces='pin' in scene.effects or solver.iterations > 1
-                  or solver.method not in ONE_PASS, lines=solver.method in LINES,
+                  or solver.method not in ONE_PASS,
+                  lines=solver.method in LINES or bool(solver.rough_frames),
                   explicit=solver.method in ('auto', 'explicit'),
                   coloured=solver.order == 'coloured', iterations=solver.iterations,
                   threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE)
