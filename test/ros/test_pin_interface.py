@@ -11,7 +11,7 @@ from support.logs import recorded_inputs, state_hashes
 from support.node import Cloth, pin, PINNED, points, pose_stamped, targets
 from support.repeated import repeated
 
-LEFT = (-0.2, -0.2, 0.004)
+LEFT, RIGHT = (-0.2, -0.2, 0.004), (0.2, -0.2, 0.004)
 
 
 @pytest.fixture(scope='module')
@@ -20,9 +20,11 @@ def node(start, peer, tmp_path_factory):
     file = tmp_path_factory.mktemp('scene') / 'pins.yaml'
     file.write_text(PINNED)
     cloth = Cloth(peer, start(scene=file, mode='lockstep', publish_clock='true'))
-    cloth.meet(pins=MarkerArray(), pin_targets=targets())
-    peer.say('/cloth/pin/left/target', pose_stamped(LEFT))
+    cloth.meet(pins=MarkerArray(), pin_targets=targets(), pin__left__target=pose_stamped(LEFT),
+               pin__right__target=pose_stamped(RIGHT))
     peer.say('/cloth/clicked_point', clicked((9.0, 9.0, 9.0)))
+    peer.until(lambda: cloth.step() and cloth.node.said('/cloth/clicked_point: refused: '),
+               'the refusal')
     return cloth
 
 

@@ -83,15 +83,17 @@ def sampled(grid: np.ndarray, *, shift=(0.0, 0.0, 0.0), noise: float = 0.0) -> n
 @pytest.fixture(scope='module')
 def node(start, peer, towel):
     """Return a node in mode lockstep whose clouds have all fields there are."""
-    return Cloth(peer, start(scene=towel, mode='lockstep', publish_clock='true',
-                             particle_fields=f'"{FIELDS}"', marker_color='strain'))
+    cloth = Cloth(peer, start(scene=towel, mode='lockstep', publish_clock='true',
+                              particle_fields=f'"{FIELDS}"', marker_color='strain'))
+    cloth.meet()
+    peer.say(TOPIC, cloud(np.zeros((1, 1, 3))))
+    cloth.node.wait_for(f'{TOPIC}: refused: ')
+    return cloth
 
 
 @pytest.fixture
 def cloth(node):
     """Return it at the start of its scene."""
-    node.peer.until(lambda: node.trigger('step')[0] and node.clouds and node.statuses, 'the node')
-    node.peer.say(TOPIC, cloud(np.zeros((1, 1, 3))))
     assert node.trigger('reset')[0]
     return node
 

@@ -32,7 +32,8 @@ def cloth(start, peer, tmp_path_factory):
     file.write_text(PINNED)
     cloth = Cloth(peer, start(scene=file, mode='lockstep', publish_clock='true',
                               interactive_markers='true', marker_color='force'))
-    cloth.meet(pins=MarkerArray(), pin_targets=targets())
+    cloth.meet(pins=MarkerArray(), pin_targets=targets(), pin_handles__feedback=feedback(
+        'left', InteractiveMarkerFeedback.POSE_UPDATE))
     return cloth
 
 

@@ -146,6 +146,7 @@ class Peer:
             self._publishers[topic] = self.node.create_publisher(
                 kind or type(message), topic, QoSProfile(depth=1000))
             self.until(self._publishers[topic].get_subscription_count, f'a listener to {topic}')
+            self.spin(0.1)    # what a listener gets before it knows the writer is seconds late
         self._publishers[topic].publish(message)
 
     def ask(self, kind, service: str, request=None):
