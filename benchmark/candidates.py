@@ -31,7 +31,7 @@ from xpbd_ros.sim.particles.memory_layout import blocks, zeros
 from xpbd_ros.sim.particles.state import new_state, places, Substep
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping.methods import METHODS
-from xpbd_ros.sim.stepping.stages import prepare, project
+from xpbd_ros.sim.stepping.stages import project
 from xpbd_ros.sim.stepping.step import compiled
 
 
@@ -127,9 +127,8 @@ def bend_passes(work: Work, *, precision: str) -> Candidate:
 
 @njit(nogil=True)
 def _passes(effects, state, substep, count):
-    prepare(effects, state, substep)
-    for _ in range(count):
-        project(effects, state, substep)
+    for k in range(count):
+        project(effects, state, Substep(substep.h, substep.begin, substep.end, k))
 
 
 class _Sheet:

@@ -398,6 +398,32 @@ def test_a_backward_sweep_reverses_the_forward_sweep(name, grid):
         np.testing.assert_array_equal(state.x, expected)
 
 
+@pytest.mark.parametrize('name, grid, order', [
+    *[(*each, 'sequential') for each in KINDS_AND_GRIDS.args[1]],
+    ('bend', None, 'coloured'), ('bend', (7, 6), 'coloured'), ('bend', (5, 19), 'coloured')])
+def test_the_first_sweep_of_a_substep_zeroes_the_multipliers(name, grid, order):
+    """Of each constraint before its projection; the sweeps of later iterations go on with them."""
+    simulation = cloth(name, grid or (2, 2), mesh=grid is None, order=order)
+    state, built, random = crumple(simulation), simulation.effects[name], np.random.default_rng(1)
+    state.mobility[:] = state.inv_mass * H**2
+    for data, these in zip(built.parts, built.by_part, strict=True):
+        kernel = stages._KERNELS[stages.project, type(data)]
+        if kernel not in stages._SWEEPS:
+            continue
+        before, force, found = state.x.copy(), batch_of(data).force, []
+        for stale in (np.zeros_like(force), random.normal(0.0, 100.0, force.shape)):
+            state.x[:] = before
+            force[:] = stale
+            kernel(data, state, SUBSTEP, False, bool(stale.any()))
+            found += [state.x.copy(), force[..., these.index]]
+            kernel(data, state, SUBSTEP._replace(iteration=1), False, bool(stale.any()))
+            found += [state.x.copy(), force[..., these.index]]
+        for expected, now in zip(found[:4], found[4:], strict=True):
+            assert np.isfinite(now).all()
+            np.testing.assert_array_equal(now, expected)
+        state.x[:] = before
+
+
 @pytest.mark.parametrize('stage', [stages.project, stages.project_back, stages.solve_lines])
 @KINDS
 def test_a_pinned_particle_is_not_moved_and_all_pinned_is_fine(name, mesh, stage):

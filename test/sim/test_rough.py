@@ -159,7 +159,7 @@ def solve_once(stretch, state, substep):
 
 
 walk(one_sweep, lambda effect, state: (
-    solve_once if kernel_of(solve_lines, effect) else kernel_of(project, effect)))
+    solve_once if kernel_of(solve_lines, effect) else kernel_of(project, effect)), opens=True)
 
 
 @jit(cache_name='test')
@@ -167,7 +167,7 @@ def advance_one_sweep(effects, state, frame_dt, substeps):
     """Do what the line method does without its second round and its closing pass."""
     h, now = frame_dt / substeps, state
     for k in range(substeps):
-        substep = Substep(h, k / substeps, (k + 1) / substeps)
+        substep = Substep(h, k / substeps, (k + 1) / substeps, 0)
         now = turned(now)
         begin(now, substep)
         prepare(effects, now, substep)

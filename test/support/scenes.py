@@ -84,7 +84,7 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
              friction: float = 0.5, gravity=(0.0, 0.0, -GRAVITY), rate: float = 60.0,
              substeps: int | None = 1, iterations: int = 1, scale: float = 1.0,
              method: str = 'gauss_seidel', integrator: str | None = 'backward_euler',
-             precision: str = 'float64') -> Simulation:
+             precision: str = 'float64', order: str = 'sequential') -> Simulation:
     """
     Return the simulation of one cloth, ``c``.
 
@@ -95,7 +95,7 @@ def simulate(grid=(2, 1), size=(1.0, 1.0), *, mesh: bool | str = False,
     return compile_scene(scene_from_mapping({
         'gravity': list(gravity), 'frame_rate': rate,
         'solver': {'method': method, 'iterations': iterations,
-                   'precision': precision, 'compliance_scale': scale,
+                   'precision': precision, 'compliance_scale': scale, 'order': order,
                    **{key: value for key, value in (
                        ('integrator', integrator), ('substeps', substeps)) if value is not None}},
         'cloths': {'c': {**({'mesh': {'file': disc_file() if mesh is True else mesh}} if mesh else
@@ -156,8 +156,13 @@ def run_until_still(simulation: Simulation, *, speed: float = 1e-13, frames: int
 
 
 def run_stage(stage, data, state, substep) -> None:
-    """Run a stage of a part of an effect, if it takes part in it."""
+    """Run a stage of a part of an effect; what has no ``prepare`` gets its multipliers zeroed."""
     kernel = stages._KERNELS.get((stage, type(data)))
     if kernel is not None:
-        back = [stage is stages.project_back] if kernel in stages._SWEEPS else []
-        kernel(data, state, substep, *back)
+        order = stage is stages.project_back, False
+        kernel(data, state, substep, *order * (kernel in stages._SWEEPS))
+    elif stage is stages.prepare and stages._KERNELS.get(
+            (stages.project, type(data))) in stages._SWEEPS:
+        force = getattr(data, 'edges', data).force
+        if force is not None:
+            force[:] = 0.0

@@ -88,6 +88,13 @@ def prepare_stretch(stretch, state, substep):
         overextended_lines.straighten(stretch.taut, stretch.lines, stretch.edges.force, state)
 
 
+@stage(prepare, PathStretch)
+@jit
+def prepare_path_stretch(stretch, state, substep):
+    """Zero the multipliers."""
+    zero_multipliers(state.apart, stretch.edges.force, state.team)
+
+
 @stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):

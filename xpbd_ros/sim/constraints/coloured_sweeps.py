@@ -7,6 +7,7 @@ from xpbd_ros.sim.backend.simd import any_lane, both, first, lanes, load
 from xpbd_ros.sim.backend.threads import cells, first_cell, turns, wait, wait_within
 from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.constraints.pinned import listed_range, listed_range_of
+from xpbd_ros.sim.constraints.projection import zero_multipliers_at
 from xpbd_ros.sim.constraints.sweeps import (
     constants_of,
     held_of,
@@ -25,8 +26,12 @@ def is_coloured(batch) -> bool:
     return not isinstance(batch[batch.fields.index('colours')], types.NoneType)
 
 
-def sweep_coloured_runs(batch, state, substep, reverse):
-    """Project all constraints of grids once, the last colour first if ``reverse``."""
+def sweep_coloured_runs(batch, state, substep, reverse, fresh):
+    """
+    Project all constraints of grids once, the last colour first if ``reverse``.
+
+    With ``fresh``, each multiplier becomes 0 before.
+    """
     part, runs, held = substep.end - substep.begin, batch.runs, held_of(batch)
     mobility = state.mobility
     places, step = batch.compliance.shape[1], lanes(mobility)
@@ -53,6 +58,8 @@ def sweep_coloured_runs(batch, state, substep, reverse):
                     if pinned < past:
                         stop = first_listed(held, pinned, past, c)
                         on = first_listed(held, stop, past, c + step)
+                    if fresh:
+                        zero_multipliers_at(state.apart, batch.force, c)
                     project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
                                 c, number + q, shape, there, constants, held, stop, on, part,
                                 state.reaction)
@@ -64,8 +71,12 @@ def sweep_coloured_runs(batch, state, substep, reverse):
         wait(state.team)
 
 
-def sweep_coloured_packs(batch, state, substep, reverse):
-    """Project all constraints of meshes once, the last colour first if ``reverse``."""
+def sweep_coloured_packs(batch, state, substep, reverse, fresh):
+    """
+    Project all constraints of meshes once, the last colour first if ``reverse``.
+
+    With ``fresh``, each multiplier becomes 0 before.
+    """
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
     shared_to_records(state, records, begin, end)
@@ -83,6 +94,8 @@ def sweep_coloured_packs(batch, state, substep, reverse):
                 if pinned < past:
                     stop = first_listed(held, pinned, past, q)
                     on = first_listed(held, stop, past, q + step)
+                if fresh:
+                    zero_multipliers_at(state.apart, batch.force, q)
                 project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction)
         wait(state.team)
     shared_from_records(state, records, begin, end)

@@ -137,10 +137,23 @@ def zero_multipliers(apart, force, team):
     """
     Zero the multipliers: once per substep, not per iteration (algorithm 1, line 4).
 
-    The threads of a GPU share that.
-
-    The explicit method needs no zeros: it overwrites them in every substep.
+    The threads of a GPU share that. The explicit method needs no zeros: it overwrites them.
     """
+
+
+def zero_multipliers_at(apart, force, c):
+    """Zero the vector of multipliers at index c, or that of each row."""
+
+
+@inline(zero_multipliers_at)
+def _zero_multipliers_at(apart, force, c):
+    if isinstance(force, types.NoneType) or _kind(apart) is Explicit:
+        return lambda apart, force, c: None
+
+    def zero(apart, force, c):
+        for i in range(c, force.size, force.shape[-1]):
+            store(force, i, 0.0)
+    return zero
 
 
 @inline(zero_multipliers)

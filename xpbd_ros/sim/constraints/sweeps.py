@@ -35,6 +35,7 @@ from xpbd_ros.sim.constraints.pinned import (
     listed_range,
     listed_range_of,
 )
+from xpbd_ros.sim.constraints.projection import zero_multipliers_at
 from xpbd_ros.sim.particles.accumulators import moves, record_moves, row
 from xpbd_ros.sim.particles.records import from_records, to_records
 from xpbd_ros.sim.particles.rounding import store_moved, store_moved_records
@@ -108,8 +109,12 @@ def _held_of(batch):
     return (lambda batch: None) if none else (lambda batch: batch.stops.held)
 
 
-def sweep_packs(batch, state, substep, reverse):
-    """Project all constraints of meshes once, pack by pack, in reverse order if ``reverse``."""
+def sweep_packs(batch, state, substep, reverse, fresh):
+    """
+    Project all constraints of meshes once, pack by pack, in reverse order if ``reverse``.
+
+    With ``fresh``, each multiplier becomes 0 before: it is in the cache then.
+    """
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
     to_records(state, records, begin, end)
@@ -121,14 +126,20 @@ def sweep_packs(batch, state, substep, reverse):
         stop, on = next_, next_
         if next_ < past:
             stop, on = listed_between(held, next_, past, q, q + step, reverse)
+        if fresh:
+            zero_multipliers_at(state.apart, batch.force, q)
         project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction)
         if stop < on:
             next_, past = (next_, stop) if reverse else (on, past)
     from_records(state, records, begin, end)
 
 
-def sweep_runs(batch, state, substep, reverse):
-    """Project all constraints of grids once, run by run, in reverse order if ``reverse``."""
+def sweep_runs(batch, state, substep, reverse, fresh):
+    """
+    Project all constraints of grids once, run by run, in reverse order if ``reverse``.
+
+    With ``fresh``, each multiplier becomes 0 before: it is in the cache then.
+    """
     part, runs, held = substep.end - substep.begin, batch.runs, held_of(batch)
     mobility = state.mobility
     places, step = batch.compliance.shape[1], lanes(mobility)
@@ -152,6 +163,8 @@ def sweep_runs(batch, state, substep, reverse):
                     c, stop, on = base + anchor + q, next_, next_
                     if next_ < past:
                         stop, on = listed_between(held, next_, past, c, c + step, reverse)
+                    if fresh:    # past the end of a run is padding
+                        zero_multipliers_at(state.apart, batch.force, c)
                     project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
                                 c, number + q, shape, first(mobility, runs.count[r] - q),
                                 constants, held, stop, on, part, state.reaction)

@@ -60,6 +60,8 @@ class Substep(NamedTuple):
     """fraction of the frame at its start, 0 … 1"""
     end: float
     """fraction of the frame at its end"""
+    iteration: int = 0
+    """number of the solver iteration; the first zeroes the multipliers"""
 
 
 def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,

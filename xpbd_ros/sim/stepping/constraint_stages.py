@@ -1,12 +1,13 @@
 """
-The stages of elastic constraints: multipliers to zero and sweeps, by one registration.
+The stages of elastic constraints: sweeps and forces on pinned particles, by one registration.
 
     @constraint(Area, particles=3)
     @jit(inline=True)
     def solve_area(area, apart, c, x, m):
 
 registers the kernel for one vector of constraints (``constraints.sweeps``) and, for the type of
-their batch, the stages ``prepare``, ``project`` and ``project_back``.
+their batch, the stages ``project`` and ``project_back``. The first sweep of a substep zeroes the
+multipliers (algorithm 1, line 4), unless a ``prepare`` of the type does.
 """
 
 from collections.abc import Callable
@@ -19,7 +20,6 @@ from xpbd_ros.sim.constraints.coloured_sweeps import (
     sweep_coloured_runs,
 )
 from xpbd_ros.sim.constraints.pinned_edges import react_edges
-from xpbd_ros.sim.constraints.projection import zero_multipliers
 from xpbd_ros.sim.constraints.sweeps import (
     batch_of,
     batch_type,
@@ -30,16 +30,10 @@ from xpbd_ros.sim.constraints.sweeps import (
 )
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
-    prepare,
     react_to_half_kick,
     stage,
     stage_of_sweeps,
 )
-
-
-def _prepare(data, state, substep):
-    """Zero the multipliers."""
-    zero_multipliers(state.apart, batch_of(data).force, state.team)
 
 
 def _react(data, state, substep):
@@ -48,17 +42,21 @@ def _react(data, state, substep):
     react_edges(held_of(batch), batch.force, state, substep)
 
 
-def _project(data, state, substep, reverse):
-    """Project all constraints once, in reverse order if ``reverse``."""
-    sweep(batch_of(data), state, substep, reverse)
+def _project(data, state, substep, reverse, zeroes):
+    """
+    Project all constraints once, in reverse order if ``reverse``.
+
+    With ``zeroes``, the first iteration zeroes the multipliers.
+    """
+    sweep(batch_of(data), state, substep, reverse, zeroes and substep.iteration == 0)
 
 
-def sweep(batch, state, substep, reverse):
+def sweep(batch, state, substep, reverse, fresh):
     """Project the constraints of a batch, on grids or meshes, in sequential or coloured order."""
 
 
 @inline(sweep)
-def _sweep(batch, state, substep, reverse):
+def _sweep(batch, state, substep, reverse, fresh):
     if 'runs' in batch.fields:
         return sweep_coloured_runs if is_coloured(batch) else sweep_runs
     return sweep_coloured_packs if is_coloured(batch) else sweep_packs
@@ -83,7 +81,6 @@ def _kernel_for(kind: type, stage_: str, function: Callable) -> Callable:
 
 
 def _register(kind: type) -> None:
-    stage(prepare, kind, on_device=True)(_kernel_for(kind, 'prepare', _prepare))
     stage_of_sweeps(kind, _kernel_for(kind, 'project', _project), shared=_is_shared)
 
 

@@ -89,7 +89,8 @@ def _has_lines(effect) -> bool:
     return kernel_of(solve_lines, effect) is not None
 
 
-walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect))
+walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect),
+     opens=True)
 walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
      backwards=True)
 walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)

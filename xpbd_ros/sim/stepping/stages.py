@@ -139,7 +139,8 @@ def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool | Callable = F
     """
     Register one kernel for ``project`` and ``project_back``.
 
-    Its fourth argument is True in ``project_back``.
+    Its fourth argument is True in ``project_back``. Its fifth is True in the first walk of an
+    iteration for a type without ``prepare``, whose multipliers the first iteration has to zero.
     """
     for stub in (project, project_back):
         stage(stub, kind, shared=shared)(kernel)
@@ -174,11 +175,13 @@ def named(stage_: str, kind: type) -> Callable:
                 if each is kind and stub.__name__ == stage_)
 
 
-def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
+def walk(stub: Callable, choose: Callable, *, backwards: bool = False,
+         opens: bool = False) -> None:
     """
     Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
 
-    ``choose(effect, state)`` returns the kernel for an effect's type, or None.
+    ``choose(effect, state)`` returns the kernel for an effect's type, or None. A walk that
+    ``opens`` is the first of an iteration.
     """
     @written_out(stub)
     def write(writer, effects, state, substep):
@@ -190,8 +193,10 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False) -> None:
             apart = not (shared or isinstance(team[0], types.NoneType))
             with writer.only_if(writer.call(alone, team)) if apart else nullcontext():
                 for k, kernel in group:
+                    order = [writer.truth(backwards), writer.truth(
+                        opens and kernel_of(prepare, effects[0][k]) is None)]
                     writer.call(kernel, writer.item(effects, k), state, substep,
-                                *[writer.truth(backwards)] * (kernel in _SWEEPS))
+                                *order * (kernel in _SWEEPS))
                     write_lap(writer, state, k)
             if apart:
                 writer.call(wait, team)
@@ -247,7 +252,8 @@ _tells_of(are_inequalities_unmet, may_repeat_inequalities)
 _tells_of(finish, has_finish)
 for _stub in (force, prepare, project, project_inequalities, limit_motion, finish,
               add_explicit_forces, accumulate_impulses):
-    walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect))
+    walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect),
+         opens=_stub is project)
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 for _stub in (accumulate_reactions, react_to_half_kick):
     walk(_stub, lambda effect, state, stub=_stub: None if _is_none(state, 'reaction') else
