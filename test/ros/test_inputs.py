@@ -67,6 +67,14 @@ def twist(**linear) -> Twist:
     return changed(Twist(), **{f'linear__{axis}': value for axis, value in linear.items()})
 
 
+def twice(name: str) -> MultiDOFJointState:
+    """Return a message with two targets of one name."""
+    message = targets(**{name: (0, 0, 0)})
+    message.joint_names.append(name)
+    message.transforms.append(message.transforms[0])
+    return message
+
+
 def lengths(names: int, transforms: int, twists: int) -> MultiDOFJointState:
     """Return a message whose arrays may not match."""
     return MultiDOFJointState(joint_names=[f'n{k}' for k in range(names)],
@@ -156,6 +164,7 @@ def test_markers_become_colliders():
     (targets(left=(0, 0, 0), stamp=-1),
      'header: stamp: -1 s and 999999999 ns are not a valid time'),
     (changed(targets(left=(0, 0, 0)), header__stamp__nanosec=10**9), '0 s and 1000000000 ns'),
+    (twice('left'), "joint_names: 'left' twice; send one target of each"),
     (targets(**{'a/b': (0, 0, 0)}), "joint_names: bad name 'a/b'"),
     (targets(**{'': (0, 0, 0)}), "joint_names: bad name ''"),
     (targets(**{'x' * 1000 + '!': (0, 0, 0)}), f"joint_names: bad name '{'x' * 40}'"),

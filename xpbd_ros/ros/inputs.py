@@ -180,9 +180,13 @@ def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list
     if len(message.transforms) != count or len(message.twist) not in (0, count):
         raise InputError(f'{count} names but {len(message.transforms)} transforms and '
                          f'{len(message.twist)} twists')
-    commands = []
+    commands: list[Command] = []
+    seen: set[str] = set()
     for k, name in enumerate(message.joint_names):
         check_name(name, 'joint_names')
+        if name in seen:
+            raise InputError(f'joint_names: {name!r} twice; send one target of each')
+        seen.add(name)
         transform = message.transforms[k]
         commands.append(kind(
             name, pose(transform.translation, transform.rotation, name),
