@@ -78,14 +78,14 @@ def test_a_log_of_nothing_is_listed(write_log, capsys):
 
 def test_a_scene_is_told_in_short(tmp_path, capsys):
     scene = ('cloths: {towel: {density: 1}, rag: {}}\nsolver: {method: line, substeps: 4}\n'
-             'effects: {contact: {}}\nframe_rate: 60.0\n')
+             'effects: {contact: {}}\npins: {}\nframe_rate: 60.0\n')
     with LogWriter(tmp_path / 'run', scene=scene, settings={}):
         pass
     assert main(['info', str(tmp_path / 'run')]) == 0
     lines = [' '.join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert lines[lines.index('scene') + 1:] == [
         'cloths towel, rag', 'solver method line, substeps 4', 'effects contact',
-        'frame_rate 60.0']
+        'pins none', 'frame_rate 60.0']
 
 
 @pytest.mark.parametrize(('scene', 'said'), [

@@ -94,6 +94,8 @@ def scene_rows(text: str) -> list[tuple[str, str]]:
 
 def brief(value: object) -> str:
     """Return a value of a scene as text; of nested mappings only the names."""
+    if isinstance(value, dict | list) and not value:
+        return 'none'
     if isinstance(value, dict):
         return ', '.join(str(name) if isinstance(item, dict | list) else f'{name} {item}'
                          for name, item in value.items())
