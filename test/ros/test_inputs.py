@@ -12,6 +12,7 @@ from std_msgs.msg import Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from support.node import pin, pose_stamped, targets, transform
+from support.waiting import until
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros import command_queue
 from xpbd_ros.ros.command_messages import as_messages
@@ -393,11 +394,11 @@ def test_what_is_refused_within_a_second_is_said_at_its_end(box, said, monkeypat
         box.refuse('/a', 'no')
     box.refuse('/b', 'neither')
     assert said == ['/a: refused: no', '/b: refused: neither']
-    time.sleep(0.35)
+    until(lambda: len(said) > 2)
     assert said[2:] == ['/a: refused: … and 37 more, the last one: no']
     box.refuse('/a', 'not yet')
     assert len(said) == 3, 'one line in that time'
-    time.sleep(0.35)
+    until(lambda: len(said) > 3)
     assert said[3:] == ['/a: refused: … and 1 more, the last one: not yet']
     time.sleep(0.35)
     box.refuse('/a', 'again')

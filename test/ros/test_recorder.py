@@ -9,6 +9,7 @@ import time
 import pytest
 
 from support.logs import SHEET, state_hashes
+from support.waiting import PATIENCE, until
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.background import Background, MOST_WAITING
 from xpbd_ros.log.reader import LogReader
@@ -17,9 +18,6 @@ from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.scene.save import scene_text
-
-PATIENCE = 60.0
-"""[s]"""
 
 
 def begun(folder: Path, **keys):
@@ -65,14 +63,6 @@ def test_frames_wait_for_a_slow_disk_so_that_memory_is_bounded(tmp_path, monkeyp
     thread.join(PATIENCE)
     recorder.close()
     assert len(state_hashes(tmp_path / 'run')) == 3 * MOST_WAITING + 1
-
-
-def until(true) -> None:
-    """Wait until something is so."""
-    deadline = time.monotonic() + PATIENCE
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize('last', [False, True])
