@@ -106,6 +106,30 @@ def test_a_switch_loses_no_momentum(monkeypatch):
     assert turned < 0.05 * np.abs(before[1]).max()
 
 
+def test_what_an_unstable_frame_leaves_does_not_reach_the_next(monkeypatch):
+    """It may leave numbers that are none in all that it writes: elements overflow in a frame."""
+    hashes = []
+    for left in (0.0, np.nan):
+        swing, asked = sheet(), []
+
+        def is_stable(*_, swing=swing, asked=asked, left=left, **__):
+            asked.append(None)
+            if len(asked) != 3:
+                return True
+            state = swing.state
+            for array in (state.x, state.x_prev, state.v, state.reaction, *(
+                    getattr(part, 'edges', part).force for name in EFFECTS
+                    for part in swing.effects[name].parts)):
+                array[:] = left
+            return False
+        monkeypatch.setattr(explicit_guard, 'is_stable', is_stable)
+        run(swing, CALM_FRAMES + 6)
+        stats = swing.stats()
+        assert (stats['method_switches'], stats['frames_taken_back']) == (2, 0)
+        hashes.append(swing.hash())
+    assert hashes[0] == hashes[1]
+
+
 @pytest.mark.parametrize('compliance', [0.0, slow(0.01)])
 def test_pins_give_the_momentum_in_the_frames_of_a_switch(compliance, monkeypatch):
     """Newton's law in each frame, to rounding, as pins are shaken; in those of a switch too."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.particles.state import forget
+from xpbd_ros.sim.stepping.rollback import put_back
 
 STRAIN = 0.25
 """largest increase of an edge's strain in a frame"""
@@ -216,12 +216,7 @@ class ExplicitGuard:
         simulation._advance(solver.substeps)
         if self._is_stable(before, more):
             return
-        state.x[:], state.v[:] = self._x, self._v
-        if state.reaction is not None:
-            state.reaction[:] = 0.0
-        for built in simulation.effects.values():
-            built.again()
-        forget(state)
+        put_back(simulation, self._x, self._v)
         self._left, self._method = solver.rough_frames, 'line'
         self.redone += 1
         self.line_frames += 1

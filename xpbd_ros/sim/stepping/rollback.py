@@ -25,6 +25,19 @@ def is_plausible(state, before, reach):
     return not any_lane(bad > 0.0)
 
 
+def put_back(simulation, x, v) -> None:
+    """Undo a frame: positions and velocities as given, no history, no forces."""
+    state = simulation.state
+    state.x[:], state.v[:] = x, v
+    for array in history_arrays(state):
+        array[:] = 0.0    # no share of nan is 0
+    forget(state)
+    if state.reaction is not None:
+        state.reaction[:] = 0.0
+    for built in simulation.effects.values():
+        built.again()
+
+
 class FrameRollback:
     """
     Restores the state of the frame before, at rest, and counts it.
@@ -55,12 +68,5 @@ class FrameRollback:
         if is_plausible(state, self._x, REACH * (self._size + drive)):
             return
         simulation.fetch()
-        state.x[:], state.v[:] = self._x, 0.0
-        for array in history_arrays(state):
-            array[:] = 0.0    # no share of nan is 0
-        forget(state)
-        if state.reaction is not None:
-            state.reaction[:] = 0.0
-        for built in simulation.effects.values():
-            built.again()
+        put_back(simulation, self._x, 0.0)
         self.taken_back += 1
