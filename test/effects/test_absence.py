@@ -9,8 +9,9 @@ import sys
 
 import pytest
 
+from support.kinds import kinds_of
 from support.scenes import EXAMPLES, run, SHAPES, simulate, with_effects
-from xpbd_ros.effects import EFFECTS, load
+from xpbd_ros.effects import EFFECTS
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend import jit
 from xpbd_ros.sim.stepping import stages
@@ -42,9 +43,9 @@ SCENES = {
 
 def kernels(names=EFFECTS, *, kinds=None, without=()):
     """Return the names of the kernels of some effects, of these types, but for some stages."""
-    modules = {load(name).build.__module__ for name in names}
+    theirs = set().union(*map(kinds_of, names))
     return sorted({kernel.__name__ for (stage, kind), kernel in stages._KERNELS.items()
-                   if kind.__module__ in modules and stage not in without
+                   if kind in theirs and stage not in without
                    and (kinds is None or kind.__name__ in kinds)})
 
 

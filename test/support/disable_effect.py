@@ -2,12 +2,12 @@
 
 import os
 
-from xpbd_ros.effects import load
+from support.kinds import kinds_of
 from xpbd_ros.sim.stepping import stages
 
 
 def pytest_configure(config):
     """Take the kernels of the effect XPBD_ROS_OFF out of all stages."""
-    module = load(os.environ['XPBD_ROS_OFF']).build.__module__
-    for key in [key for key in stages._KERNELS if key[1].__module__ == module]:
+    kinds = kinds_of(os.environ['XPBD_ROS_OFF'])
+    for key in [key for key in stages._KERNELS if key[1] in kinds]:
         del stages._KERNELS[key]
