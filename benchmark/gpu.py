@@ -4,12 +4,15 @@
     python benchmark/gpu.py                            all of it: needs an NVIDIA card
     python benchmark/gpu.py --what registers model     without a card
 
-A sheet of n × n particles hangs by a corner: stretch, shear, bend, float32, SUBSTEPS a frame.
+A sheet of n × n particles hangs by a corner: stretch, shear, bend, float32, SUBSTEPS a frame. With
+contact it lies on a plane and a ball, with friction.
 
-bits         frames on the card against the same frames on the CPU, REPEATS times: a race between
-             threads that the emulator of the tests cannot show would give other bits at times
+bits         frames on the card against the same frames on the CPU, REPEATS times, without and with
+             contact: a race between threads that the emulator of the tests cannot show would give
+             other bits at times
 speed        time of a frame by the card's clock, and of a whole step by the host's; the bytes that
              its kernels must move at least over that time, against a measured copy within the card
+contact      the times of a sheet with contact, on the card and on one thread of this CPU
 registers    of each kernel, by NVIDIA's assembler ptxas (of the wheel nvidia-cuda-nvcc, or PATH)
 model        what a substep should take: those bytes at half of a card's bandwidth, and barriers
 """
@@ -37,8 +40,9 @@ from xpbd_ros.sim.stepping.launches import launches_of
 
 EFFECTS = {'stretch': {'warp': 500.0, 'weft': 500.0}, 'shear': {'stiffness': 20.0},
            'bend': {'stiffness': 1e-4}}
-WHAT = ('bits', 'speed', 'registers', 'model')
-SIZES = {'bits': (16, 33, 100), 'speed': (100, 316, 1000, 2000), 'registers': (16,),
+WHAT = ('bits', 'speed', 'contact', 'registers', 'model')
+SIZES = {'bits': (16, 33, 100), 'speed': (100, 316, 1000, 2000),
+         'contact': (100, 316, 1000), 'registers': (16,),
          'model': (100, 316, 1000, 2000)}
 """particles along an edge"""
 SUBSTEPS, FRAMES, REPEATS = 4, 3, 50
@@ -56,14 +60,19 @@ PER_PARTICLE = 17
 """numbers that ``update_velocity_and_begin`` reads and writes of a particle"""
 
 
-def sheet(n: int, device: str = 'cpu'):
+def sheet(n: int, device: str = 'cpu', *, contact: bool = False):
     """Return a sheet of n × n particles; its particles are displaced at random."""
+    colliders = {
+        'effects': {'contact': {'thickness': 0.5 / n}, 'friction': {}},
+        'colliders': {'table': {'plane': {}, 'position': [0.0, 0.0, -0.4 / n]},
+                      'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.15]}}}
     simulation = compile_scene(scene_from_mapping({
         'solver': {'precision': 'float32', 'substeps': SUBSTEPS, 'method': 'gauss_seidel',
                    'integrator': 'backward_euler', 'order': 'coloured', 'device': device},
         'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [n, n]}, 'density': 0.2,
                          'effects': EFFECTS}},
-        'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}}, where='benchmark', name='sheet'))
+        'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}},
+        **(colliders if contact else {})}, where='benchmark', name='sheet'))
     state, slot = simulation.state, simulation.slot
     noise = np.random.default_rng(n).normal(0.0, 0.1 / n, (3, len(slot)))
     state.x[:, slot] += (noise * (state.inv_mass[slot] > 0.0)).astype(state.x.dtype)
@@ -90,20 +99,25 @@ def traffic(simulation) -> tuple[float, int]:
     return float(width * (numbers + PER_PARTICLE * len(simulation.slot))), barriers
 
 
-def bits(n: int, card) -> dict:
+def bits(n: int, card) -> list[dict]:
     """Compare frames on the card with those on the CPU, again and again."""
-    ours = sheet(n)
+    found = []
+    for contact in (False, True):
+        ours, theirs = (sheet(n, device, contact=contact) for device in ('cpu', 'cuda'))
+        right, wrong, start = run(ours), 0, theirs.save()
+        for _ in range(REPEATS):
+            theirs.restore(start)
+            wrong += run(theirs) != right
+        found.append({'particles': n * n, 'contact': contact, 'repeats': REPEATS,
+                      'repeats_with_other_bits': wrong})
+    return found
+
+
+def run(simulation) -> tuple:
+    """Return the hash of a few frames, and the forces on the colliders."""
     for _ in range(FRAMES):
-        ours.step()
-    right, wrong = ours.hash(), 0
-    theirs = sheet(n, 'cuda')
-    start = theirs.save()
-    for _ in range(REPEATS):
-        theirs.restore(start)
-        for _ in range(FRAMES):
-            theirs.step()
-        wrong += theirs.hash() != right
-    return {'particles': n * n, 'repeats': REPEATS, 'repeats_with_other_bits': wrong}
+        frame = simulation.step()
+    return simulation.hash(), *(tuple(each.force) for each in frame.colliders.values())
 
 
 def copied(card) -> float:
@@ -118,18 +132,34 @@ def copied(card) -> float:
 def speed(n: int, card) -> dict:
     """Time frames by the card's clock, and steps of the simulation by that of the host."""
     simulation = sheet(n, 'cuda')
+    step, frame = step_time(simulation), simulation._crew.frame
+    taken, (bytes_, _) = card.seconds(frame), traffic(simulation)
+    ceiling, found = copied(card), 1e-9 * bytes_ * SUBSTEPS / taken
+    return {'particles': n * n, 'frame_ms': 1e3 * taken, 'step_ms': 1e3 * step,
+            'substep_us': 1e6 * taken / SUBSTEPS,
+            'gb_per_s': found, 'copy_gb_per_s': ceiling, 'share_of_copy': found / ceiling,
+            'substeps_at_60_hz': SUBSTEPS / (60.0 * taken)}
+
+
+def step_time(simulation) -> float:
+    """Return the median time of a step of the simulation by the host's clock [s]."""
     steps = []
     for _ in range(9):
         begin = perf_counter()
         simulation.step()
         steps.append(perf_counter() - begin)
-    frame = simulation._crew.frame
-    taken, (bytes_, _) = card.seconds(frame), traffic(simulation)
-    ceiling, found = copied(card), 1e-9 * bytes_ * SUBSTEPS / taken
-    return {'particles': n * n, 'frame_ms': 1e3 * taken, 'step_ms': 1e3 * np.median(steps[1:]),
-            'substep_us': 1e6 * taken / SUBSTEPS,
-            'gb_per_s': found, 'copy_gb_per_s': ceiling, 'share_of_copy': found / ceiling,
-            'substeps_at_60_hz': SUBSTEPS / (60.0 * taken)}
+    return float(np.median(steps[1:]))
+
+
+def contact(n: int, card) -> dict:
+    """Time frames of a sheet that lies on a plane and a ball."""
+    simulation = sheet(n, 'cuda', contact=True)
+    step = step_time(simulation)
+    taken = card.seconds(simulation._crew.frame)
+    return {'particles': n * n, 'contacts': simulation.stats()['contacts'],
+            'frame_ms': 1e3 * taken, 'step_ms': 1e3 * step, 'substep_us': 1e6 * taken / SUBSTEPS,
+            'substeps_at_60_hz': SUBSTEPS / (60.0 * taken),
+            'cpu_step_ms': 1e3 * step_time(sheet(n, contact=True))}
 
 
 def registers(n: int, card) -> list[dict]:
@@ -210,7 +240,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = parser().parse_args(argv)
     try:
         refuse_existing(arguments.json)
-        needs_card = {'bits', 'speed'} & set(arguments.what)
+        needs_card = {'bits', 'speed', 'contact'} & set(arguments.what)
         card = cuda.Card() if needs_card else None
         found: dict = {'card': None if card is None else card.name}
         for what in arguments.what:

@@ -9,7 +9,7 @@ from xpbd_ros.effects.friction import Friction, resist, resist_candidate
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.contact import near_blocks
-from xpbd_ros.sim.contact.broad_phase import find_candidates
+from xpbd_ros.sim.contact.broad_phase import search
 from xpbd_ros.sim.contact.collider_motion import move_colliders
 from xpbd_ros.sim.contact.colliders import (
     BOX,
@@ -148,9 +148,9 @@ class World:
         out = np.abs(state.x) > 0.6
         state.v[out] = -np.sign(state.x[out]) * np.abs(state.v[out])
         state.x[:, slot] += H * state.v[:, slot]
-        move_colliders(contacts, substep)
+        move_colliders(contacts, None, substep)
         contacts.near.valid[0] *= 2
-        find_candidates(contacts, None, state, substep)
+        search(contacts, None, state, substep)
         return contacts.near.valid[0] > 1
 
 

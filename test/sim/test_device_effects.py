@@ -22,6 +22,23 @@ from xpbd_ros.sim.commands import (
 
 pytestmark = pytest.mark.slow
 SHEET = ('stretch', 'shear', 'bend')
+CONTACT = ('stretch', 'contact', 'friction')
+TABLE = {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]}}
+COLLIDERS = {
+    'two': {**TABLE, 'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.1]}},
+    'pad': {**TABLE, 'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.1],
+                              'pad': {'stiffness': 1e5}}},
+    'many': {**TABLE, 'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.1],
+                               'restitution': 0.7},
+             'box': {'box': {'size': [0.3, 0.3, 0.1]}, 'position': [0.8, 0.4, 0.0],
+                     'static_friction': 0.9},
+             'roof': {'box': {'size': [0.6, 0.6, 0.1]}, 'position': [0.8, 0.4, 0.105]},
+             'hills': {'heights': {'size': [1.0, 0.8], 'values': [[0.0, 0.02], [0.03, 0.01]]},
+                       'position': [0.5, 0.4, -0.01]},
+             **{f'rod_{k}': {'capsule': {'radius': 0.05, 'length': 0.3}, 'position':
+                             [0.1 * k, 0.1 * k, -0.03]} for k in range(5)}},
+}
+"""more than are searched at once, with corners that particles are squeezed into"""
 CARDS = [{'order': 'shuffled', 'grid': 2, 'block': 8},
          {'order': 'backwards', 'grid': 6, 'block': 2}]
 CASES = {
@@ -33,7 +50,11 @@ CASES = {
     'oblong cells': (SHEET, {'size': [1.0, 0.5]}),
     'damping, force': (('stretch', 'damping', 'force'), {}),
     'drag, wind': (('stretch', 'drag', 'wind'), {}),
-    'contact': (('stretch', 'contact', 'friction'), {}),
+    'contact': (CONTACT, {}),
+    'contact, many colliders': (CONTACT, {'colliders': 'many', 'iterations': 2}),
+    'contact, after': (CONTACT, {'iterations': 2, 'contact': {'when': 'after'}}),
+    'contact, history': (CONTACT, {'integrator': 'ndf2', 'precision': 'float64'}),
+    'contact, pad': (CONTACT, {'colliders': 'pad'}),
     **{name: (('stretch', name), {}) for name in (
         'cross_bend', 'hinge', 'area', 'membrane', 'rayleigh', 'tether')},
     **{f'mesh, {name}': ((name,), {'mesh': disc_file}) for name in (
@@ -42,20 +63,21 @@ CASES = {
 }
 
 
-def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, **solver):
+def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, colliders='two',
+          contact=None, **solver):
     """Return a sheet of square cells, a disc or a body, pinned, with some effects."""
-    of = {scope: {name: EXAMPLES[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
+    examples = {**EXAMPLES, 'contact': {**EXAMPLES['contact'], **(contact or {})}}
+    of = {scope: {name: examples[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
           for scope in ('cloth', 'scene')}
     shape = ({'grid': {'size': list(size), 'resolution': [6, 5]}} if mesh is None
              else {'mesh': {'file': mesh()}})
-    colliders = {'table': {'plane': {}, 'position': [0.0, 0.0, -0.005]},
-                 'ball': {'sphere': {'radius': 0.2}, 'position': [0.5, 0.5, -0.1]}}
     return compile_scene(scene_from_mapping({
         'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 2,
                    'precision': 'float32', 'order': 'coloured', 'device': device, **solver},
         'cloths': {'c': {**shape, 'density': 1.0, 'effects': of['cloth']}},
         'pins': {'a': {'cloth': 'c', 'at': [0], **(pin or {})}}, 'effects': of['scene'],
-        **({'colliders': colliders} if 'contact' in names else {})}, where='x', name='x'))
+        **({'colliders': COLLIDERS[colliders]} if 'contact' in names else {})},
+        where='x', name='x'))
 
 
 def test_the_cases_cover_what_a_gpu_has():
@@ -91,6 +113,7 @@ def same_frames(case, cards, monkeypatch) -> None:
             assert (ours.pins['a'].force == other.pins['a'].force).all()
             for name, collider in ours.colliders.items():
                 np.testing.assert_array_equal(other.colliders[name].force, collider.force)
+                np.testing.assert_array_equal(other.colliders[name].torque, collider.torque)
     stats = [each.stats() for each in found]
     assert all(each == stats[0] for each in stats)
     assert len({each.hash() for each in found}) == 1

@@ -31,10 +31,11 @@ ROUND = {'rni': 'rint', 'rmi': 'floor', 'rpi': 'ceil', 'rzi': 'trunc'}
 WITHOUT_EFFECT = ('ftz', 'rn', 'uni', 'lo', 'volatile', 'weak', 'relaxed', 'gpu', 'sys')
 """modes that all instructions of ours have, or that matter on a card only"""
 HEAD = '\n'.join([
+    f'@atomic = constant [{NUMBER + 1} x i32] [{", ".join(["i32 -2"] * (NUMBER + 1))}]', *(
     f'declare {kind} @llvm.{name}.{suffix}({", ".join([kind] * count)})'
     for kind, suffix in (('float', 'f32'), ('double', 'f64'))
     for name, count in (('fma', 3), ('sqrt', 1), ('fabs', 1), ('rint', 1), ('floor', 1),
-                        ('ceil', 1), ('trunc', 1))])
+                        ('ceil', 1), ('trunc', 1)))])
 
 
 def kind_of(suffix: str) -> str:
@@ -182,7 +183,7 @@ class Translation:
         word, *modes = name.split('.')
         modes = [mode for mode in modes if mode not in WITHOUT_EFFECT]
         operands = re.findall(r'\{[^}]*\}|\[[^\]]*\]|[^,\s]+', rest)
-        if word in BINARY and 'wide' not in modes:
+        if word in BINARY and not {'wide', 'hi'} & set(modes):
             self.binary(BINARY[word], modes, *operands)
         elif word in FUNCTIONS:
             self.function(FUNCTIONS[word], modes, *operands)
@@ -218,9 +219,20 @@ class Translation:
     def op_atom(self, modes, d, place, a) -> None:
         assert 'add' in modes
         self.stop(TOUCHING)
+        kind, at = kind_of(modes[-1]), self.address(place)
+        if 'acq_rel' not in modes:    # any other access to the number is a race
+            self.touch(at, int(kind[1:]) // 8, 'true', '@atomic')
+        self.put(d, self.value(f'atomicrmw add ptr {at}, {kind} {self.get(a, kind)} seq_cst'),
+                 kind)
+
+    def op_red(self, modes, place, a) -> None:
+        self.op_atom(modes, '_', place, a)
+
+    def op_bfe(self, modes, d, a, first, count) -> None:
         kind = kind_of(modes[-1])
-        self.put(d, self.value(f'atomicrmw add ptr {self.address(place)}, {kind} '
-                               f'{self.get(a, kind)} seq_cst'), kind)
+        assert modes[-1][0] == 'u'
+        shifted = self.value(f'lshr {kind} {self.get(a, kind)}, {first}')
+        self.put(d, self.value(f'and {kind} {shifted}, {2**int(count) - 1}'), kind)
 
     def op_mov(self, modes, d, a) -> None:
         kind = kind_of(modes[0])
@@ -238,7 +250,12 @@ class Translation:
 
     def op_mul(self, modes, d, a, b) -> None:
         x, y, kind = self.wide(modes[1], a, b)
-        self.put(d, self.value(f'mul {kind} {x}, {y}'), kind)
+        product = self.value(f'mul {kind} {x}, {y}')
+        if modes[0] == 'hi':
+            half = int(kind[1:]) // 2
+            product = self.value(f'lshr {kind} {product}, {half}')
+            product, kind = self.value(f'trunc {kind} {product} to i{half}'), f'i{half}'
+        self.put(d, product, kind)
 
     def op_mad(self, modes, d, a, b, c) -> None:
         if modes[0] == 'wide':
@@ -336,11 +353,14 @@ class Translation:
         for k, each in enumerate(values):
             at = self.value(f'getelementptr i8, ptr {start}, i64 {k * size}') if k else start
             if space != 'local':
-                self.places += 1
-                self.out.append(f'call void @touch(ptr {at}, i64 {size}, '
-                                f'i1 {"true" if act == self.write else "false"}, '
-                                f'i64 {self.places}, ptr %special, ptr %race)')
+                self.touch(at, size, 'true' if act == self.write else 'false')
             act(each.strip(), at, kind)
+
+    def touch(self, at, size, writes, special='%special') -> None:
+        """Tell that this thread, or with ``@atomic`` any, reads or writes some bytes."""
+        self.places += 1
+        self.out.append(f'call void @touch(ptr {at}, i64 {size}, i1 {writes}, '
+                        f'i64 {self.places}, ptr {special}, ptr %race)')
 
     def read(self, register, at, kind) -> None:
         self.put(register, self.value(f'load {kind}, ptr {at}, align 1'), kind)

@@ -48,6 +48,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import alone_on_device, count_up, wait_on_device
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, RemoveAllColliders, RemoveCollider
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed, write_shape
@@ -55,13 +56,20 @@ from xpbd_ros.sim.contact.collider_entries import Entry, shape_of
 from xpbd_ros.sim.contact.collider_motion import move_colliders
 from xpbd_ros.sim.contact.colliders import Colliders, new_colliders
 from xpbd_ros.sim.contact.contacts import Contacts, count_penetrating, new_contacts, push_all
+from xpbd_ros.sim.contact.device_search import new_marks
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
+from xpbd_ros.sim.contact.last_iteration import begin_waiting, waits
 from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, forget_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
 from xpbd_ros.sim.contact.shape_data import shape_data
-from xpbd_ros.sim.contact.wrenches import bear_half_kick, begin_wrenches, work_of_colliders
+from xpbd_ros.sim.contact.wrenches import (
+    bear_half_kick,
+    begin_wrenches,
+    sum_up,
+    work_of_colliders,
+)
 from xpbd_ros.sim.effect import Built, Effect, overdue
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import (
@@ -74,8 +82,8 @@ from xpbd_ros.sim.stepping.stages import (
 )
 from xpbd_ros.sim.target_motion import delays
 
-CANDIDATES = 16
-"""room for candidates, per particle"""
+CANDIDATES, ON_DEVICE = 16, 4
+"""room for candidates, per particle; on a GPU, where memory that is not used is taken too"""
 NS_PER_SUBSTEP, NS_PER_PAD = 3000.0, 8000.0
 """time in a substep, and besides for each collider with a pad [ns] (``scene.cost_table``)"""
 NOT_SOUGHT = -1
@@ -105,63 +113,49 @@ class Contact(NamedTuple):
     """iterations done in this substep, and their number; None with ``when: sweep``"""
 
 
-@stage(prepare, Contact)
+@stage(prepare, Contact, on_device=True)
 @jit
 def forget_contacts(contact, state, substep):
     """Move the colliders, and discard the pairs of the last substep."""
-    begin_waiting(contact.wait)
-    if substep.begin == 0.0:
-        contact.contacts.count[1] = contact.contacts.count[4] = 0
-    contact.contacts.count[0] = NOT_SOUGHT
-    begin_wrenches(contact.contacts.wrenches, substep)
-    move_colliders(contact.contacts, substep)
+    if alone_on_device(state.team):
+        begin_waiting(contact.wait)
+        if substep.begin == 0.0:
+            contact.contacts.count[1] = contact.contacts.count[4] = 0
+        contact.contacts.count[0] = NOT_SOUGHT
+        begin_wrenches(contact.contacts.wrenches, substep)
+    move_colliders(contact.contacts, state.team, substep)
 
 
-@jit
-def begin_waiting(wait):
-    """Reset the count of iterations."""
-    if wait is not None:
-        wait[0] = 0
-
-
-@jit(inline=True)
-def waits(wait):
-    """Tell whether contact waits for a later iteration."""
-    if wait is None:
-        return False
-    else:    # Numba prunes the branch that is not taken
-        wait[0] += 1
-        return wait[0] < wait[1]
-
-
-@stage(project_inequalities, Contact)
+@stage(project_inequalities, Contact, on_device=True)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal; repeat between two colliders."""
-    if waits(contact.wait):
+    if waits(contact.wait, state.team):
         return
     if contact.contacts.count[0] == NOT_SOUGHT:
         find_candidates(contact.contacts, contact.bounce, state, substep)
     push_all(contact.contacts, state, False)
 
 
-@stage(accumulate_impulses, Contact)
+@stage(accumulate_impulses, Contact, on_device=True)
 @jit
 def react(contact, state, substep):
     """Add the impulses of all contacts of this substep to the colliders' wrenches."""
     add_impulses(contact.contacts, state, substep)
 
 
-@stage(finish, Contact)
+@stage(finish, Contact, on_device=True)
 @jit
 def calm(contact, state, substep):
     """Remove the velocity that came from separating old overlaps; apply restitution."""
     contacts = contact.contacts
     if contacts.count[3]:
-        contacts.count[4] += count_penetrating(contacts, state)
+        count_up(state.team, contacts.count, 4, count_penetrating(contacts, state))
     calm_overlaps(contacts, state, substep)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
+    wait_on_device(state.team)
+    sum_up(contacts, state.team)
 
 
 @stage(add_explicit_forces, Contact)
@@ -180,7 +174,8 @@ class BuiltContact(Built):
     def __init__(self, parameters: Parameters, world):
         super().__init__()
         self.entries: dict[str, Entry] = world.sections.get('colliders', {})
-        room = CANDIDATES * sum(len(cloth.slots) for cloth in world.cloths)
+        room = (ON_DEVICE if world.on_device else CANDIDATES) * sum(
+            len(cloth.slots) for cloth in world.cloths)
         capacity = parameters.max_colliders
         if len(self.entries) > capacity:
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
@@ -197,7 +192,8 @@ class BuiltContact(Built):
         self.ns_per_substep = NS_PER_SUBSTEP + pads * NS_PER_PAD
         self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads > 0)
         self.contacts = new_contacts(self.colliders, room, parameters.thickness, world.slots,
-                                     new_pads(room, areas(world)) if pads else None)
+                                     new_pads(room, areas(world)) if pads else None,
+                                     new_marks(world.slots) if world.on_device else None)
         if 'self_collision' in world.built:
             world.built['self_collision'].heed(self.contacts)
         if 'strain_limit' in world.built:

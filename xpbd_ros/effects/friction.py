@@ -35,6 +35,7 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_columns,
     WIDTH,
 )
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.clamp_friction import (
     across,
     clamp_at,
@@ -42,10 +43,11 @@ from xpbd_ros.sim.contact.clamp_friction import (
     shared_friction,
 )
 from xpbd_ros.sim.contact.collider_motion import surface_motion, surface_motions
-from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened
+from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, wait_for_others
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.contact.particle_lanes import place, positions
+from xpbd_ros.sim.contact.pieces import piece, pieces
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage
@@ -122,14 +124,17 @@ def resist_clamped(pads, friction, state, substep):
     if pads is not None:
         contacts, x = friction.contacts, state.x
         s = contacts.slip
-        for k in range(contacts.count[0]):
-            pads.clamped[k] = False
+        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        for k in range(begin, end, step):
+            pads.clamped[k] = 0
+        wait_on_device(state.team)
+        for k in range(begin, end, step):
             if hold(pads, friction, k, state, substep):
                 continue
             j = partner(pads, contacts, k)
             if j < 0:
                 continue
-            pads.clamped[j] = pads.clamped[k] = True
+            pads.clamped[j] = pads.clamped[k] = 1
             i = contacts.particle[k]
             px, py, pz = tangential(contacts, j, state, substep)
             rx, ry, rz = tangential(contacts, k, state, substep)
@@ -143,6 +148,7 @@ def resist_clamped(pads, friction, state, substep):
             x[0, i] += s[j, 0] + s[k, 0] - tx
             x[1, i] += s[j, 1] + s[k, 1] - ty
             x[2, i] += s[j, 2] + s[k, 2] - tz
+        wait_on_device(state.team)
 
 
 @jit(inline=True)
@@ -179,7 +185,7 @@ def hold(pads, friction, k, state, substep):
                 first, second):
             for a in range(3):
                 s[j, a], s[k, a] = first[a], second[a]
-            pads.clamped[j] = pads.clamped[k] = True
+            pads.clamped[j] = pads.clamped[k] = 1
             return True
     contacts.push[j], contacts.push[k] = pushed
     x[0, i], x[1, i], x[2, i] = now
@@ -255,22 +261,25 @@ def are_clamped(pads, k):
         return any_true(pads.clamped, k)
 
 
-@stage(project_inequalities, Friction)
+@stage(project_inequalities, Friction, on_device=True)
 @jit
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
-    contacts = friction.contacts
+    contacts, team = friction.contacts, state.team
     resist_clamped(contacts.pads, friction, state, substep)
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
-        k, end = contacts.first[c], contacts.first[c + 1]
-        while k < end:
-            if k + WIDTH <= end and resist_pack(friction, c, k, state, substep):
-                k += WIDTH
-            else:
-                for _ in range(min(WIDTH, end - k)):
-                    resist_candidate(friction, k, state, substep)
-                    k += 1
+        begin, last = contacts.first[c], contacts.first[c + 1]
+        own, count, turn = pieces(team, begin, last)
+        for n in range(own, count, turn):
+            first, end, step = piece(team, n, begin, last)
+            for k in range(first, end, step):
+                if not (WIDTH > 1 and k + WIDTH <= end
+                        and resist_pack(friction, c, k, state, substep)):
+                    for j in range(k, min(k + WIDTH, end)):
+                        resist_candidate(friction, j, state, substep)
+        wait_for_others(contacts, team)
     fast = contacts.count[2] != 0    # friction too moves them far
+    wait_on_device(team)
     if fast:
         push_once(contacts, state, not fast, False)    # compiled once: no literal of its own
     if contacts.count[3]:

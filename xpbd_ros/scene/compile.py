@@ -162,7 +162,8 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                   lines=solver.method in LINES or bool(solver.rough_frames),
                   explicit=solver.method in ('auto', 'explicit'),
                   coloured=solver.order == 'coloured', iterations=solver.iterations,
-                  threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE)
+                  threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE,
+                  on_device=solver.device != 'cpu')
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]

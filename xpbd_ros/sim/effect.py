@@ -105,6 +105,8 @@ class BuildContext:
     """of the solver"""
     threads: int = 1
     """of the solver"""
+    on_device: bool = False
+    """True if a GPU computes the frames"""
 
     @cached_property
     def records(self) -> np.ndarray:

@@ -26,6 +26,17 @@ class DeviceTeam(NamedTuple):
 
 
 @intrinsic
+def add_atomically(typing, array, index, number):
+    """Add to a number of an int64 array, to which other threads add too up to a barrier."""
+    def generate(context, builder, signature, arguments):
+        array_, index_, number_ = arguments
+        at = place(context, builder, signature.args[0], array_, index_)
+        builder.atomic_rmw('add', at, number_, 'monotonic')
+        return context.get_dummy_value()
+    return types.void(array, types.intp, types.int64), generate
+
+
+@intrinsic
 def meet_all(typing, gate):
     """Go on when all threads of the launch are here, and see all that they wrote before."""
     def generate(context, builder, signature, arguments):

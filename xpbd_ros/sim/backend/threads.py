@@ -19,7 +19,7 @@ from numba import types
 from numba.extending import intrinsic
 import numpy as np
 
-from xpbd_ros.sim.backend.device_team import DeviceTeam, meet_all
+from xpbd_ros.sim.backend.device_team import add_atomically, DeviceTeam, meet_all
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import place
 
@@ -93,6 +93,10 @@ def alone_on_device(team):
 
 def wait_on_device(team):
     """Go on when all threads of a GPU are here, in what one thread of a CPU does."""
+
+
+def count_up(team, counts, k, number):
+    """Add to counts[k], int64, where threads of a GPU may add at the same time."""
 
 
 def wait_within(team):
@@ -192,6 +196,16 @@ def _alone_on_device(team):
 @inline(wait_on_device)
 def _wait_on_device(team):
     return (lambda team: wait(team)) if is_on_device(team) else lambda team: None
+
+
+@inline(count_up)
+def _count_up(team, counts, k, number):
+    if is_on_device(team):
+        return lambda team, counts, k, number: add_atomically(counts, k, number)
+
+    def add(team, counts, k, number):
+        counts[k] += number
+    return add
 
 
 @inline(wait_within)

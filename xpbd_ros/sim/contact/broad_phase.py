@@ -4,8 +4,8 @@ Broad phase: candidates, the pairs of particle and collider that may touch in a 
 They are in the order of the colliders, and of the slots for each of them.
 """
 
-from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import any_lane, bits, both, larger, lowest_bit, root, smaller
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import any_lane, bits, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import (
     load_wide,
     store_columns,
@@ -13,20 +13,34 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_wide,
     WIDTH,
 )
-from xpbd_ros.sim.contact.colliders import BOX, vectors_to_local
-from xpbd_ros.sim.contact.contacts import DEPENETRATION, room_of
-from xpbd_ros.sim.contact.near_blocks import ALL, bounding_distance, UP, update_near_blocks
+from xpbd_ros.sim.backend.threads import is_on_device
+from xpbd_ros.sim.contact.contacts import room_of
+from xpbd_ros.sim.contact.device_search import search_by_all
+from xpbd_ros.sim.contact.near_blocks import ALL, UP, update_near_blocks
 from xpbd_ros.sim.contact.pads import begin_pad
-from xpbd_ros.sim.contact.signed_distance_simd import depths
+from xpbd_ros.sim.contact.reach import distances_to_keep, in_reach
+from xpbd_ros.sim.contact.restitution import note_approach
 
 
-@jit
 def find_candidates(contacts, bounce, state, substep):
     """
     List the candidates of this substep, and the gap that each has to keep.
 
     ``bounce`` (``contact.restitution``, or None) receives their velocities of approach.
     """
+
+
+@inline(find_candidates)
+def _find_candidates(contacts, bounce, state, substep):
+    if is_on_device(state[state.fields.index('team')]):
+        return lambda contacts, bounce, state, substep: search_by_all(
+            contacts.marks, contacts, bounce, state, substep)
+    return lambda contacts, bounce, state, substep: search(contacts, bounce, state, substep)
+
+
+@jit
+def search(contacts, bounce, state, substep):
+    """Do so on one thread of a CPU."""
     near = contacts.near
     contacts.count[0] = contacts.count[3] = 0
     count = contacts.colliders.count[0]
@@ -46,45 +60,13 @@ def find_candidates(contacts, bounce, state, substep):
 
 @jit(inline=True)
 def check_block(contacts, bounce, state, substep, c, q):
-    """
-    Make pairs candidates if φ is at most the thickness plus twice their motion in this substep.
-
-    Parameters
-    ----------
-    c, q : index of the collider, first slot of the block
-
-    """
-    thickness, slots, p = contacts.thickness[0], len(state.inv_mass), contacts.after
-    near, several = contacts.near, contacts.first[c] > 0
-    colliders = contacts.colliders
-    x, y, z = (load_wide(state.x, q), load_wide(state.x, slots + q),
-               load_wide(state.x, 2 * slots + q))
-    x0, y0, z0 = (load_wide(state.x_prev, q), load_wide(state.x_prev, slots + q),
-                  load_wide(state.x_prev, 2 * slots + q))
-    lx, ly, lz = vectors_to_local(p, c, x, y, z)
-    phi = depths(colliders, contacts.scratch, c, lx, ly, lz)
-    free, sampled = load_wide(state.inv_mass, q) > 0.0, colliders.shape[c] > BOX
-    close = both(free, phi <= load_wide(near.margin, q) + (
-        (1.0 + UP) * thickness + near.budget[c]))
+    """Make the pairs of collider c and the particles of block q candidates that are in reach."""
+    thickness, near, several = contacts.thickness[0], contacts.near, contacts.first[c] > 0
+    most = load_wide(near.margin, q) + ((1.0 + UP) * thickness + near.budget[c])
+    close = in_reach(contacts, state, c, q, most)
     if not any_lane(close):
         return
-    if sampled or any_lane(both(close, phi > thickness)):
-        dx, dy, dz = x - x0, y - y0, z - z0
-        reach = root(dx * dx + dy * dy + dz * dz) + contacts.stir[0] + contacts.moved[c]
-        if contacts.turned[c] > 0.0:
-            ax, ay, az = x - p[c, 0], y - p[c, 1], z - p[c, 2]
-            reach = reach + 2.0 * contacts.turned[c] * root(ax * ax + ay * ay + az * az)
-        reach = thickness + 2.0 * reach
-        close = both(free, phi <= reach)
-        if sampled:
-            close = both(close, bounding_distance(contacts, c, x, y, z) < reach)
-        if not any_lane(close):
-            return
-    lx, ly, lz = vectors_to_local(contacts.before, c, x0, y0, z0)
-    start = depths(colliders, contacts.scratch, c, lx, ly, lz)
-    limit = start + DEPENETRATION * substep.h
-    gap = smaller(limit, thickness)
-    overlap = larger(gap - start, 0.0)
+    start, limit, gap, overlap = distances_to_keep(contacts, state, c, q, substep.h)
     begin, chosen = contacts.count[0], bits(close)
     store_wide(contacts.push, begin, 0.0)
     store_columns(contacts.slip, begin, 0.0, 0.0, 0.0)
@@ -104,7 +86,8 @@ def check_block(contacts, bounce, state, substep, c, q):
     else:
         choose_lanes(contacts, q, chosen, gap, overlap, several)
     begin_pads(contacts.pads, contacts, begin, q, start, limit)
-    begin_bounce(bounce, contacts, begin, state, substep)
+    for k in range(begin, contacts.count[0] if bounce is not None else 0):
+        note_approach(bounce, contacts, k, state, substep)
 
 
 @jit
@@ -148,13 +131,3 @@ def begin_pads(pads, contacts, begin, q, start, limit):
         for k in range(begin, contacts.count[0]):
             l = contacts.particle[k] - q
             begin_pad(pads, contacts, k, contacts.scratch[0, l], contacts.scratch[1, l])
-
-
-@jit
-def begin_bounce(bounce, contacts, begin, state, substep):
-    """Store the velocities of approach of the candidates from ``begin`` on."""
-    if bounce is not None:
-        for k in range(begin, contacts.count[0]):
-            for a in range(3):
-                bounce.approach[k, a] = (state.v[a, contacts.particle[k]]
-                                         - substep.h * state.gravity[a])

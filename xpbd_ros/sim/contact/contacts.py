@@ -26,6 +26,7 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_wide,
     WIDTH,
 )
+from xpbd_ros.sim.backend.threads import alone_on_device, count_up, wait_on_device
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     has_pad,
@@ -38,6 +39,7 @@ from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave
 from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
 from xpbd_ros.sim.contact.particle_lanes import is_run, place, positions
+from xpbd_ros.sim.contact.pieces import piece, pieces
 from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
 from xpbd_ros.sim.contact.wrenches import new_wrenches, react_to_turn, react_to_turns, Wrenches
 from xpbd_ros.sim.particles.history import invalidate_history, touched
@@ -72,9 +74,10 @@ class Contacts(NamedTuple):
     up: np.ndarray
     """z axis of each collider, the normal of a plane, shape (capacity, 3)"""
     count: np.ndarray
-    """number of candidates; of candidates without room in this frame; 1 if the last pass stopped a
-    particle that would have passed through; 1 if a particle is a candidate of several colliders;
-    number of those left inside one in this frame; shape (5,)"""
+    """number of candidates; of candidates without room in this frame; not 0 if the last pass
+    stopped a particle that would have passed through; not 0 if a particle is a candidate of
+    several colliders; number of those left inside one in this frame; not 0 if ``extra`` is; shape
+    (6,)"""
     thickness: np.ndarray
     """[m], shape (1,)"""
     stir: np.ndarray
@@ -99,10 +102,13 @@ class Contacts(NamedTuple):
     slip: np.ndarray
     """displacement s by friction, accumulated in this substep [m], shape (capacity, 3)"""
     crossed: np.ndarray
-    """True if the particle's path through the substep meets the collider, shape (capacity,)"""
+    """1 if the particle's path through the substep meets the collider, int32, shape (capacity,)"""
     side: np.ndarray
     """if so, the plane that the particle stays in front of: unit normal, offset [m]; shape
     (capacity, 4)"""
+    extra: np.ndarray
+    """impulse on the particle, of all its contacts at once, that is not in the wrenches yet [N s],
+    shape (capacity, 3)"""
     first: np.ndarray
     """index of each collider's first candidate, shape (capacity + 1,)"""
     near: NearBlocks
@@ -113,11 +119,14 @@ class Contacts(NamedTuple):
     """impulses that the colliders got from the cloth"""
     pads: Pads | None
     """None in a scene without pads"""
+    marks: tuple | None
+    """``device_search.Marks``; None on a CPU"""
 
     def in_use(self, other: 'Contacts') -> 'Contacts':
-        """Return ``other`` without the room for candidates that this one does not use."""
-        return other._replace(**{name: getattr(other, name)[:self.count[0]]
-                                 for name in OF_CANDIDATES})
+        """Return ``other`` without the room that this one does not use."""
+        partial = other.wrenches.partial[:0]    # all 0
+        return other._replace(wrenches=other.wrenches._replace(partial=partial), **{
+            name: getattr(other, name)[:self.count[0]] for name in OF_CANDIDATES})
 
     def __deepcopy__(self, memo: dict) -> 'Contacts':
         """Return a copy; the room that is not in use, which is large, is empty."""
@@ -126,16 +135,17 @@ class Contacts(NamedTuple):
             copied = np.zeros(array.shape, array.dtype)    # pages never written take no time
             copied[:self.count[0]] = array[:self.count[0]]
             memo[id(array)] = copied
+        memo[id(self.wrenches.partial)] = np.zeros_like(self.wrenches.partial)
         return Contacts._make(copy.deepcopy(value, memo) for value in self)
 
 
 OF_CANDIDATES = ('earlier', 'particle', 'collider', 'gap', 'overlap', 'push', 'normal', 'slip',
-                 'crossed', 'side')
+                 'crossed', 'side', 'extra')
 """arrays of ``Contacts`` with a row for each candidate"""
 
 
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
-                 pads: Pads | None = None) -> Contacts:
+                 pads: Pads | None = None, marks: tuple | None = None) -> Contacts:
     """Return an empty list with the capacity of ``room`` candidates, and a vector of padding."""
     capacity = len(colliders.shape)
 
@@ -149,18 +159,19 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                     np.zeros_like(colliders.start),
                     np.zeros(capacity), np.zeros(capacity), np.zeros(capacity),
                     np.zeros((capacity, 3)),
-                    np.zeros(5, np.int64), np.array([thickness]), np.zeros(1),
+                    np.zeros(6, np.int64), np.array([thickness]), np.zeros(1),
                     zeros((slots,), np.int64), integers(), integers(), integers(),
                     numbers(), numbers(), numbers(), numbers(3), numbers(3),
-                    zeros((room + WIDTH,), np.bool_), numbers(4), np.zeros(capacity + 1, np.int64),
-                    new_near_blocks(colliders, slots), zeros((4, WIDTH), np.float64),
-                    new_wrenches(capacity, slots), pads)
+                    zeros((room + WIDTH,), np.int32), numbers(4), np.zeros((room, 3)),
+                    np.zeros(capacity + 1, np.int64), new_near_blocks(colliders, slots),
+                    zeros((4, WIDTH), np.float64), new_wrenches(capacity, slots, room),
+                    pads, marks)
 
 
 @jit(inline=True)
 def room_of(contacts):
     """Return the capacity in candidates."""
-    return len(contacts.particle) - WIDTH
+    return len(contacts.extra)
 
 
 @jit
@@ -180,8 +191,16 @@ def push_all(contacts, state, eased):
             turn = CORNER
         if turn == CORNER and not contacts.count[3]:
             break
+        wait_on_device(state.team)    # until all have read the count
     if contacts.count[3]:
         leave_corners(contacts, state)
+
+
+@jit(inline=True)
+def wait_for_others(contacts, team):
+    """Go on when all threads of a GPU are done with a collider, if particles have several."""
+    if contacts.count[3]:
+        wait_on_device(team)
 
 
 @jit
@@ -193,27 +212,34 @@ def push_once(contacts, state, back, eased):
     closer than twice the thickness ends in the middle, not at the last one. With ``eased``, r is
     at most SHORT of the thickness, and Δd is not negative.
     """
-    held_back, count = False, contacts.colliders.count[0]
+    held_back, count, team = False, contacts.colliders.count[0], state.team
+    if not back:
+        if alone_on_device(team):
+            contacts.count[2] = 0
+        wait_on_device(team)
     if contacts.count[0] > 0:
         for n in range(count):
             c = count - 1 - n if back else n
             held_back |= push_from(contacts, c, state, back, eased)
-    if held_back or not back:
-        contacts.count[2] = held_back
+            wait_for_others(contacts, team)
+    if held_back:
+        count_up(team, contacts.count, 2, 1)
+    wait_on_device(team)
 
 
 @jit(inline=True)
 def push_from(contacts, c, state, back, eased):
     """Project the candidates of collider c; return True if one of those that crossed is pushed."""
-    held_back, k, end = False, contacts.first[c], contacts.first[c + 1]
-    by_lanes = not has_pad(contacts.colliders.stiffness, c)
-    while k < end:
-        if by_lanes and k + WIDTH <= end and push_pack(contacts, c, k, state, back, eased):
-            k += WIDTH
-        else:
-            for _ in range(min(WIDTH, end - k)):
-                held_back |= push_candidate(contacts, k, state, back, eased)
-                k += 1
+    held_back, team, begin, last = False, state.team, contacts.first[c], contacts.first[c + 1]
+    by_lanes = WIDTH > 1 and not has_pad(contacts.colliders.stiffness, c)
+    own, count, turn = pieces(team, begin, last)
+    for n in range(own, count, turn):
+        first, end, step = piece(team, n, begin, last)
+        for k in range(first, end, step):
+            if not (by_lanes and k + WIDTH <= end
+                    and push_pack(contacts, c, k, state, back, eased)):
+                for j in range(k, min(k + WIDTH, end)):
+                    held_back |= push_candidate(contacts, j, state, back, eased)
     return held_back
 
 
@@ -311,22 +337,22 @@ def push_candidate(contacts, k, state, back, eased):
     state.x[2, i] += nz * push
     contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = nx, ny, nz
     invalidate_history(state.history, i)
-    return contacts.crossed[k] and push > 0.0
+    return contacts.crossed[k] != 0 and push > 0.0
 
 
 @jit
 def count_penetrating(contacts, state):
-    """Return the number of candidates that penetrate (see ``corners.is_penetrating``)."""
-    count = 0
+    """Return how many of this thread's candidates penetrate (see ``corners.is_penetrating``)."""
+    count, team = 0, state.team
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
-        k, end = contacts.first[c], contacts.first[c + 1]
-        while k < end:
-            if k + WIDTH <= end and is_clear(contacts, c, k, state):
-                k += WIDTH
-            else:
-                for _ in range(min(WIDTH, end - k)):
-                    count += is_penetrating(contacts, k, state)
-                    k += 1
+        begin, last = contacts.first[c], contacts.first[c + 1]
+        own, end, turn = pieces(team, begin, last)
+        for n in range(own, end, turn):
+            first, stop, step = piece(team, n, begin, last)
+            for k in range(first, stop, step):
+                if not (WIDTH > 1 and k + WIDTH <= stop and is_clear(contacts, c, k, state)):
+                    for j in range(k, min(k + WIDTH, stop)):
+                        count += is_penetrating(contacts, j, state)
     return count
 
 

@@ -74,7 +74,7 @@ def detect_crossing(contacts, k, x0, y0, z0, x, y, z, thickness):
     side = contacts.side
     side[k, 0], side[k, 1], side[k, 2] = nx, ny, nz
     side[k, 3] = nx * wx + ny * wy + nz * wz - phi
-    contacts.crossed[k] = True
+    contacts.crossed[k] = 1
 
 
 @jit(inline=True)

@@ -17,7 +17,15 @@ Limits: if the sine of the angle between two normals is below FLAT the particle 
 from math import sqrt
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd_wide import WIDTH
+from xpbd_ros.sim.backend.threads import (
+    alone_on_device,
+    count_up,
+    turns_on_device,
+    wait_on_device,
+)
 from xpbd_ros.sim.contact.colliders import is_soft, to_local
+from xpbd_ros.sim.contact.pieces import piece, pieces
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
@@ -64,23 +72,63 @@ def is_penetrating(contacts, k, state):
 
 @jit
 def leave_corners(contacts, state):
-    """Project jointly the particles left inside one of several colliders; return the failures."""
-    count = 0
-    if contacts.count[3]:
-        for k in range(contacts.count[0]):
-            i = contacts.particle[k]
-            if (contacts.latest[i] == k and contacts.earlier[k] >= 0
-                    and penetrates_any(contacts, k, state)):
-                x = state.x[0, i], state.x[1, i], state.x[2, i]
-                project_jointly(contacts, k, i, state, False)
-                helps = not penetrates_any(contacts, k, state)
-                state.x[0, i], state.x[1, i], state.x[2, i] = x
-                if helps:
-                    project_jointly(contacts, k, i, state, True)
-                else:
-                    count += 1
-                invalidate_history(state.history, i)
-    return count
+    """Project jointly the particles left inside one of several colliders."""
+    team = state.team
+    if contacts.count[3] == 0:
+        return
+    found = 0
+    begin, end, step = turns_on_device(team, contacts.count[0])
+    for k in range(begin, end, step):
+        i = contacts.particle[k]
+        if (contacts.latest[i] == k and contacts.earlier[k] >= 0
+                and penetrates_any(contacts, k, state)):
+            found = 1
+            x = state.x[0, i], state.x[1, i], state.x[2, i]
+            project_jointly(contacts, k, i, state, False)
+            helps = not penetrates_any(contacts, k, state)
+            state.x[0, i], state.x[1, i], state.x[2, i] = x
+            if helps:
+                project_jointly(contacts, k, i, state, True)
+            invalidate_history(state.history, i)
+    note_extra(contacts, team, found)
+    wait_on_device(team)
+
+
+@jit(inline=True)
+def add_later(contacts, k, x, y, z):
+    """Add to ``extra`` of candidate k, which another thread of a GPU may have."""
+    contacts.extra[k, 0] += x
+    contacts.extra[k, 1] += y
+    contacts.extra[k, 2] += z
+
+
+@jit(inline=True)
+def note_extra(contacts, team, found):
+    """Note whether this thread has added to ``extra``."""
+    if found:
+        count_up(team, contacts.count, 5, 1)
+
+
+@jit
+def add_extra(contacts, state):
+    """Add the impulses ``extra`` to the wrenches."""
+    team = state.team
+    if contacts.count[5]:
+        for c in range(contacts.colliders.count[0]):
+            begin, last = contacts.first[c], contacts.first[c + 1]
+            own, end, turn = pieces(team, begin, last)
+            for n in range(own, end, turn):
+                first, stop, step = piece(team, n, begin, last)
+                for v in range(first, stop, step):
+                    for k in range(v, min(v + WIDTH, stop)):
+                        x, y, z = contacts.extra[k, 0], contacts.extra[k, 1], contacts.extra[k, 2]
+                        if x != 0.0 or y != 0.0 or z != 0.0:
+                            add_reaction(contacts, k, state, contacts.particle[k], x, y, z)
+                            for a in range(3):
+                                contacts.extra[k, a] = 0.0
+        wait_on_device(team)    # until all have read the count
+        if alone_on_device(team):
+            contacts.count[5] = 0
 
 
 @jit
@@ -98,12 +146,12 @@ def project_jointly(contacts, last, i, state, reacts):
     """
     Project particle i, whose last candidate is ``last``, on up to three colliders jointly.
 
-    If ``reacts``, each of them gets the reaction to what it adds to the displacement.
+    If ``reacts``, the impulse of each is added to ``extra``.
     """
     for _ in range(ROUNDS):
         a, b = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         for turn in range(3):
-            c, short, n = deepest(contacts, last, state.x[0, i], state.x[1, i], state.x[2, i])
+            k, short, n = deepest(contacts, last, state.x[0, i], state.x[1, i], state.x[2, i])
             if short <= 0.0:
                 if turn == 0:
                     return
@@ -118,21 +166,21 @@ def project_jointly(contacts, last, i, state, reacts):
                 state.x[d, i] += t[d] * short / square
             if reacts:
                 f = contacts.wrenches.h[0] / state.mobility[i] * (short / square)
-                add_reaction(contacts, c, state, i, f * t[0], f * t[1], f * t[2])
+                add_later(contacts, k, f * t[0], f * t[1], f * t[2])
             size = sqrt(square)
             a, b = (t[0] / size, t[1] / size, t[2] / size), a
 
 
 @jit
 def deepest(contacts, k, x, y, z):
-    """Return the collider with the largest deficit of the relaxed gap, that [m], its normal."""
-    most, normal, enough, c = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0], -1
+    """Return the candidate with the largest deficit of the relaxed gap, that [m], its normal."""
+    most, normal, enough, found = 0.0, (0.0, 0.0, 0.0), SHORT * contacts.thickness[0], -1
     while k >= 0:
         phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
         if is_soft(contacts.pads, k):
             short = 0.0
         if short > max(most, 0.1 * enough):
-            most, normal, c = short, n, contacts.collider[k]
+            most, normal, found = short, n, k
         k = contacts.earlier[k]
-    return c, most, normal
+    return found, most, normal

@@ -20,9 +20,12 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
 from xpbd_ros.sim.backend.simd_wide import gather, load_columns, load_wide, store_wide, WIDTH
+from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
+from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
 from xpbd_ros.sim.contact.multistep_impulses import spread_impulses
 from xpbd_ros.sim.contact.particle_lanes import is_run, positions
-from xpbd_ros.sim.contact.wrenches import add_reaction, LANES
+from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.wrenches import add_reaction, CHUNK, first_chunk, LANES, sum_up
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
 
 
@@ -34,38 +37,35 @@ def add_impulses(contacts, state, substep):
             if contacts.first[c] < contacts.first[c + 1]:
                 add_collider(contacts, c, state, substep)
         add_rest_of_pads(contacts.pads, contacts, state, substep)
-    spread_impulses(contacts, state, substep)
+        add_extra(contacts, state)
+        wait_on_device(state.team)
+    sum_up(contacts, state.team)
+    if alone_on_device(state.team):
+        spread_impulses(contacts, state, substep)
 
 
 @jit(inline=True)
 def add_collider(contacts, c, state, substep):
-    """Add up the forces of the cloth on collider c."""
-    partial, p = contacts.wrenches.partial, contacts.after[c]
-    begin, end = contacts.first[c], contacts.first[c + 1]
-    partial[:] = 0.0
-    k = begin
-    while k < end:
-        if k + WIDTH <= end and add_pack(contacts, c, k, (k - begin) % LANES, state, p):
-            k += WIDTH
-        else:
-            for _ in range(min(WIDTH, end - k)):
-                add_candidate(contacts, c, k, (k - begin) % LANES, state, p, substep)
-                k += 1
-    total = contacts.wrenches.impulse[c]
-    for a in range(6):
-        q = partial[a]
-        total[a] -= substep.h * (((q[0] + q[4]) + (q[2] + q[6]))
-                                 + ((q[1] + q[5]) + (q[3] + q[7])))
+    """Add the impulses of the candidates of collider c to the partial sums."""
+    team, begin, last = state.team, contacts.first[c], contacts.first[c + 1]
+    own, count, turn = pieces(team, begin, last)
+    for n in range(own, count, turn):
+        first, end, step = piece(team, n, begin, last)
+        for k in range(first, end, step):
+            if not (WIDTH > 1 and k + WIDTH <= end
+                    and add_pack(contacts, c, k, state, substep.h)):
+                for j in range(k, min(k + WIDTH, end)):
+                    add_candidate(contacts, j, state, substep.h)
 
 
 @jit(inline=True)
-def add_pack(contacts, c, k, lane, state, p):
+def add_pack(contacts, c, k, state, h):
     """
-    Add the forces of the candidates k, k + 1, … by lanes to the sums from ``lane`` on.
+    Add the impulses of the candidates k, k + 1, … of collider c by lanes.
 
-    Return False if one of them has just come into contact; ``p`` is the collider's position.
+    Return False if one of them has just come into contact.
     """
-    index, partial = contacts.particle, contacts.wrenches.partial
+    index, partial, p = contacts.particle, contacts.wrenches.partial, contacts.after[c]
     push, (sx, sy, sz) = load_wide(contacts.push, k), load_columns(contacts.slip, k)
     active = either(push > 0.0, sx * sx + sy * sy + sz * sz > 0.0)
     if not any_lane(active):
@@ -73,23 +73,24 @@ def add_pack(contacts, c, k, lane, state, p):
     if begins(state.history, index, k, active):
         return False
     nx, ny, nz = load_columns(contacts.normal, k)
-    per = 1.0 / numbers(state.mobility, index, k)
+    per = h / numbers(state.mobility, index, k)
     fx, fy, fz = per * (push * nx + sx), per * (push * ny + sy), per * (push * nz + sz)
     x, y, z = positions(state.x, index, k)
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
-    add_lanes(partial, 0, lane, fx)
-    add_lanes(partial, 1, lane, fy)
-    add_lanes(partial, 2, lane, fz)
-    add_lanes(partial, 3, lane, ry * fz - rz * fy)
-    add_lanes(partial, 4, lane, rz * fx - rx * fz)
-    add_lanes(partial, 5, lane, rx * fy - ry * fx)
+    n = k - contacts.first[c]
+    begin = (first_chunk(contacts, c) + n // CHUNK) * 6 * LANES + n % LANES
+    add_lanes(partial, begin, fx)
+    add_lanes(partial, begin + LANES, fy)
+    add_lanes(partial, begin + 2 * LANES, fz)
+    add_lanes(partial, begin + 3 * LANES, ry * fz - rz * fy)
+    add_lanes(partial, begin + 4 * LANES, rz * fx - rx * fz)
+    add_lanes(partial, begin + 5 * LANES, rx * fy - ry * fx)
     return True
 
 
 @jit(inline=True)
-def add_lanes(partial, row, lane, f):
-    """Add a vector to the sums of a row from ``lane`` on."""
-    i = row * LANES + lane
+def add_lanes(partial, i, f):
+    """Add a vector to the sums from a flat index on."""
     store_wide(partial, i, load_wide(partial, i) + f)
 
 
@@ -120,29 +121,21 @@ def displacement(contacts, k):
 
 
 @jit
-def add_candidate(contacts, c, k, lane, state, p, substep):
-    """Add the force of candidate k to the sums in ``lane``."""
-    i, partial = contacts.particle[k], contacts.wrenches.partial
+def add_candidate(contacts, k, state, h):
+    """Add the impulse of candidate k."""
+    i = contacts.particle[k]
     (x, y, z), touches = displacement(contacts, k)
-    if not touches:
-        return
-    ratio = weights_before(state.history, i)[0]
-    per = ratio * ratio / state.mobility[i]
-    gx, gy, gz = change_of_integrator(state.history, contacts, k, state, substep.h)
-    fx, fy, fz = per * x + gx, per * y + gy, per * z + gz
-    rx, ry, rz = state.x[0, i] - p[0], state.x[1, i] - p[1], state.x[2, i] - p[2]
-    partial[0, lane] += fx
-    partial[1, lane] += fy
-    partial[2, lane] += fz
-    partial[3, lane] += ry * fz - rz * fy
-    partial[4, lane] += rz * fx - rx * fz
-    partial[5, lane] += rx * fy - ry * fx
+    if touches:
+        ratio = weights_before(state.history, i)[0]
+        per = h * ratio * ratio / state.mobility[i]
+        gx, gy, gz = change_of_integrator(state.history, contacts, k, state, h)
+        add_reaction(contacts, k, state, i, per * x + gx, per * y + gy, per * z + gz)
 
 
 @jit
 def change_of_integrator(history, contacts, k, state, h):
     """
-    Return mass ((x - D - x_n) / h - v_free) / h of a particle that comes into contact [N].
+    Return mass ((x - D - x_n) / h - v_free) of a particle that comes into contact [N s].
 
     It goes to the first collider that the particle touches; others get 0.
     """
@@ -165,7 +158,7 @@ def _change_of_integrator(history, contacts, k, state, h):
         j = contacts.earlier[j]
     if ratio == 1.0 or first != k:
         return 0.0, 0.0, 0.0
-    m = state.mass[i] / (h * h)
+    m = state.mass[i] / h
     return (m * difference(state, history.older_x, i, 0, dx, ratio, a, b),
             m * difference(state, history.older_x, i, 1, dy, ratio, a, b),
             m * difference(state, history.older_x, i, 2, dz, ratio, a, b))
@@ -192,8 +185,9 @@ def older_part(older, axis, i, before, b):
 def add_rest_of_pads(pads, contacts, state, substep):
     """Add the impulses of u - Σ d n of clamped particles, half to each of both colliders."""
     if pads is not None:
-        n, d = contacts.normal, pads.given
-        for k in range(contacts.count[0]):
+        n, d, found = contacts.normal, pads.given, 0
+        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        for k in range(begin, end, step):
             i, j = contacts.particle[k], contacts.earlier[k]
             if pads.clamped[k] and contacts.latest[i] == k and j >= 0:
                 ratio = weights_before(state.history, i)[0]
@@ -202,5 +196,8 @@ def add_rest_of_pads(pads, contacts, state, substep):
                 x = share * (u[0] - d[j] * n[j, 0] - d[k] * n[k, 0])
                 y = share * (u[1] - d[j] * n[j, 1] - d[k] * n[k, 1])
                 z = share * (u[2] - d[j] * n[j, 2] - d[k] * n[k, 2])
-                add_reaction(contacts, contacts.collider[j], state, i, x, y, z)
-                add_reaction(contacts, contacts.collider[k], state, i, x, y, z)
+                add_later(contacts, j, x, y, z)
+                add_later(contacts, k, x, y, z)
+                found = 1
+        note_extra(contacts, state.team, found)
+        wait_on_device(state.team)

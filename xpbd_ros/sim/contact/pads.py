@@ -40,6 +40,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance
 from xpbd_ros.sim.geometry.mesh import cross, length, Mesh
@@ -63,7 +64,7 @@ class Pads(NamedTuple):
     area: np.ndarray
     """rest area of each particle [m²], shape (slots,)"""
     soft: np.ndarray
-    """True if a pad presses it, shape (candidates,)"""
+    """1 if a pad presses it, int32, shape (candidates,)"""
     start: np.ndarray
     """φ at the substep's start [m], shape (candidates,)"""
     limit: np.ndarray
@@ -73,7 +74,7 @@ class Pads(NamedTuple):
     deficit: np.ndarray
     """b [m], shape (candidates,)"""
     touches: np.ndarray
-    """True if it touches, shape (candidates,)"""
+    """1 if it touches, likewise"""
     given: np.ndarray
     """d of the last solve [m], shape (candidates,)"""
     shift: np.ndarray
@@ -84,16 +85,16 @@ class Pads(NamedTuple):
     force: np.ndarray
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
-    """True if the friction of two candidates has been solved at once, shape (candidates,)"""
+    """1 if the friction of two candidates has been solved at once, likewise"""
     again: np.ndarray
     """True while the inequalities are projected again in this iteration, shape (1,)"""
 
 
 def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
-    return Pads(area, np.zeros(room, np.bool_), np.zeros(room), np.zeros(room), np.zeros(room),
-                np.zeros(room), np.zeros(room, np.bool_), np.zeros(room), np.zeros((room, 3)),
-                np.zeros(room), np.zeros(room), np.zeros(room, np.bool_), np.zeros(1, np.bool_))
+    return Pads(area, np.zeros(room, np.int32), np.zeros(room), np.zeros(room), np.zeros(room),
+                np.zeros(room), np.zeros(room, np.int32), np.zeros(room), np.zeros((room, 3)),
+                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros(1, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -142,7 +143,8 @@ def begin_pad(pads, contacts, k, start, limit):
 def press_pads(pads, contacts, state):
     """Solve all particles that have a candidate with a pad."""
     if pads is not None:
-        for k in range(contacts.count[0]):
+        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        for k in range(begin, end, step):
             i = contacts.particle[k]
             if contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
                 press(pads, contacts, k, i, state)
@@ -236,7 +238,7 @@ def become_rigid(pads, contacts, last, i, state, free):
     while k >= 0:
         contacts.push[k] = pads.given[k] = pads.force[k] = 0.0
         if pads.soft[k]:
-            pads.soft[k] = False
+            pads.soft[k] = 0
             contacts.gap[k] = min(contacts.thickness[0], pads.limit[k])
             contacts.overlap[k] = max(0.0, contacts.gap[k] - pads.start[k])
         k = contacts.earlier[k]

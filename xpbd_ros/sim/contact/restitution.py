@@ -12,8 +12,12 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
+from xpbd_ros.sim.contact.contacts import wait_for_others
+from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
+from xpbd_ros.sim.contact.pieces import piece, pieces
 from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
 
@@ -25,6 +29,15 @@ class Bounce(NamedTuple):
     """e of each collider, shape (capacity,)"""
     approach: np.ndarray
     """velocity of each candidate before the substep [m/s], shape (candidates, 3)"""
+
+
+@jit
+def note_approach(bounce, contacts, k, state, substep):
+    """Store the velocity of approach of candidate k."""
+    if bounce is not None:
+        for a in range(3):
+            bounce.approach[k, a] = (state.v[a, contacts.particle[k]]
+                                     - substep.h * state.gravity[a])
 
 
 @jit(inline=True)
@@ -43,23 +56,34 @@ def drive_away(contacts, k, state, speed):
     for a in range(3):
         state.v[a, i] += speed * n[k, a]
     gained = state.mass[i] * speed
-    add_reaction(contacts, contacts.collider[k], state, i, gained * n[k, 0], gained * n[k, 1],
-                 gained * n[k, 2])
+    add_reaction(contacts, k, state, i, gained * n[k, 0], gained * n[k, 1], gained * n[k, 2])
 
 
 @jit(inline=True)
 def calm_overlaps(contacts, state, substep):
     """Remove the velocity that came from separating old overlaps."""
-    count = contacts.count[0]
-    for k in range(0, count, WIDTH):
-        if k + WIDTH > count or any_lane(smaller(
-                load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
-            for j in range(k, min(k + WIDTH, count)):
-                still = min(contacts.overlap[j], contacts.push[j])
-                if still > 0.0:
-                    excess = min(speed_away(contacts, j, state, substep), still / substep.h)
-                    if excess > 0.0:
-                        drive_away(contacts, j, state, -excess)
+    team = state.team
+    for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
+        begin, last = contacts.first[c], contacts.first[c + 1]
+        own, count, turn = pieces(team, begin, last)
+        for n in range(own, count, turn):
+            first, end, step = piece(team, n, begin, last)
+            for k in range(first, end, step):
+                if k + WIDTH > end or any_lane(smaller(
+                        load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
+                    for j in range(k, min(k + WIDTH, end)):
+                        calm_overlap(contacts, j, state, substep)
+        wait_for_others(contacts, team)
+
+
+@jit(inline=True)
+def calm_overlap(contacts, k, state, substep):
+    """Do so for one candidate."""
+    still = min(contacts.overlap[k], contacts.push[k])
+    if still > 0.0:
+        excess = min(speed_away(contacts, k, state, substep), still / substep.h)
+        if excess > 0.0:
+            drive_away(contacts, k, state, -excess)
 
 
 @jit
@@ -72,17 +96,30 @@ def rebound(bounce, contacts, state, substep):
     if bounce is not None:
         g, h = state.gravity, substep.h
         least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h
-        for k in range(contacts.count[0]):
-            e = bounce.restitution[contacts.collider[k]]
-            if e == 0.0 or contacts.push[k] == 0.0:
-                continue
-            ux, uy, uz = surface_motion(contacts, k, state, substep)
-            w, n = bounce.approach[k], contacts.normal[k]
-            before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
-            if before < -least:
-                missing = -e * before - speed_away(contacts, k, state, substep)
-                if missing > 0.0:
-                    drive_away(contacts, k, state, missing)
+        for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
+            begin, last = contacts.first[c], contacts.first[c + 1]
+            own, count, turn = pieces(state.team, begin, last)
+            for n in range(own, count, turn):
+                first, end, step = piece(state.team, n, begin, last)
+                for v in range(first, end, step):
+                    for k in range(v, min(v + WIDTH, end)):
+                        rebound_candidate(bounce, contacts, k, state, substep, least)
+            wait_for_others(contacts, state.team)
+
+
+@jit(inline=True)
+def rebound_candidate(bounce, contacts, k, state, substep, least):
+    """Do so for one candidate; ``least`` is the speed from which it bounces [m/s]."""
+    e, h = bounce.restitution[contacts.collider[k]], substep.h
+    if e == 0.0 or contacts.push[k] == 0.0:
+        return
+    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    w, n = bounce.approach[k], contacts.normal[k]
+    before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
+    if before < -least:
+        missing = -e * before - speed_away(contacts, k, state, substep)
+        if missing > 0.0:
+            drive_away(contacts, k, state, missing)
 
 
 @jit
@@ -93,14 +130,20 @@ def calm_pads(pads, contacts, state, substep):
     It is that along the sum u of all pushes, so where two pads balance there is none.
     """
     if pads is not None:
-        for k in range(contacts.count[0]):
+        wait_on_device(state.team)
+        found = 0
+        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        for k in range(begin, end, step):
             if contacts.latest[contacts.particle[k]] == k:
-                calm_particle(pads, contacts, k, state, substep)
+                found |= calm_particle(pads, contacts, k, state, substep)
+        note_extra(contacts, state.team, found)
+        wait_on_device(state.team)
+        add_extra(contacts, state)
 
 
 @jit
 def calm_particle(pads, contacts, last, state, substep):
-    """Reduce the speed relative to the pad that pushes most."""
+    """Reduce the speed relative to the pad that pushes most; return whether it changes."""
     n, v, i, j = contacts.normal, state.v, contacts.particle[last], contacts.earlier[last]
     u = (pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2])
     if pads.clamped[last]:    # across the clamp, friction bears what pushes give
@@ -123,5 +166,6 @@ def calm_particle(pads, contacts, last, state, substep):
             for a in range(3):
                 v[a, i] -= off * pads.lost[strongest] * u[a] / size
             lost = state.mass[i] * off * pads.lost[strongest] / size
-            add_reaction(contacts, contacts.collider[strongest], state, i, -lost * u[0],
-                         -lost * u[1], -lost * u[2])
+            add_later(contacts, strongest, -lost * u[0], -lost * u[1], -lost * u[2])
+            return True
+    return False

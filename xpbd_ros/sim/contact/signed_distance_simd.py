@@ -6,7 +6,7 @@ computed and one selected. Mesh and height field are computed lane by lane.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import absolute, both, larger, root, select, smaller
+from xpbd_ros.sim.backend.simd import absolute, both, highest, larger, root, select, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, wide, WIDTH
 from xpbd_ros.sim.contact.colliders import (
     BOX,
@@ -17,7 +17,7 @@ from xpbd_ros.sim.contact.colliders import (
     PLANE,
     SPHERE,
 )
-from xpbd_ros.sim.contact.signed_distance import grid_distance, ground_distance
+from xpbd_ros.sim.contact.signed_distance import grid_distance, ground_distance, signed_distance
 
 
 @jit(inline=True)
@@ -44,6 +44,8 @@ def signed_distances(colliders, scratch, c, x, y, z):
 def depths(colliders, scratch, c, x, y, z):
     """Return φ alone."""
     found, size = colliders.shape[c], colliders.size
+    if WIDTH == 1:    # on a GPU, whose threads share no scratch
+        return wide(signed_distance(colliders, c, highest(x), highest(y), highest(z))[0])
     if found > BOX:
         sample(colliders.grids, colliders.heights, found, size[c, 0], size[c, 1], scratch, c,
                x, y, z)

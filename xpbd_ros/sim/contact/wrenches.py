@@ -1,4 +1,11 @@
-"""Wrenches of the cloth on colliders: sums of impulses over a frame."""
+"""
+Wrenches of the cloth on colliders: sums of impulses over a frame.
+
+The impulses of a collider's candidates are added up in chunks of CHUNK candidates, in each of them
+as LANES partial sums; candidate n of a collider adds to sum n mod LANES of chunk n / CHUNK. So
+lanes of a vector, and threads of a GPU, add side by side, and the order of all additions is the
+same for each of them.
+"""
 
 from typing import NamedTuple
 
@@ -7,14 +14,15 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
 from xpbd_ros.sim.geometry.quaternion import turns
 from xpbd_ros.sim.particles.explicit_updates import half_of, stay
 
 TURNED = 1e-4
 """change of a contact's normal in a substep up to which its push is one displacement"""
-LANES = 8
-"""partial sums of each component, whatever the width of a vector, so that the bits are the same"""
+CHUNK, LANES, CHAINS = 64, 8, 64
+"""candidates of a chunk; its partial sums; sums of chunks that are added up side by side"""
 
 
 class Wrenches(NamedTuple):
@@ -24,17 +32,20 @@ class Wrenches(NamedTuple):
     """linear [N s] and angular about the collider's position, world axes [N m s]; sum over the
     frame; shape (capacity, 6)"""
     partial: np.ndarray
-    """partial sums of the collider at hand, shape (6, LANES)"""
+    """partial sums of the impulses on particles, 0 between the stages of a substep; a collider's
+    chunks begin at ``first_chunk``; shape (chunks, 6, LANES)"""
+    chains: np.ndarray
+    """sums of every CHAINS-th chunk, shape (capacity, 6, CHAINS)"""
     h: np.ndarray
     """length of the substep [s], shape (1,)"""
     multistep: Multistep
     """parts of forces that still act on velocities"""
 
 
-def new_wrenches(capacity: int, slots: int) -> Wrenches:
-    """Return zero wrenches of ``capacity`` colliders."""
-    return Wrenches(np.zeros((capacity, 6)), np.zeros((6, LANES)), np.zeros(1),
-                    new_multistep(capacity, slots))
+def new_wrenches(capacity: int, slots: int, room: int) -> Wrenches:
+    """Return zero wrenches of ``capacity`` colliders, for ``room`` candidates."""
+    return Wrenches(np.zeros((capacity, 6)), np.zeros((room // CHUNK + capacity + 1, 6, LANES)),
+                    np.zeros((capacity, 6, CHAINS)), np.zeros(1), new_multistep(capacity, slots))
 
 
 @jit
@@ -46,17 +57,65 @@ def begin_wrenches(wrenches, substep):
             wrenches.multistep.before[c, k] = wrenches.impulse[c, k]
 
 
+@jit(inline=True)
+def first_chunk(contacts, c):
+    """Return the first chunk of collider c: those before have room for their candidates."""
+    return contacts.first[c] // CHUNK + c
+
+
 @jit
-def add_reaction(contacts, c, state, i, x, y, z):
-    """Subtract the impulse (x, y, z) on particle i [N s] from collider c's sum."""
-    total, p = contacts.wrenches.impulse[c], contacts.after[c]
+def add_reaction(contacts, k, state, i, x, y, z):
+    """Add the impulse (x, y, z) [N s] of candidate k on its particle i to the partial sums."""
+    c = contacts.collider[k]
+    n, p = k - contacts.first[c], contacts.after[c]
+    sums, lane = contacts.wrenches.partial[first_chunk(contacts, c) + n // CHUNK], n % LANES
     rx, ry, rz = state.x[0, i] - p[0], state.x[1, i] - p[1], state.x[2, i] - p[2]
-    total[0] -= x
-    total[1] -= y
-    total[2] -= z
-    total[3] -= ry * z - rz * y
-    total[4] -= rz * x - rx * z
-    total[5] -= rx * y - ry * x
+    sums[0, lane] += x
+    sums[1, lane] += y
+    sums[2, lane] += z
+    sums[3, lane] += ry * z - rz * y
+    sums[4, lane] += rz * x - rx * z
+    sums[5, lane] += rx * y - ry * x
+
+
+@jit
+def sum_up(contacts, team):
+    """Subtract the partial sums, which are 0 then, from the colliders' sums."""
+    if contacts.count[0] <= 0:
+        return
+    partial, chains = contacts.wrenches.partial, contacts.wrenches.chains
+    total, count = contacts.wrenches.impulse, contacts.colliders.count[0]
+    begin, end, step = turns_on_device(team, 6 * first_chunk(contacts, count))
+    for n in range(begin, end, step):
+        q = partial[n // 6, n % 6]
+        q[0] = ((q[0] + q[4]) + (q[2] + q[6])) + ((q[1] + q[5]) + (q[3] + q[7]))
+        for lane in range(1, LANES):
+            q[lane] = 0.0
+    wait_on_device(team)
+    for c in range(count):
+        first, chunks = first_chunk(contacts, c), chunks_of(contacts, c)
+        begin, end, step = turns_on_device(team, 6 * min(CHAINS, chunks))
+        for n in range(begin, end, step):
+            a, chain, found = n % 6, n // 6, 0.0
+            for chunk in range(first + chain, first + chunks, CHAINS):
+                found += partial[chunk, a, 0]
+                partial[chunk, a, 0] = 0.0
+            chains[c, a, chain] = found
+    wait_on_device(team)
+    for c in range(count):
+        begin, end, step = turns_on_device(team, 6)
+        for a in range(begin, end, step):
+            found = 0.0
+            for chain in range(min(CHAINS, chunks_of(contacts, c))):
+                found += chains[c, a, chain]
+            total[c, a] -= found
+    wait_on_device(team)
+
+
+@jit(inline=True)
+def chunks_of(contacts, c):
+    """Return the number of chunks of collider c."""
+    return (contacts.first[c + 1] - contacts.first[c] + CHUNK - 1) // CHUNK
 
 
 @jit
@@ -74,6 +133,7 @@ def bear_half_kick(contacts, state, substep):
     for k in range(contacts.count[0]):
         if contacts.push[k] > 0.0:
             stay(state, contacts.particle[k], substep.h)
+    sum_up(contacts, state.team)
 
 
 @jit(inline=True)
@@ -86,7 +146,7 @@ def bear(contacts, k, state, substep):
         j = contacts.earlier[j]
     h, move, g = substep.h, state.apart.move, state.gravity
     share = -half_of(substep) * state.mass[i] * contacts.push[k] / d
-    add_reaction(contacts, contacts.collider[k], state, i, share * (move[0, i] / h + h * g[0]),
+    add_reaction(contacts, k, state, i, share * (move[0, i] / h + h * g[0]),
                  share * (move[1, i] / h + h * g[1]), share * (move[2, i] / h + h * g[2]))
 
 
@@ -128,7 +188,7 @@ def react_to_turn(contacts, k, state, before, nx, ny, nz):
     x, y, z = n[0] - nx, n[1] - ny, n[2] - nz
     if is_turned(x, y, z):
         share = contacts.wrenches.h[0] / state.mobility[i] * before
-        add_reaction(contacts, contacts.collider[k], state, i, share * x, share * y, share * z)
+        add_reaction(contacts, k, state, i, share * x, share * y, share * z)
 
 
 @jit(inline=True)
