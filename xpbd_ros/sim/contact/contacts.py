@@ -164,8 +164,8 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                     numbers(), numbers(), numbers(), numbers(3), numbers(3),
                     zeros((room + WIDTH,), np.int32), numbers(4), np.zeros((room, 3)),
                     np.zeros(capacity + 1, np.int64), new_near_blocks(colliders, slots),
-                    zeros((4, WIDTH), np.float64), new_wrenches(capacity, slots, room),
-                    pads, marks)
+                    zeros((4, WIDTH), np.float64),
+                    new_wrenches(capacity, slots, room, on_device=marks is not None), pads, marks)
 
 
 @jit(inline=True)

@@ -20,12 +20,12 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
 from xpbd_ros.sim.backend.simd_wide import gather, load_columns, load_wide, store_wide, WIDTH
-from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
 from xpbd_ros.sim.contact.multistep_impulses import spread_impulses
 from xpbd_ros.sim.contact.particle_lanes import is_run, positions
-from xpbd_ros.sim.contact.pieces import piece, pieces
-from xpbd_ros.sim.contact.wrenches import add_reaction, CHUNK, first_chunk, LANES, sum_up
+from xpbd_ros.sim.contact.pieces import CHUNK, LANES, piece, pieces
+from xpbd_ros.sim.contact.wrenches import add_reaction, first_chunk, sum_up
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
 
 
@@ -38,10 +38,16 @@ def add_impulses(contacts, state, substep):
                 add_collider(contacts, c, state, substep)
         add_rest_of_pads(contacts.pads, contacts, state, substep)
         add_extra(contacts, state)
+    sum_up_and_spread(state.history, contacts, state, substep.h)
+
+
+@jit
+def sum_up_and_spread(history, contacts, state, h):
+    """Do what an integrator with a history needs; ``contact.restitution`` adds to the sums."""
+    if history is not None:
         wait_on_device(state.team)
-    sum_up(contacts, state.team)
-    if alone_on_device(state.team):
-        spread_impulses(contacts, state, substep)
+        sum_up(contacts, state.team)
+        spread_impulses(history, contacts, state, h)
 
 
 @jit(inline=True)

@@ -1,14 +1,16 @@
 """
-Pieces of a collider's candidates: what one thread works on, one candidate or vector after another.
+Pieces of a collider's candidates: what a thread works on, one candidate or vector after another.
 
-One thread of a CPU has them all. A thread of a GPU has those that add to one partial sum of their
-impulses (``contact.wrenches``): no other thread writes there.
+One thread of a CPU has them all. Candidates are in chunks of CHUNK, and a thread of a GPU has
+every LANES-th one of a chunk: those that add to one partial sum of their impulses
+(``contact.wrenches``), where no other thread writes.
 """
 
 from xpbd_ros.sim.backend.jit import inline
 from xpbd_ros.sim.backend.simd_wide import WIDTH
 from xpbd_ros.sim.backend.threads import is_on_device, turns
-from xpbd_ros.sim.contact.wrenches import CHUNK, LANES
+
+CHUNK, LANES = 64, 8
 
 
 def pieces(team, begin, end):

@@ -16,13 +16,14 @@ from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
+from xpbd_ros.sim.contact.pieces import CHUNK, LANES
 from xpbd_ros.sim.geometry.quaternion import turns
 from xpbd_ros.sim.particles.explicit_updates import half_of, stay
 
 TURNED = 1e-4
 """change of a contact's normal in a substep up to which its push is one displacement"""
-CHUNK, LANES, CHAINS = 64, 8, 64
-"""candidates of a chunk; its partial sums; sums of chunks that are added up side by side"""
+CHAINS = 64
+"""chunks whose sums are added up side by side"""
 
 
 class Wrenches(NamedTuple):
@@ -34,18 +35,16 @@ class Wrenches(NamedTuple):
     partial: np.ndarray
     """partial sums of the impulses on particles, 0 between the stages of a substep; a collider's
     chunks begin at ``first_chunk``; shape (chunks, 6, LANES)"""
-    chains: np.ndarray
-    """sums of every CHAINS-th chunk, shape (capacity, 6, CHAINS)"""
     h: np.ndarray
     """length of the substep [s], shape (1,)"""
     multistep: Multistep
     """parts of forces that still act on velocities"""
 
 
-def new_wrenches(capacity: int, slots: int, room: int) -> Wrenches:
+def new_wrenches(capacity: int, slots: int, room: int, *, on_device: bool = False) -> Wrenches:
     """Return zero wrenches of ``capacity`` colliders, for ``room`` candidates."""
     return Wrenches(np.zeros((capacity, 6)), np.zeros((room // CHUNK + capacity + 1, 6, LANES)),
-                    np.zeros((capacity, 6, CHAINS)), np.zeros(1), new_multistep(capacity, slots))
+                    np.zeros(1), new_multistep(capacity, slots, on_device=on_device))
 
 
 @jit
@@ -83,8 +82,8 @@ def sum_up(contacts, team):
     """Subtract the partial sums, which are 0 then, from the colliders' sums."""
     if contacts.count[0] <= 0:
         return
-    partial, chains = contacts.wrenches.partial, contacts.wrenches.chains
-    total, count = contacts.wrenches.impulse, contacts.colliders.count[0]
+    partial, total = contacts.wrenches.partial, contacts.wrenches.impulse
+    count = contacts.colliders.count[0]
     begin, end, step = turns_on_device(team, 6 * first_chunk(contacts, count))
     for n in range(begin, end, step):
         q = partial[n // 6, n % 6]
@@ -94,20 +93,21 @@ def sum_up(contacts, team):
     wait_on_device(team)
     for c in range(count):
         first, chunks = first_chunk(contacts, c), chunks_of(contacts, c)
-        begin, end, step = turns_on_device(team, 6 * min(CHAINS, chunks))
+        begin, end, step = turns_on_device(team, 6 * CHAINS if chunks > CHAINS else 0)
         for n in range(begin, end, step):
-            a, chain, found = n % 6, n // 6, 0.0
-            for chunk in range(first + chain, first + chunks, CHAINS):
-                found += partial[chunk, a, 0]
+            a, chain = n % 6, first + n // 6
+            for chunk in range(chain + CHAINS, first + chunks, CHAINS):
+                partial[chain, a, 0] += partial[chunk, a, 0]
                 partial[chunk, a, 0] = 0.0
-            chains[c, a, chain] = found
     wait_on_device(team)
     for c in range(count):
+        first, found = first_chunk(contacts, c), 0.0
         begin, end, step = turns_on_device(team, 6)
         for a in range(begin, end, step):
             found = 0.0
-            for chain in range(min(CHAINS, chunks_of(contacts, c))):
-                found += chains[c, a, chain]
+            for chunk in range(first, first + min(CHAINS, chunks_of(contacts, c))):
+                found += partial[chunk, a, 0]
+                partial[chunk, a, 0] = 0.0
             total[c, a] -= found
     wait_on_device(team)
 
