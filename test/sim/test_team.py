@@ -18,6 +18,7 @@ from xpbd_ros.sim.backend.threads import (
     ThreadTeam,
     wait,
     wait_uneven,
+    WORTH_PARTS,
 )
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
@@ -196,3 +197,17 @@ def test_others_wait_for_the_main_thread_without_an_end():
     for _ in range(3):
         crew.run(meets(0, seen), (), _Stub())
     assert (seen, crew.alone) == ([2] * 6, 0)
+
+
+@pytest.mark.parametrize('workers', [1, 2, 3])
+@pytest.mark.parametrize('count', [0, 5, WORTH_PARTS, WORTH_PARTS + 7])
+def test_parts_are_whole(count, workers):
+    done, pool = np.zeros(count, int), ThreadPool(workers)
+    parts = []
+
+    def work(begin, end):
+        done[begin:end] += 1
+        parts.append((begin, end))
+    pool.by_parts(work, count)
+    assert (done == 1).all()
+    assert len(parts) == (workers if count >= WORTH_PARTS else 1)

@@ -208,7 +208,12 @@ class Simulation:
         """Return the present frame."""
         state, particles = self.state, len(self.slot)
         x, v, inv_mass = np.empty((particles, 3)), np.empty((particles, 3)), np.empty(particles)
-        gather(state.x, state.v, state.inv_mass, self.slot, x, v, inv_mass)
+
+        def bring(begin: int, end: int) -> None:
+            part = slice(begin, end)
+            gather(state.x, state.v, state.inv_mass, self.slot[part], x[part], v[part],
+                   inv_mass[part])
+        self._crew.by_parts(bring, particles)
         reported: dict[str, Any] = dict.fromkeys(('pins', 'colliders'), MappingProxyType({}))
         for built in self.effects.values():
             reported.update(built.reported(self.frame_dt))

@@ -11,6 +11,7 @@ A thread whose core is busy with other programs delays the others at each barrie
 slice of the system. Therefore the main thread goes on alone for a while after such a step.
 """
 
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -32,6 +33,8 @@ LATE, LATE_SHARE = 3, 100
 others have no core if the main thread waits beyond PATIENCE at so many barriers of a step (at the
 first one others wake up), and at one of so many
 """
+WORTH_PARTS = 2**16
+"""pieces of work from which on it is worth dividing what takes some 10 ns for each"""
 REST = 60, 3600
 """steps that the main thread then does alone before all try again: at first, at most"""
 X86 = binding.get_process_triple().startswith('x86_64')
@@ -342,6 +345,17 @@ class ThreadPool:
             self._rest, self._next_rest = self._next_rest, min(2 * self._next_rest, REST[1])
         else:
             self._next_rest = REST[0]
+
+    def by_parts(self, work: Callable[[int, int], None], count: int) -> None:
+        """Call work(begin, end) for parts of many pieces, all at once; for few only once."""
+        if self._pool is None or count < WORTH_PARTS:
+            work(0, count)
+            return
+        ends = [count * k // self.workers for k in range(self.workers + 1)]
+        others = [self._pool.submit(work, *part) for part in zip(ends[1:], ends[2:])]
+        work(*ends[:2])
+        for other in others:
+            other.result()
 
     def host_changed(self) -> None:
         """Do nothing: threads of the CPU work in the host's memory; cf. ``stepping.device``."""

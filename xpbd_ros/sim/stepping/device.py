@@ -7,14 +7,19 @@ target, whatever the host changed. After it x, v, inv_mass and what effects read
 downloaded. Other arrays on the host are stale until ``fetch``.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+import os
 from typing import Any
 
 import numpy as np
 
 from xpbd_ros.sim.backend.device_kernel import compile_kernels, flat, packed
 from xpbd_ros.sim.backend.device_memory import DeviceMemory
+from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.stepping.launches import Launch, launches_of
+
+HOST_THREADS = 4
+"""that bring a frame into natural order"""
 
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:
@@ -42,6 +47,7 @@ class DeviceCrew:
 
     def __init__(self, simulation, card):
         self._simulation, self._card = simulation, card
+        self._host = ThreadPool(min(HOST_THREADS, os.cpu_count() or 1))
         self._made: tuple | None = None    # what the frame below was made for
         self._memory: DeviceMemory | None = None
         self._mirrored: list[np.ndarray] = []    # in step after every frame
@@ -69,6 +75,10 @@ class DeviceCrew:
         for built in self._simulation.effects.values():
             self._memory.get(built.read_by_frame())
         self._changed = self._fetched = False
+
+    def by_parts(self, work: Callable[[int, int], None], count: int) -> None:
+        """Call work(begin, end) for parts of many pieces on the host (``ThreadPool.by_parts``)."""
+        self._host.by_parts(work, count)
 
     def host_changed(self) -> None:
         """Look for changes in all arrays before the next frame."""
