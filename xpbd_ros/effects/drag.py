@@ -37,10 +37,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import fma, lanes, larger, root, select
+from xpbd_ros.sim.backend.jit import inline, jit
+from xpbd_ros.sim.backend.simd import fma, highest, lanes, larger, root, select
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
-from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import is_on_device, turns, turns_on_device, wait, wait_on_device
 from xpbd_ros.sim.constraints.mesh_batches import pack, padded
 from xpbd_ros.sim.constraints.projection import at_the_end
 from xpbd_ros.sim.effect import Built, Effect
@@ -72,6 +72,25 @@ class Parameters:
                                  doc='drag coefficient along the cloth, of each side')
 
 
+class Gathered(NamedTuple):
+    """The triangles of each particle, on a GPU."""
+
+    first: np.ndarray
+    """where each particle's triangles begin in ``triangle``, shape (slots + 1,)"""
+    triangle: np.ndarray
+    """indices, ascending for each particle"""
+    matrix: np.ndarray
+    """xx, yy, zz, yz, zx, xy of each triangle's D [kg/s], shape (triangles, 6)"""
+
+
+def gather_triangles(particles: np.ndarray, slots: int, dtype) -> Gathered:
+    """Return the triangles of each of so many slots; ``particles``: of shape (3, triangles)."""
+    order = np.argsort(particles.T.ravel(), kind='stable')
+    count = np.bincount(particles.ravel(), minlength=slots)
+    return Gathered(np.concatenate([[0], np.cumsum(count)]), order // 3,
+                    zeros((particles.shape[1], 6), dtype))
+
+
 class Drag(NamedTuple):
     """Data of the kernels."""
 
@@ -89,6 +108,8 @@ class Drag(NamedTuple):
     """of each particle [m²], shape (slots,)"""
     past: np.ndarray | None
     """velocities before the last substep [m/s], shape (3, slots); None without ``explicit``"""
+    gathered: Gathered | None
+    """None on a CPU"""
     x: np.ndarray
     """positions as records, shape (slots, 4)"""
     u: np.ndarray
@@ -165,8 +186,7 @@ def _add_up(drag, state, x, h, fallen, lead):
             drag.along[i, k] = 0.0
             drag.across[i, k] = 0.0
     wait_on_device(state.team)
-    if alone_on_device(state.team):
-        _add_triangles(drag.coefficient, drag.particles, drag.x, drag.u, drag.along, drag.across)
+    sum_triangles(drag, state.team)
     wait_on_device(state.team)
 
 
@@ -222,38 +242,73 @@ def _trust(drag, per_mass, i, square):
     return min(1.0, max(0.0, 2.0 - 2.0 / RESOLVED * per_mass * grip * sqrt(square)))
 
 
+def sum_triangles(drag, team):
+    """Add the matrices of all triangles to those of their particles."""
+
+
+@inline(sum_triangles)
+def _sum_triangles(drag, team):
+    if is_on_device(team):
+        return lambda drag, team: _sum_by_particle(drag, drag.gathered, team)
+    return lambda drag, team: _sum_by_triangle(drag)
+
+
 @jit
-def _add_triangles(coefficient, particles, x, u, along, across):
+def _sum_by_triangle(drag):
+    particles = drag.particles
     p0, p1, p2 = particles[0], particles[1], particles[2]
-    normal, tangential = coefficient[0], coefficient[1]
-    for q in range(0, particles.shape[1], lanes(x)):
-        x0, y0, z0, _ = load_records(x, p0, q)
-        x1, y1, z1, _ = load_records(x, p1, q)
-        x2, y2, z2, _ = load_records(x, p2, q)
-        ax, ay, az = x1 - x0, y1 - y0, z1 - z0
-        bx, by, bz = x2 - x0, y2 - y0, z2 - z0
-        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        twice = root(fma(nx, nx, fma(ny, ny, nz * nz)))
-        there = twice > 0.0
-        per = 1.0 / select(there, twice, 1.0)
-        nx, ny, nz = nx * per, ny * per, nz * per
-        u0, v0, w0, _ = load_records(u, p0, q)
-        u1, v1, w1, _ = load_records(u, p1, q)
-        u2, v2, w2, _ = load_records(u, p2, q)
-        ux, uy, uz = (u0 + u1 + u2) / 3.0, (v0 + v1 + v2) / 3.0, (w0 + w1 + w2) / 3.0
-        un = fma(ux, nx, fma(uy, ny, uz * nz))
-        tx, ty, tz = ux - un * nx, uy - un * ny, uz - un * nz
-        ct = tangential * twice * root(fma(tx, tx, fma(ty, ty, tz * tz)))
-        cn = normal * twice * larger(un, -un) - ct
-        gx, gy, gz = cn * nx, cn * ny, cn * nz
-        xx, yy, zz = fma(gx, nx, ct), fma(gy, ny, ct), fma(gz, nz, ct)
-        yz, zx, xy = gy * nz, gz * nx, gx * ny
-        _add(along, p0, q, xx, yy, zz)
-        _add(along, p1, q, xx, yy, zz)
-        _add(along, p2, q, xx, yy, zz)
-        _add(across, p0, q, yz, zx, xy)
-        _add(across, p1, q, yz, zx, xy)
-        _add(across, p2, q, yz, zx, xy)
+    for q in range(0, particles.shape[1], lanes(drag.x)):
+        xx, yy, zz, yz, zx, xy = _matrix(drag.coefficient, particles, drag.x, drag.u, q)
+        _add(drag.along, p0, q, xx, yy, zz)
+        _add(drag.along, p1, q, xx, yy, zz)
+        _add(drag.along, p2, q, xx, yy, zz)
+        _add(drag.across, p0, q, yz, zx, xy)
+        _add(drag.across, p1, q, yz, zx, xy)
+        _add(drag.across, p2, q, yz, zx, xy)
+
+
+@jit
+def _sum_by_particle(drag, gathered, team):
+    """Do so on a GPU, in the same order for each particle."""
+    begin, end, step = turns(team, drag.particles.shape[1])
+    for q in range(begin, end, step):
+        matrix = _matrix(drag.coefficient, drag.particles, drag.x, drag.u, q)
+        for k in range(6):
+            gathered.matrix[q, k] = highest(matrix[k])
+    wait(team)
+    begin, end, step = turns(team, drag.slots[1] - drag.slots[0])
+    for each in range(begin, end, step):
+        i = drag.slots[0] + each
+        for n in range(gathered.first[i], gathered.first[i + 1]):
+            for k in range(3):
+                drag.along[i, k] += gathered.matrix[gathered.triangle[n], k]
+                drag.across[i, k] += gathered.matrix[gathered.triangle[n], 3 + k]
+
+
+@jit(inline=True)
+def _matrix(coefficient, particles, x, u, q):
+    """Return xx, yy, zz, yz, zx, xy of the matrices of triangles by lanes."""
+    p0, p1, p2 = particles[0], particles[1], particles[2]
+    x0, y0, z0, _ = load_records(x, p0, q)
+    x1, y1, z1, _ = load_records(x, p1, q)
+    x2, y2, z2, _ = load_records(x, p2, q)
+    ax, ay, az = x1 - x0, y1 - y0, z1 - z0
+    bx, by, bz = x2 - x0, y2 - y0, z2 - z0
+    nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    twice = root(fma(nx, nx, fma(ny, ny, nz * nz)))
+    there = twice > 0.0
+    per = 1.0 / select(there, twice, 1.0)
+    nx, ny, nz = nx * per, ny * per, nz * per
+    u0, v0, w0, _ = load_records(u, p0, q)
+    u1, v1, w1, _ = load_records(u, p1, q)
+    u2, v2, w2, _ = load_records(u, p2, q)
+    ux, uy, uz = (u0 + u1 + u2) / 3.0, (v0 + v1 + v2) / 3.0, (w0 + w1 + w2) / 3.0
+    un = fma(ux, nx, fma(uy, ny, uz * nz))
+    tx, ty, tz = ux - un * nx, uy - un * ny, uz - un * nz
+    ct = coefficient[1] * twice * root(fma(tx, tx, fma(ty, ty, tz * tz)))
+    cn = coefficient[0] * twice * larger(un, -un) - ct
+    gx, gy, gz = cn * nx, cn * ny, cn * nz
+    return (fma(gx, nx, ct), fma(gy, ny, ct), fma(gz, nz, ct), gy * nz, gz * nx, gx * ny)
 
 
 @jit(inline=True)
@@ -323,12 +378,14 @@ class BuiltDrag(Built):
         for cloth in world.cloths:
             share[cloth.slots] = shares(cloth.mesh)
             area[cloth.slots] = shares(cloth.mesh) * areas(cloth.mesh)
+        particles = padded(triangles, order, world.slots - 1, np.int32).T.copy()
         self.data = Drag(
             None if wind is None else wind.data.now,
             parameters.density * np.array([0.25 * parameters.normal, 0.5 * parameters.tangential]),
             np.array([triangles.min(initial=0), triangles.max(initial=-1) + 1]),
-            padded(triangles, order, world.slots - 1, np.int32).T.copy(), share, area,
+            particles, share, area,
             zeros((3, world.slots), dtype) if world.explicit else None,
+            gather_triangles(particles, world.slots, dtype) if world.on_device else None,
             *(new_records(world.slots, dtype) for _ in range(4)))
         self._wind = None if wind is None else wind.data
         self._parameters = parameters

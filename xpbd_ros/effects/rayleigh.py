@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import alone_on_device, turns_on_device
 from xpbd_ros.sim.constraints.damping import Past
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
@@ -38,15 +39,17 @@ class Rayleigh(NamedTuple):
     past: Past
 
 
-@stage(prepare, Rayleigh)
+@stage(prepare, Rayleigh, on_device=True)
 @jit
 def keep_past(rayleigh, state, substep):
     """Write x̄; for pinned particles that of their pin's velocity."""
     past, h = rayleigh.past, substep.h
     usual = usual_step(state.history, h)
-    past.per_step[0] = 1.0 / usual
+    if alone_on_device(state.team):
+        past.per_step[0] = 1.0 / usual
     write_starts(state, past.x, h)
-    for i in range(len(state.inv_mass)):
+    begin, end, step = turns_on_device(state.team, len(state.inv_mass))
+    for i in range(begin, end, step):
         for k in range(3):
             if state.inv_mass[i] == 0.0:
                 way = (state.x[k, i] - state.x_prev[k, i]) * (usual / h)

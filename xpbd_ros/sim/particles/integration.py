@@ -12,7 +12,7 @@ grasp, a release or a reset) takes a backward Euler step.
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, select, store
-from xpbd_ros.sim.backend.threads import turns, wait
+from xpbd_ros.sim.backend.threads import turns, turns_on_device, wait
 from xpbd_ros.sim.particles.accumulators import moves
 from xpbd_ros.sim.particles.history import (
     age,
@@ -183,8 +183,10 @@ def _update_velocity(state, history, q, h):
 @jit
 def write_starts(state, target, h):
     """Write x̄ of all particles to ``target`` [m], shape (3, slots)."""
-    for q in range(0, len(state.inv_mass), lanes(state.inv_mass)):
-        _write_start(state, state.history, target, q, h)
+    count = lanes(state.inv_mass)
+    first, last, step = turns_on_device(state.team, len(state.inv_mass) // count)
+    for n in range(first, last, step):
+        _write_start(state, state.history, target, n * count, h)
 
 
 @jit(inline=True)
