@@ -36,6 +36,9 @@ INTEGER_CODES = {
     'add.s32': lambda a, b: a + b,
     'sub.s32': lambda a, b: a - b,
     'mul.lo.s32': lambda a, b: a * b,
+    'mul.hi.s32': lambda a, b: (a.astype(np.int64) * b >> 32).astype(np.int32),
+    'mul.hi.u32': lambda a, b: (a.view(np.uint32).astype(np.uint64) * b.view(np.uint32)
+                                >> np.uint64(32)).astype(np.uint32).view(np.int32),
     'and.b32': lambda a, b: a & b,
     'or.b32': lambda a, b: a | b,
     'xor.b32': lambda a, b: a ^ b,
@@ -107,6 +110,15 @@ def test_instructions_of_whole_numbers(word):
                                       INTEGER_CODES[word](*inputs))
 
 
+def test_bits_of_a_whole_number():
+    code = """ld.global.b32 %r1, [%rd1];
+    bfe.u32 %r2, %r1, 5, 7;
+    st.global.b32 [%rd1], %r2;"""
+    found = np.array([0b1010_1100_1110_1010], np.int32)
+    run(code, found)
+    assert found[0] == 0b1100111
+
+
 def test_fma_rounds_once():
     a, b, c = (np.array([v]) for v in (1.0 + 2.0**-30, 1.0 - 2.0**-30, -1.0))
     assert compute('fma.rn.f64', '%rd', 64, a, b, c)[0] == -2.0**-60
@@ -127,6 +139,7 @@ ONE_WORD = 'st.global.b32 [%rd1], %r8;'
 OWN_WORD = """mul.wide.u32 %rd2, %r8, 4;
     add.s64 %rd3, %rd1, %rd2;
     st.global.b32 [%rd3], %r8;"""
+ADD = 'red.relaxed.sys.global.add.u32 [%rd1], %r8;'
 MEET = '{ // meet_all\nbar.sync 0;\n} // all met\n'
 NEIGHBOUR = """xor.b32 %r2, %r8, 1;
     mul.wide.u32 %rd4, %r2, 4;
@@ -147,6 +160,17 @@ def test_what_a_neighbour_wrote_is_read_behind_the_barrier(order):
     assert card.races == 0 and card.barriers == 1
     assert found.tolist() == [0, 1, 2, 3, 1, 0, 3, 2]
     assert run(OWN_WORD + NEIGHBOUR, np.zeros(8, np.int32), block=4, order=order).races > 0
+
+
+@pytest.mark.parametrize('order', ['in turn', 'random'])
+def test_additions_side_by_side_are_no_race_but_a_look_at_the_sum_is(order):
+    found = np.array([7, 0, 0, 0], np.int32)
+    assert run(ADD, found, block=4, order=order).races == 0
+    assert found[0] == 7 + 6
+    read = 'ld.global.b32 %r3, [%rd1];'
+    assert run(ADD + MEET + read, found, block=4, order=order).races == 0
+    assert run(ADD + read, found, block=4, order=order).races > 0
+    assert run(ADD + ONE_WORD, found, block=4, order=order).races > 0
 
 
 def test_accesses_outside_of_the_memory_are_counted():
