@@ -183,6 +183,10 @@ class Simulation:
         self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
                        self.frame_dt, substeps)
 
+    def by_parts(self, work: Callable[[int, int], None], count: int) -> None:
+        """Call work(begin, end) for parts of so many pieces, on the threads that there are."""
+        self._crew.by_parts(work, count)
+
     def fetch(self) -> None:
         """Bring all arrays to the host; those of ``solver.device: cuda`` are older there."""
         self._crew.fetch()
@@ -213,7 +217,7 @@ class Simulation:
             part = slice(begin, end)
             gather(state.x, state.v, state.inv_mass, self.slot[part], x[part], v[part],
                    inv_mass[part])
-        self._crew.by_parts(bring, particles)
+        self.by_parts(bring, particles)
         reported: dict[str, Any] = dict.fromkeys(('pins', 'colliders'), MappingProxyType({}))
         for built in self.effects.values():
             reported.update(built.reported(self.frame_dt))

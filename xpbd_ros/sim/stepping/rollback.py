@@ -15,13 +15,19 @@ DRIVE = 1.0
 
 
 @jit
-def is_plausible(state, before, reach):
-    """Tell whether no particle went further than a reach along an axis, and v is finite."""
-    x, v, slots = state.x, state.v, len(state.inv_mass)
-    bad = splat(x, 0.0)
-    for q in range(0, 3 * slots, lanes(x)):
-        good = both(absolute(load(x, q) - load(before, q)) <= reach, absolute(load(v, q)) < inf)
-        bad = select(good, bad, splat(x, 1.0))    # not a number is neither
+def is_plausible(x, v, before, reach, begin, end):
+    """
+    Tell whether no particle went further than a reach along an axis, and v is finite.
+
+    For the vectors of the slots begin, …, end - 1; their ends are rounded down.
+    """
+    slots, count, bad = x.shape[1], lanes(x), splat(x, 0.0)
+    for k in range(3):
+        for q in range(begin // count * count, end // count * count, count):
+            i = k * slots + q
+            good = both(absolute(load(x, i) - load(before, i)) <= reach,
+                        absolute(load(v, i)) < inf)
+            bad = select(good, bad, splat(x, 1.0))    # not a number is neither
     return not any_lane(bad > 0.0)
 
 
@@ -57,7 +63,11 @@ class FrameRollback:
 
     def keep(self) -> None:
         """Remember where the particles are."""
-        self._x[:] = self._simulation.state.x
+        x = self._simulation.state.x
+
+        def copy(begin: int, end: int) -> None:
+            self._x[:, begin:end] = x[:, begin:end]
+        self._simulation.by_parts(copy, x.shape[1])
 
     def look(self) -> None:
         """Judge the frame, and take it back if it cannot be."""
@@ -65,8 +75,16 @@ class FrameRollback:
         dt = simulation.frame_dt
         gx, gy, gz = state.gravity.tolist()
         drive = dt * (DRIVE + dt * sqrt(gx * gx + gy * gy + gz * gz))
-        if is_plausible(state, self._x, REACH * (self._size + drive)):
+        if self._is_plausible(REACH * (self._size + drive)):
             return
         simulation.fetch()
         put_back(simulation, self._x, 0.0)
         self.taken_back += 1
+
+    def _is_plausible(self, reach: float) -> bool:
+        state, found = self._simulation.state, []
+
+        def judge(begin: int, end: int) -> None:
+            found.append(is_plausible(state.x, state.v, self._x, reach, begin, end))
+        self._simulation.by_parts(judge, state.x.shape[1])
+        return all(found)

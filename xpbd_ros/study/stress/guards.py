@@ -98,7 +98,7 @@ GUARDS = (
           'sim/stepping/methods.py', 'Line: (forth, back, close)', 'Line: (forth, close)'),
     Guard('H32', 'jacobi backward_euler 8x1 relaxation too large',
           'implausible frames are rolled back', 'sim/stepping/rollback.py',
-          'if is_plausible(state, self._x, REACH * (self._size + drive)):', 'if True:'),
+          'if self._is_plausible(REACH * (self._size + drive)):', 'if True:'),
     Guard('H33', 'line bdf2 8x1 a sway that dies away', 'denormal numbers are flushed to 0',
           'sim/backend/denormals.py', 'FLUSH = 0x8040', 'FLUSH = 0'),
 )
