@@ -19,11 +19,12 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
-from xpbd_ros.sim.backend.simd_wide import gather, load_columns, load_wide, store_wide, WIDTH
+from xpbd_ros.sim.backend.simd_wide import load_columns, load_wide, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
+from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
-from xpbd_ros.sim.contact.multistep_impulses import spread_impulses
-from xpbd_ros.sim.contact.particle_lanes import is_run, positions
+from xpbd_ros.sim.contact.multistep_impulses import mark, mark_pack, spread_impulses
+from xpbd_ros.sim.contact.particle_lanes import numbers, positions
 from xpbd_ros.sim.contact.pieces import CHUNK, LANES, piece, pieces
 from xpbd_ros.sim.contact.wrenches import add_reaction, first_chunk, sum_up
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
@@ -62,6 +63,8 @@ def add_collider(contacts, c, state, substep):
                     and add_pack(contacts, c, k, state, substep.h)):
                 for j in range(k, min(k + WIDTH, end)):
                     add_candidate(contacts, j, state, substep.h)
+                    mark(state.history, contacts, c, j, state)
+    wait_for_others(contacts, team)    # the first collider marks a particle
 
 
 @jit(inline=True)
@@ -83,6 +86,7 @@ def add_pack(contacts, c, k, state, h):
     fx, fy, fz = per * (push * nx + sx), per * (push * ny + sy), per * (push * nz + sz)
     x, y, z = positions(state.x, index, k)
     rx, ry, rz = x - p[0], y - p[1], z - p[2]
+    mark_pack(state.history, contacts, c, k, state, active)
     n = k - contacts.first[c]
     begin = (first_chunk(contacts, c) + n // CHUNK) * 6 * LANES + n % LANES
     add_lanes(partial, begin, fx)
@@ -98,14 +102,6 @@ def add_pack(contacts, c, k, state, h):
 def add_lanes(partial, i, f):
     """Add a vector to the sums from a flat index on."""
     store_wide(partial, i, load_wide(partial, i) + f)
-
-
-@jit(inline=True)
-def numbers(values, index, k):
-    """Return the vector of the values, shape (slots,), of the particles index[k], …"""
-    if is_run(index, k):
-        return load_wide(values, index[k])
-    return gather(values, 0, index, k)
 
 
 @jit(inline=True)

@@ -25,7 +25,8 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline, jit
-from xpbd_ros.sim.backend.simd_wide import WIDTH
+from xpbd_ros.sim.backend.simd import any_lane, both, either, select
+from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import (
     alone_on_device,
     count_up,
@@ -35,23 +36,25 @@ from xpbd_ros.sim.backend.threads import (
     wait,
     wait_on_device,
 )
-from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.particle_lanes import block, numbers
+from xpbd_ros.sim.contact.pieces import LANES
 from xpbd_ros.sim.particles.history import FULL, later, NONE, TOUCHED, weights_before, weights_of
 
 FREE, NEW = -1, -2
 """owner of a particle that is not marked; of one that collider c has just marked: NEW - c"""
-PART, CHAINS = 16, 64
-"""slots whose sums are added up one after another; sums of such parts, likewise"""
-OWN, CHANGE, NOW, ENDED, ENDED_BEFORE, COLUMNS = 0, 6, 12, 18, 24, 30
+PART, CHAINS = 64, 64
+"""slots of a part, whose sums are in LANES; parts whose sums are added up side by side"""
+OWN, CHANGE, NOW, ENDED, ENDED_BEFORE, USUAL, COLUMNS = 0, 6, 12, 18, 24, 30, 36
 """columns of a part's sums, six each: Σ h f; Σ m (v - v_n - g h) less the collider's impulse;
-Σ J_n; what particles whose mark ends (+) or begins (-) have of J_n and J_{n-1}"""
+Σ J_n; what particles whose mark ends (+) or begins (-) have of J_n and J_{n-1}; what is in both of
+the first, of particles in contact"""
 
 
 class Multistep(NamedTuple):
     """Marked particles, and the impulses that still act; 6 columns: linear, angular."""
 
     owner: np.ndarray
-    """collider whose contact marked each slot, FREE, or NEW - c; shape (slots,)"""
+    """collider whose contact marked each slot, FREE, or NEW - c; float64, shape (slots,)"""
     marked: np.ndarray
     """number of particles marked by each collider, shape (capacity,)"""
     unmarked: np.ndarray
@@ -65,9 +68,9 @@ class Multistep(NamedTuple):
     fresh: np.ndarray
     """``History.fresh`` of particles that have touched nothing, shape (1,)"""
     parts: np.ndarray
-    """sums of a part, of every one on a GPU, shape (…, COLUMNS)"""
+    """sums of a part, of every one on a GPU, shape (…, COLUMNS, LANES)"""
     chains: np.ndarray
-    """sums of every CHAINS-th part, shape (CHAINS, COLUMNS)"""
+    """sums of every CHAINS-th part, shape (CHAINS, USUAL)"""
 
 
 def new_multistep(capacity: int, slots: int, *, on_device: bool = False) -> Multistep:
@@ -75,10 +78,10 @@ def new_multistep(capacity: int, slots: int, *, on_device: bool = False) -> Mult
     def sums():
         return np.zeros((capacity, 6))
 
-    return Multistep(np.full(slots, FREE), np.zeros(capacity, np.int64),
+    return Multistep(np.full(slots, float(FREE)), np.zeros(capacity, np.int64),
                      np.zeros(capacity, np.int64), sums(), sums(), sums(), np.full(1, NONE),
-                     np.zeros((-(-slots // PART) if on_device else 1, COLUMNS)),
-                     np.zeros((CHAINS, COLUMNS)))
+                     np.zeros((-(-slots // PART) if on_device else 1, COLUMNS, LANES)),
+                     np.zeros((CHAINS, USUAL)))
 
 
 def forget_multistep(multistep: Multistep) -> None:
@@ -98,7 +101,6 @@ def begin_multistep(multistep: Multistep) -> None:
 def spread_impulses(history, contacts, state, h):
     """Add -R to each collider's sum, which has the impulses of the substep."""
     spread, colliders, team = contacts.wrenches.multistep, contacts.colliders.count[0], state.team
-    mark_all(history, contacts, team)
     for c in range(colliders):
         active = spread.marked[c] > 0
         if active:
@@ -135,28 +137,28 @@ def finish_sums(history, contacts, c, k, active):
     spread.older[c, k] = last - ended_before
 
 
+@jit(inline=True)
+def mark_pack(history, contacts, c, k, state, active):
+    """Mark the particles of the contacts k, k + 1, … in the lanes of the mask."""
+    if history is None:
+        return
+    else:    # Numba prunes the branch that is not taken
+        owner = numbers(contacts.wrenches.multistep.owner, contacts.particle, k)
+        if any_lane(both(active, is_equal(owner, FREE))):
+            for j in range(k, k + WIDTH):
+                mark(history, contacts, c, j, state)
+
+
 @jit
-def mark_all(history, contacts, team):
-    """Mark the particles of all contacts that are not marked."""
-    spread = contacts.wrenches.multistep
-    for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
-        begin, last = contacts.first[c], contacts.first[c + 1]
-        own, count, turn = pieces(team, begin, last)
-        found = 0
-        for n in range(own, count, turn):
-            first, end, step = piece(team, n, begin, last)
-            for v in range(first, end, step):
-                for k in range(v, min(v + WIDTH, end)):
-                    i = contacts.particle[k]
-                    if (spread.owner[i] == FREE and history.fresh[i] >= TOUCHED
-                            and touches(contacts, k)):
-                        spread.owner[i] = NEW - c
-                        found += 1
-        if found:
-            count_up(team, spread.marked, c, found)
-        if contacts.count[3]:
-            wait_on_device(team)
-    wait_on_device(team)
+def mark(history, contacts, c, k, state):
+    """Mark the particle of candidate k of collider c if it is a contact and is not marked."""
+    if history is None:
+        return
+    else:    # Numba prunes the branch that is not taken
+        i, spread = contacts.particle[k], contacts.wrenches.multistep
+        if spread.owner[i] == FREE and history.fresh[i] >= TOUCHED and touches(contacts, k):
+            spread.owner[i] = NEW - c
+            count_up(state.team, spread.marked, c, 1)
 
 
 @jit(inline=True)
@@ -183,67 +185,137 @@ def sum_alone(history, contacts, c, state, h):
     """Do so on one thread of a CPU."""
     spread = contacts.wrenches.multistep
     spread.chains[:] = 0.0
-    for part in range((len(spread.owner) + PART - 1) // PART):
-        if sum_part(history, contacts, c, part, 0, state, h):
+    sums, count = spread.parts[0], len(spread.owner)
+    for part in range((count + PART - 1) // PART):
+        found, rare, end = False, False, min((part + 1) * PART, count)
+        for q in range(part * PART, end, WIDTH):
+            owner = load_wide(spread.owner, q)
+            mine, new = is_equal(owner, c), is_equal(owner, NEW - c)
+            if any_lane(either(mine, new)):
+                if not found:
+                    sums[USUAL:] = 0.0
+                found = True
+                if any_lane(new) or not add_usual(history, contacts, sums, c, mine, q, state, h):
+                    if not rare:
+                        sums[:USUAL] = 0.0
+                    rare = True
+                    for i in range(q, q + WIDTH):
+                        add_particle(history, contacts, sums, c, i, state, h)
+        if found:
             chain = spread.chains[part % CHAINS]
-            for k in range(COLUMNS):
-                chain[k] += spread.parts[0, k]
+            for k in range(USUAL if rare else NOW):
+                chain[k] += sum_of(sums, k, rare)
+
+
+@jit(inline=True)
+def is_equal(a, number):
+    """Return the mask of the lanes that are a number."""
+    return both(a >= float(number), a <= float(number))
+
+
+@jit(inline=True)
+def sum_of(sums, k, rare):
+    """Return column k of a part: the sum of its lanes, and for the first of what is usual."""
+    found = over_lanes(sums[k]) if rare else 0.0
+    return found + over_lanes(sums[USUAL + k % 6]) if k < NOW else found
+
+
+@jit(inline=True)
+def over_lanes(q):
+    """Return the sum of LANES numbers."""
+    return ((q[0] + q[4]) + (q[2] + q[6])) + ((q[1] + q[5]) + (q[3] + q[7]))
 
 
 @jit
 def sum_by_all(history, contacts, c, state, h):
-    """Do so on a GPU: a part is one thread's, and a column of a chain."""
+    """Do so on a GPU: a lane of a part is one thread's, and then a column of a chain."""
     spread, team = contacts.wrenches.multistep, state.team
-    begin, end, step = turns(team, len(spread.parts))
-    for part in range(begin, end, step):
-        sum_part(history, contacts, c, part, part, state, h)
-    wait(team)
-    begin, end, step = turns(team, CHAINS * COLUMNS)
+    begin, end, step = turns(team, LANES * len(spread.parts))
     for n in range(begin, end, step):
-        chain, k, found = n // COLUMNS, n % COLUMNS, 0.0
+        part, lane = n // LANES, n % LANES
+        for k in range(COLUMNS):
+            spread.parts[part, k, lane] = 0.0
+        for i in range(part * PART + lane, min((part + 1) * PART, len(spread.owner)), LANES):
+            add_particle(history, contacts, spread.parts[part], c, i, state, h)
+    wait(team)
+    begin, end, step = turns(team, CHAINS * USUAL)
+    for n in range(begin, end, step):
+        chain, k, found = n // USUAL, n % USUAL, 0.0
         for part in range(chain, len(spread.parts), CHAINS):
-            found += spread.parts[part, k]
+            found += sum_of(spread.parts[part], k, True)
         spread.chains[chain, k] = found
     wait(team)
 
 
 @jit(inline=True)
-def sum_part(history, contacts, c, part, row, state, h):
-    """Write the sums of a part to a row of ``parts``; return whether there is any particle."""
-    spread, p = contacts.wrenches.multistep, contacts.after[c]
-    sums, x, before, v = spread.parts[row], state.x, state.x_prev, history.v
-    per, (gx, gy, gz) = 1.0 / h, (h * state.gravity[0], h * state.gravity[1], h * state.gravity[2])
-    found, fx, fy, fz, tx, ty, tz = 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(COLUMNS):
-        sums[k] = 0.0
-    for i in range(part * PART, min((part + 1) * PART, len(spread.owner))):
-        owner = spread.owner[i]
-        if owner != c and owner != NEW - c:
-            continue
-        found = 1
-        spread.owner[i] = c
-        if history.fresh[i] >= TOUCHED + NONE and state.inv_mass[i] > 0.0:
-            # in contact, and without a history before: most particles, summed up in registers
-            m, a, b, d = state.mass[i], x[0, i], x[1, i], x[2, i]
-            px = m * ((a - before[0, i]) * per - v[0, i] - gx)
-            py = m * ((b - before[1, i]) * per - v[1, i] - gy)
-            pz = m * ((d - before[2, i]) * per - v[2, i] - gz)
-            rx, ry, rz = a - p[0], b - p[1], d - p[2]
-            fx, fy, fz = fx + px, fy + py, fz + pz
-            tx += ry * pz - rz * py
-            ty += rz * px - rx * pz
-            tz += rx * py - ry * px
-        elif not _add(history, contacts, sums, c, state, i, owner != c, h):
-            spread.owner[i] = FREE
-            count_up(state.team, spread.unmarked, c, 1)
-    for k, part_sum in enumerate((fx, fy, fz, tx, ty, tz)):
-        sums[OWN + k] += part_sum
-        sums[CHANGE + k] += part_sum
-    return found
+def add_usual(history, contacts, sums, c, mine, q, state, h):
+    """
+    Add m (v - v_n - g h) of the particles q, q + 1, … in the lanes of the mask to what is usual.
+
+    Return False if one of them is not in contact, or had a history before.
+    """
+    fresh, pinned = load_wide(history.fresh, q), load_wide(state.inv_mass, q) <= 0.0
+    if any_lane(both(mine, either(fresh < TOUCHED + NONE, pinned))):
+        return False
+    slots, g, p, per = len(state.inv_mass), state.gravity, contacts.after, 1.0 / h
+    m = load_wide(state.mass, q)
+    x, y, z = block(state.x, slots, q)
+    x0, y0, z0 = block(state.x_prev, slots, q)
+    vx, vy, vz = block(history.v, slots, q)
+    px = select(mine, m * ((x - x0) * per - vx - h * g[0]), 0.0)
+    py = select(mine, m * ((y - y0) * per - vy - h * g[1]), 0.0)
+    pz = select(mine, m * ((z - z0) * per - vz - h * g[2]), 0.0)
+    rx, ry, rz = x - p[c, 0], y - p[c, 1], z - p[c, 2]
+    lane = q % LANES
+    add_lanes(sums, USUAL, lane, px)
+    add_lanes(sums, USUAL + 1, lane, py)
+    add_lanes(sums, USUAL + 2, lane, pz)
+    add_lanes(sums, USUAL + 3, lane, ry * pz - rz * py)
+    add_lanes(sums, USUAL + 4, lane, rz * px - rx * pz)
+    add_lanes(sums, USUAL + 5, lane, rx * py - ry * px)
+    return True
+
+
+@jit(inline=True)
+def add_lanes(sums, column, lane, part):
+    """Add a vector to the sums of a column from ``lane`` on."""
+    i = column * LANES + lane
+    store_wide(sums, i, load_wide(sums, i) + part)
+
+
+@jit(inline=True)
+def gained(history, state, k, i, h):
+    """Return m (v - v_n - g h) of a particle along axis k, in float64 as by lanes."""
+    v = (np.float64(state.x[k, i]) - state.x_prev[k, i]) * (1.0 / h)
+    return state.mass[i] * (v - history.v[k, i] - h * state.gravity[k])
 
 
 @jit
-def _add(history, contacts, sums, c, state, i, new, h):
+def add_particle(history, contacts, sums, c, i, state, h):
+    """Add what particle i has, if it is marked by collider c; its mark may end."""
+    spread, lane = contacts.wrenches.multistep, i % LANES
+    owner = spread.owner[i]
+    if owner != c and owner != NEW - c:
+        return
+    spread.owner[i] = c
+    if history.fresh[i] >= TOUCHED + NONE and state.inv_mass[i] > 0.0:
+        p = contacts.after
+        px, py, pz = (gained(history, state, 0, i, h), gained(history, state, 1, i, h),
+                      gained(history, state, 2, i, h))
+        rx, ry, rz = state.x[0, i] - p[c, 0], state.x[1, i] - p[c, 1], state.x[2, i] - p[c, 2]
+        sums[USUAL, lane] += px
+        sums[USUAL + 1, lane] += py
+        sums[USUAL + 2, lane] += pz
+        sums[USUAL + 3, lane] += ry * pz - rz * py
+        sums[USUAL + 4, lane] += rz * px - rx * pz
+        sums[USUAL + 5, lane] += rx * py - ry * px
+    elif not _add(history, contacts, sums, lane, c, state, i, owner != c, h):
+        spread.owner[i] = FREE
+        count_up(state.team, spread.unmarked, c, 1)
+
+
+@jit
+def _add(history, contacts, sums, lane, c, state, i, new, h):
     """Add the part of a marked particle whose contact begins or has ended; tell if it stays so."""
     if state.inv_mass[i] == 0.0:
         return False    # it is pinned now
@@ -258,28 +330,28 @@ def _add(history, contacts, sums, c, state, i, new, h):
         if fresh >= TOUCHED:    # the collider's impulse
             own = m * ((state.x[k, i] - start) / h - free)
         part = m * (free - history.v[k, i] - fall)
-        _put(sums, CHANGE, p, k, i, state, part + own)
-        _put(sums, OWN, p, k, i, state, own)
+        _put(sums, CHANGE, lane, p, k, i, state, part + own)
+        _put(sums, OWN, lane, p, k, i, state, own)
         if new:
-            _put(sums, NOW, p, k, i, state, part)
-            _put(sums, ENDED_BEFORE, p, k, i, state,
+            _put(sums, NOW, lane, p, k, i, state, part)
+            _put(sums, ENDED_BEFORE, lane, p, k, i, state,
                  -_before(history.older_v, history, m, i, k, fall))
         else:
-            _put(sums, OWN, p, k, i, state, m * (free - state.v[k, i]) / ratio)
+            _put(sums, OWN, lane, p, k, i, state, m * (free - state.v[k, i]) / ratio)
         if fresh == FULL:
-            _put(sums, ENDED, p, k, i, state, part)
-            _put(sums, ENDED_BEFORE, p, k, i, state,
+            _put(sums, ENDED, lane, p, k, i, state, part)
+            _put(sums, ENDED_BEFORE, lane, p, k, i, state,
                  _before(history.older_v, history, m, i, k, fall))
     return fresh != FULL
 
 
 @jit(inline=True)
-def _put(sums, column, p, k, i, state, part):
+def _put(sums, column, lane, p, k, i, state, part):
     """Add an impulse along axis k at particle i, and its moment about the position p."""
     u, v = (k + 1) % 3, (k + 2) % 3
-    sums[column + k] += part
-    sums[column + 3 + u] += (state.x[v, i] - p[v]) * part
-    sums[column + 3 + v] -= (state.x[u, i] - p[u]) * part
+    sums[column + k, lane] += part
+    sums[column + 3 + u, lane] += (state.x[v, i] - p[v]) * part
+    sums[column + 3 + v, lane] -= (state.x[u, i] - p[u]) * part
 
 
 @jit(inline=True)

@@ -11,6 +11,20 @@ def is_run(index, k):
 
 
 @jit(inline=True)
+def block(x, slots, q):
+    """Return the vectors of x, y and z, shape (3, slots), from slot q on."""
+    return load_wide(x, q), load_wide(x, slots + q), load_wide(x, 2 * slots + q)
+
+
+@jit(inline=True)
+def numbers(values, index, k):
+    """Return the vector of the values, shape (slots,), of the particles index[k], …"""
+    if is_run(index, k):
+        return load_wide(values, index[k])
+    return gather(values, 0, index, k)
+
+
+@jit(inline=True)
 def positions(x, index, k):
     """Return vectors of the positions x, shape (3, slots), of the particles index[k], …"""
     slots, i = x.shape[1], index[k]

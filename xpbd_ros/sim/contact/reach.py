@@ -6,6 +6,7 @@ from xpbd_ros.sim.backend.simd_wide import load_wide
 from xpbd_ros.sim.contact.colliders import BOX, vectors_to_local
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.contact.near_blocks import bounding_distance
+from xpbd_ros.sim.contact.particle_lanes import block
 from xpbd_ros.sim.contact.signed_distance_simd import depths
 
 
@@ -22,13 +23,13 @@ def in_reach(contacts, state, c, q, most):
     """
     thickness, slots, p = contacts.thickness[0], len(state.inv_mass), contacts.after
     colliders = contacts.colliders
-    x, y, z = rows_of(state.x, slots, q)
+    x, y, z = block(state.x, slots, q)
     lx, ly, lz = vectors_to_local(p, c, x, y, z)
     phi = depths(colliders, contacts.scratch, c, lx, ly, lz)
     free, sampled = load_wide(state.inv_mass, q) > 0.0, colliders.shape[c] > BOX
     close = both(free, phi <= most)
     if any_lane(close) and (sampled or any_lane(both(close, phi > thickness))):
-        x0, y0, z0 = rows_of(state.x_prev, slots, q)
+        x0, y0, z0 = block(state.x_prev, slots, q)
         dx, dy, dz = x - x0, y - y0, z - z0
         reach = root(dx * dx + dy * dy + dz * dz) + contacts.stir[0] + contacts.moved[c]
         if contacts.turned[c] > 0.0:
@@ -42,15 +43,9 @@ def in_reach(contacts, state, c, q, most):
 
 
 @jit(inline=True)
-def rows_of(x, slots, q):
-    """Return the vectors of x, y and z of block q."""
-    return load_wide(x, q), load_wide(x, slots + q), load_wide(x, 2 * slots + q)
-
-
-@jit(inline=True)
 def distances_to_keep(contacts, state, c, q, h):
     """Return vectors: φ at the substep's start, φ up to which it may separate, gap, overlap."""
-    x, y, z = rows_of(state.x_prev, len(state.inv_mass), q)
+    x, y, z = block(state.x_prev, len(state.inv_mass), q)
     x, y, z = vectors_to_local(contacts.before, c, x, y, z)
     start = depths(contacts.colliders, contacts.scratch, c, x, y, z)
     limit = start + DEPENETRATION * h
