@@ -37,7 +37,7 @@ from xpbd_ros.sim.backend.threads import (
     wait_on_device,
 )
 from xpbd_ros.sim.contact.particle_lanes import block, numbers
-from xpbd_ros.sim.contact.pieces import LANES
+from xpbd_ros.sim.contact.pieces import LANES, over_lanes
 from xpbd_ros.sim.particles.history import FULL, later, NONE, TOUCHED, weights_before, weights_of
 
 FREE, NEW = -1, -2
@@ -218,12 +218,6 @@ def sum_of(sums, k, rare):
     """Return column k of a part: the sum of its lanes, and for the first of what is usual."""
     found = over_lanes(sums[k]) if rare else 0.0
     return found + over_lanes(sums[USUAL + k % 6]) if k < NOW else found
-
-
-@jit(inline=True)
-def over_lanes(q):
-    """Return the sum of LANES numbers."""
-    return ((q[0] + q[4]) + (q[2] + q[6])) + ((q[1] + q[5]) + (q[3] + q[7]))
 
 
 @jit

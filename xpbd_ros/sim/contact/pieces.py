@@ -6,7 +6,7 @@ every LANES-th one of a chunk: those that add to one partial sum of their impuls
 (``contact.wrenches``), where no other thread writes.
 """
 
-from xpbd_ros.sim.backend.jit import inline
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
 from xpbd_ros.sim.backend.threads import is_on_device, turns
 
@@ -37,3 +37,9 @@ def _piece(team, n, begin, end):
         first = begin + n // LANES * CHUNK
         return first + n % LANES, min(end, first + CHUNK), LANES
     return strided
+
+
+@jit(inline=True)
+def over_lanes(q):
+    """Return the sum of LANES numbers."""
+    return ((q[0] + q[4]) + (q[2] + q[6])) + ((q[1] + q[5]) + (q[3] + q[7]))

@@ -16,7 +16,7 @@ from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
-from xpbd_ros.sim.contact.pieces import CHUNK, LANES
+from xpbd_ros.sim.contact.pieces import CHUNK, LANES, over_lanes
 from xpbd_ros.sim.geometry.quaternion import turns
 from xpbd_ros.sim.particles.explicit_updates import half_of, stay
 
@@ -87,7 +87,7 @@ def sum_up(contacts, team):
     begin, end, step = turns_on_device(team, 6 * first_chunk(contacts, count))
     for n in range(begin, end, step):
         q = partial[n // 6, n % 6]
-        q[0] = ((q[0] + q[4]) + (q[2] + q[6])) + ((q[1] + q[5]) + (q[3] + q[7]))
+        q[0] = over_lanes(q)
         for lane in range(1, LANES):
             q[lane] = 0.0
     wait_on_device(team)
