@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from support.meshes import box_surface
 from xpbd_ros.effects.friction import Friction, resist, resist_candidate
+from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.contact import near_blocks
@@ -38,6 +39,7 @@ from xpbd_ros.sim.contact.contacts import (
 )
 from xpbd_ros.sim.contact.corners import is_penetrating, leave_corners
 from xpbd_ros.sim.contact.distance_field import distance_field
+from xpbd_ros.sim.contact.pieces import candidate, CHUNK, LANES, rounds
 from xpbd_ros.sim.contact.signed_distance import shape_distance, signed_distance
 from xpbd_ros.sim.contact.signed_distance_simd import shape_depths, shape_distances
 from xpbd_ros.sim.particles.history import History
@@ -313,3 +315,23 @@ def test_pushes_and_friction_have_the_bits_of_one_at_a_time(speed, pace, dtype):
         inside += count_singly(other, worlds[1].state)
     assert touched > 200
     assert crossed > 0 or speed < 1.0
+
+
+@jit(cache_name=None)
+def take(team, begin, end, taken):
+    for n in range(rounds(team, begin, end)):
+        k = candidate(team, n, begin)
+        if k < end:
+            taken[k] += team.worker + 1
+
+
+@pytest.mark.parametrize('workers', [1, 3, 16, 1000])
+@pytest.mark.parametrize('count', [0, 1, 63, 64, 65, 1000])
+def test_one_thread_of_a_gpu_has_all_candidates_of_a_partial_sum(count, workers):
+    begin, taken = 7, np.zeros(7 + count, np.int64)
+    for worker in range(workers):
+        take(DeviceTeam(worker, workers, np.zeros(1, np.int64)), begin, begin + count, taken)
+    n = np.arange(count)
+    owner = (n // CHUNK * LANES + n % LANES) % workers
+    np.testing.assert_array_equal(taken[begin:], owner + 1)
+    assert (taken[:begin] == 0).all()

@@ -76,9 +76,9 @@ class Gathered(NamedTuple):
     """The triangles of each particle, on a GPU."""
 
     first: np.ndarray
-    """where each particle's triangles begin in ``triangle``, shape (slots + 1,)"""
+    """row offsets into ``triangle`` (CSR), shape (slots + 1,)"""
     triangle: np.ndarray
-    """indices, ascending for each particle"""
+    """indices of the triangles of each particle, ascending in each row"""
     matrix: np.ndarray
     """xx, yy, zz, yz, zx, xy of each triangle's D [kg/s], shape (triangles, 6)"""
 

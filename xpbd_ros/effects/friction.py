@@ -47,7 +47,7 @@ from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, wait_f
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.contact.particle_lanes import place, positions
-from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import check_static, quantity
 from xpbd_ros.sim.stepping.stages import project_inequalities, stage
@@ -269,14 +269,12 @@ def resist(friction, state, substep):
     resist_clamped(contacts.pads, friction, state, substep)
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
         begin, last = contacts.first[c], contacts.first[c + 1]
-        own, count, turn = pieces(team, begin, last)
-        for n in range(own, count, turn):
-            first, end, step = piece(team, n, begin, last)
-            for k in range(first, end, step):
-                if not (WIDTH > 1 and k + WIDTH <= end
-                        and resist_pack(friction, c, k, state, substep)):
-                    for j in range(k, min(k + WIDTH, end)):
-                        resist_candidate(friction, j, state, substep)
+        for n in range(rounds(team, begin, last)):
+            k = candidate(team, n, begin)
+            if not (WIDTH > 1 and k + WIDTH <= last
+                    and resist_pack(friction, c, k, state, substep)):
+                for j in range(k, min(k + WIDTH, last)):
+                    resist_candidate(friction, j, state, substep)
         wait_for_others(contacts, team)
     fast = contacts.count[2] != 0    # friction too moves them far
     wait_on_device(team)

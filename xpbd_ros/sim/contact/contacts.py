@@ -39,7 +39,7 @@ from xpbd_ros.sim.contact.corners import contact_distance, is_penetrating, leave
 from xpbd_ros.sim.contact.near_blocks import NearBlocks, new_near_blocks
 from xpbd_ros.sim.contact.pads import Pads, press_pads
 from xpbd_ros.sim.contact.particle_lanes import is_run, place, positions
-from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.contact.signed_distance_simd import depths, signed_distances
 from xpbd_ros.sim.contact.wrenches import new_wrenches, react_to_turn, react_to_turns, Wrenches
 from xpbd_ros.sim.particles.history import invalidate_history, touched
@@ -232,14 +232,12 @@ def push_from(contacts, c, state, back, eased):
     """Project the candidates of collider c; return True if one of those that crossed is pushed."""
     held_back, team, begin, last = False, state.team, contacts.first[c], contacts.first[c + 1]
     by_lanes = WIDTH > 1 and not has_pad(contacts.colliders.stiffness, c)
-    own, count, turn = pieces(team, begin, last)
-    for n in range(own, count, turn):
-        first, end, step = piece(team, n, begin, last)
-        for k in range(first, end, step):
-            if not (by_lanes and k + WIDTH <= end
-                    and push_pack(contacts, c, k, state, back, eased)):
-                for j in range(k, min(k + WIDTH, end)):
-                    held_back |= push_candidate(contacts, j, state, back, eased)
+    for n in range(rounds(team, begin, last)):
+        k = candidate(team, n, begin)
+        if not (by_lanes and k + WIDTH <= last
+                and push_pack(contacts, c, k, state, back, eased)):
+            for j in range(k, min(k + WIDTH, last)):
+                held_back |= push_candidate(contacts, j, state, back, eased)
     return held_back
 
 
@@ -346,13 +344,11 @@ def count_penetrating(contacts, state):
     count, team = 0, state.team
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
         begin, last = contacts.first[c], contacts.first[c + 1]
-        own, end, turn = pieces(team, begin, last)
-        for n in range(own, end, turn):
-            first, stop, step = piece(team, n, begin, last)
-            for k in range(first, stop, step):
-                if not (WIDTH > 1 and k + WIDTH <= stop and is_clear(contacts, c, k, state)):
-                    for j in range(k, min(k + WIDTH, stop)):
-                        count += is_penetrating(contacts, j, state)
+        for n in range(rounds(team, begin, last)):
+            k = candidate(team, n, begin)
+            if not (WIDTH > 1 and k + WIDTH <= last and is_clear(contacts, c, k, state)):
+                for j in range(k, min(k + WIDTH, last)):
+                    count += is_penetrating(contacts, j, state)
     return count
 
 

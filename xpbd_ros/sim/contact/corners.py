@@ -25,7 +25,7 @@ from xpbd_ros.sim.backend.threads import (
     wait_on_device,
 )
 from xpbd_ros.sim.contact.colliders import is_soft, to_local
-from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
@@ -116,16 +116,14 @@ def add_extra(contacts, state):
     if contacts.count[5]:
         for c in range(contacts.colliders.count[0]):
             begin, last = contacts.first[c], contacts.first[c + 1]
-            own, end, turn = pieces(team, begin, last)
-            for n in range(own, end, turn):
-                first, stop, step = piece(team, n, begin, last)
-                for v in range(first, stop, step):
-                    for k in range(v, min(v + WIDTH, stop)):
-                        x, y, z = contacts.extra[k, 0], contacts.extra[k, 1], contacts.extra[k, 2]
-                        if x != 0.0 or y != 0.0 or z != 0.0:
-                            add_reaction(contacts, k, state, contacts.particle[k], x, y, z)
-                            for a in range(3):
-                                contacts.extra[k, a] = 0.0
+            for n in range(rounds(team, begin, last)):
+                first = candidate(team, n, begin)
+                for k in range(first, min(first + WIDTH, last)):
+                    x, y, z = contacts.extra[k, 0], contacts.extra[k, 1], contacts.extra[k, 2]
+                    if x != 0.0 or y != 0.0 or z != 0.0:
+                        add_reaction(contacts, k, state, contacts.particle[k], x, y, z)
+                        for a in range(3):
+                            contacts.extra[k, a] = 0.0
         wait_on_device(team)    # until all have read the count
         if alone_on_device(team):
             contacts.count[5] = 0

@@ -25,7 +25,7 @@ from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
 from xpbd_ros.sim.contact.multistep_impulses import mark, mark_pack, spread_impulses
 from xpbd_ros.sim.contact.particle_lanes import numbers, positions
-from xpbd_ros.sim.contact.pieces import CHUNK, LANES, piece, pieces
+from xpbd_ros.sim.contact.pieces import candidate, CHUNK, LANES, rounds
 from xpbd_ros.sim.contact.wrenches import add_reaction, first_chunk, sum_up
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
 
@@ -55,15 +55,12 @@ def sum_up_and_spread(history, contacts, state, h):
 def add_collider(contacts, c, state, substep):
     """Add the impulses of the candidates of collider c to the partial sums."""
     team, begin, last = state.team, contacts.first[c], contacts.first[c + 1]
-    own, count, turn = pieces(team, begin, last)
-    for n in range(own, count, turn):
-        first, end, step = piece(team, n, begin, last)
-        for k in range(first, end, step):
-            if not (WIDTH > 1 and k + WIDTH <= end
-                    and add_pack(contacts, c, k, state, substep.h)):
-                for j in range(k, min(k + WIDTH, end)):
-                    add_candidate(contacts, j, state, substep.h)
-                    mark(state.history, contacts, c, j, state)
+    for n in range(rounds(team, begin, last)):
+        k = candidate(team, n, begin)
+        if not (WIDTH > 1 and k + WIDTH <= last and add_pack(contacts, c, k, state, substep.h)):
+            for j in range(k, min(k + WIDTH, last)):
+                add_candidate(contacts, j, state, substep.h)
+                mark(state.history, contacts, c, j, state)
     wait_for_others(contacts, team)    # the first collider marks a particle
 
 

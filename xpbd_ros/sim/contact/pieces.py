@@ -1,42 +1,47 @@
 """
-Pieces of a collider's candidates: what a thread works on, one candidate or vector after another.
+How the candidates of a collider are divided among threads.
 
-One thread of a CPU has them all. Candidates are in chunks of CHUNK, and a thread of a GPU has
-every LANES-th one of a chunk: those that add to one partial sum of their impulses
+One thread of a CPU takes them all, a vector at a time. On a GPU they are in chunks of CHUNK, and a
+thread takes every LANES-th one of a chunk: those that add to one partial sum of their impulses
 (``contact.wrenches``), where no other thread writes.
 """
 
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
-from xpbd_ros.sim.backend.threads import is_on_device, turns
+from xpbd_ros.sim.backend.threads import is_on_device
 
 CHUNK, LANES = 64, 8
 
 
-def pieces(team, begin, end):
-    """Return this thread's first piece of the candidates begin, …, end - 1, the end, the step."""
+def rounds(team, begin, end):
+    """Return how many vectors of the candidates begin, …, end - 1 this thread takes."""
 
 
-def piece(team, n, begin, end):
-    """Return the first candidate of piece n, the end, and the step to the next vector."""
+def candidate(team, n, begin):
+    """Return the first candidate of this thread's n-th vector; it may lie behind the end."""
 
 
-@inline(pieces)
-def _pieces(team, begin, end):
-    if is_on_device(team):
-        return lambda team, begin, end: turns(team, LANES * ((end - begin + CHUNK - 1) // CHUNK))
-    return lambda team, begin, end: (0, 1, 1)
-
-
-@inline(piece)
-def _piece(team, n, begin, end):
+@inline(rounds)
+def _rounds(team, begin, end):
     if not is_on_device(team):
-        return lambda team, n, begin, end: (begin, end, WIDTH)
+        return lambda team, begin, end: (end - begin + WIDTH - 1) // WIDTH
 
-    def strided(team, n, begin, end):
-        first = begin + n // LANES * CHUNK
-        return first + n % LANES, min(end, first + CHUNK), LANES
-    return strided
+    def of_sums(team, begin, end):
+        sums = LANES * ((end - begin + CHUNK - 1) // CHUNK)
+        return (sums - team.worker + team.workers - 1) // team.workers * (CHUNK // LANES)
+    return of_sums
+
+
+@inline(candidate)
+def _candidate(team, n, begin):
+    if not is_on_device(team):
+        return lambda team, n, begin: begin + n * WIDTH
+
+    def of_sum(team, n, begin):
+        each = CHUNK // LANES
+        own = team.worker + n // each * team.workers
+        return begin + own // LANES * CHUNK + own % LANES + n % each * LANES
+    return of_sum
 
 
 @jit(inline=True)

@@ -17,7 +17,7 @@ from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
-from xpbd_ros.sim.contact.pieces import piece, pieces
+from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.contact.wrenches import add_reaction
 from xpbd_ros.sim.geometry.closest_points import dot
 
@@ -65,14 +65,12 @@ def calm_overlaps(contacts, state, substep):
     team = state.team
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
         begin, last = contacts.first[c], contacts.first[c + 1]
-        own, count, turn = pieces(team, begin, last)
-        for n in range(own, count, turn):
-            first, end, step = piece(team, n, begin, last)
-            for k in range(first, end, step):
-                if k + WIDTH > end or any_lane(smaller(
-                        load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
-                    for j in range(k, min(k + WIDTH, end)):
-                        calm_overlap(contacts, j, state, substep)
+        for n in range(rounds(team, begin, last)):
+            k = candidate(team, n, begin)
+            if k + WIDTH > last or any_lane(smaller(
+                    load_wide(contacts.push, k), load_wide(contacts.overlap, k)) > 0.0):
+                for j in range(k, min(k + WIDTH, last)):
+                    calm_overlap(contacts, j, state, substep)
         wait_for_others(contacts, team)
 
 
@@ -98,12 +96,10 @@ def rebound(bounce, contacts, state, substep):
         least = 2.0 * sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]) * h
         for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
             begin, last = contacts.first[c], contacts.first[c + 1]
-            own, count, turn = pieces(state.team, begin, last)
-            for n in range(own, count, turn):
-                first, end, step = piece(state.team, n, begin, last)
-                for v in range(first, end, step):
-                    for k in range(v, min(v + WIDTH, end)):
-                        rebound_candidate(bounce, contacts, k, state, substep, least)
+            for n in range(rounds(state.team, begin, last)):
+                first = candidate(state.team, n, begin)
+                for k in range(first, min(first + WIDTH, last)):
+                    rebound_candidate(bounce, contacts, k, state, substep, least)
             wait_for_others(contacts, state.team)
 
 
