@@ -1,8 +1,9 @@
 """How named tuples are passed to kernels."""
 
+import sys
 from typing import NamedTuple
 
-from numba import typeof
+from numba import njit, typeof
 from numba.core.datamodel import default_manager
 import numpy as np
 import pytest
@@ -80,6 +81,39 @@ def test_kernels_read_and_write_arrays_of_tuples():
         assert np.any(right)
         assert np.array_equal(found, right)
     assert sizes.tolist() == [3, 8, 24, 96, 32, 8, 4, 16, 2]
+
+
+@jit
+def _swapped(outer, flags):
+    return Outer(outer.line, outer.table, outer.block, outer.every_other,
+                 Inner(flags, 3.0), outer.nothing)
+
+
+@jit
+def change_swapped(outer, flags):
+    """Write to a tuple that another kernel makes."""
+    other = _swapped(outer, flags)
+    other.inner.flags[0] = True
+    other.table[1, 2] = other.inner.scale
+    other.every_other[1] = other.table.size
+
+
+def test_kernels_make_tuples_and_return_them_to_each_other():
+    outer, flags = an_outer(), np.zeros(2, np.bool_)
+    change_swapped(outer, flags)
+    assert flags.tolist() == [True, False] and not outer.inner.flags.any()
+    assert outer.table[1, 2] == 3.0 and outer.every_other[1] == 8.0
+
+
+def test_numba_without_our_flags_reads_the_tuples_and_keeps_no_array():
+    read = njit(lambda outer: outer.block[1, 2, 3] + outer.every_other[1] + outer.inner.scale)
+    outer = an_outer()
+    outer.block[1, 2, 3], outer.every_other[1] = 4.0, 2.0
+    held = [sys.getrefcount(each) for each in (*outer[:4], outer.inner.flags)]
+    for _ in range(3):
+        assert read(outer) == 6.5
+    assert [sys.getrefcount(each) for each in (*outer[:4], outer.inner.flags)] == held
+    assert njit(lambda foreign: foreign.line[1])(Foreign(outer.line)) == 1.0
 
 
 def test_a_contiguous_array_is_an_address_and_a_shape():

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from threading import Thread
 
-from numba import config, types, TypingError
+from numba import config, njit, types, TypingError
 from numba.core import codegen
 from numba.core.dispatcher import Dispatcher
 import numpy as np
@@ -132,6 +132,28 @@ def test_callees_become_machine_code_only_within_their_kernel(monkeypatch):
     assert not thirds.overloads and not third.overloads
     assert thirds(2.0, 2) == 2.0 / 3.0 / 3.0
     assert thirds.overloads, 'Python has one of its own'
+
+
+def test_parts_belong_to_their_kernel_under_names_of_its_own(monkeypatch):
+    """
+    So arguments that they do not read are dropped.
+
+    Under the old name the JIT would bind calls of the whole part, from other libraries, to it.
+    """
+    kinds = {}
+    optimise = codegen.CPUCodeLibrary._optimize_final_module
+    monkeypatch.setattr(codegen.CPUCodeLibrary, '_optimize_final_module', lambda self: (
+        kinds.update((each.name, each.linkage.name) for each in self._final_module.functions
+                     if not each.is_declaration) or optimise(self)))
+    xs = np.array([2.0])
+    whole = njit(**jit.FLAGS)(thirds_of.py_func)
+    whole(xs, 1)
+    own = {name for name, linkage in kinds.items() if linkage == 'internal'}
+    assert {name.split('_ZN')[0] for name in own} == {'own.'}
+    assert any('thirds' in name for name in own)
+    njit(lambda x: thirds(x, 2))(2.0)    # Numba's own compiler links the part as it stands
+    assert {linkage for name, linkage in kinds.items()
+            if name.startswith('_ZN') and 'thirds' in name} == {'external', 'linkonce_odr'}
 
 
 def test_parts_are_kept_for_other_kernels(tmp_path, monkeypatch, recwarn):

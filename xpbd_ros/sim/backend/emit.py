@@ -9,6 +9,7 @@ from collections.abc import Callable
 from inspect import signature
 
 from numba import types
+from numba.core.datamodel.models import StructModel
 from numba.extending import lower_builtin, type_callable
 
 WRITTEN: dict[Callable, Callable] = {}
@@ -34,7 +35,11 @@ class Writer:
         """Return an item of a tuple, by its place or its name."""
         kind, found = value
         k = kind.fields.index(k) if isinstance(k, str) else k
-        return kind.types[k], self.builder.extract_value(found, k)
+        model = self.context.data_model_manager[kind]
+        found = (model.get(self.builder, found, k) if isinstance(model, StructModel)
+                 else self.builder.extract_value(found, k))
+        return kind.types[k], found
+
 
     def tuple(self, values):
         """Return a tuple of values."""
@@ -45,7 +50,13 @@ class Writer:
         return self._made(types.NamedTuple([each for each, _ in values], kind), values)
 
     def _made(self, kind, values):
-        return kind, self.context.make_tuple(self.builder, kind, [found for _, found in values])
+        model, items = self.context.data_model_manager[kind], [found for _, found in values]
+        if not isinstance(model, StructModel):
+            return kind, self.context.make_tuple(self.builder, kind, items)
+        made = self.context.get_constant_undef(kind)
+        for k, item in enumerate(items):
+            made = model.set(self.builder, made, item, k)
+        return kind, made
 
     def truth(self, value: bool):
         """Return a truth value."""

@@ -45,6 +45,7 @@ INNER = {**FLAGS, 'no_cpython_wrapper': True}
 """for what compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
 if not WHY_PLAIN:
     from xpbd_ros.sim.backend import linking
+    FLAGS['pipeline_class'] = linking.WholeCompiler
     INNER['pipeline_class'] = linking.Compiler
 try:
     from xpbd_ros.sim.backend.locked_cache import LockedCache

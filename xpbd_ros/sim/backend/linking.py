@@ -11,16 +11,27 @@ from numba import types
 from numba.core import codegen, compiler
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.datamodel import register_default
+from numba.core.imputils import lower_getattr_generic
+from numba.extending import lower_builtin, unbox
 
-from xpbd_ros.sim.backend.arguments import tuple_model
+from xpbd_ros.sim.backend.arguments import field, made, tuple_model, unboxed
 from xpbd_ros.sim.backend.locked_cache import LockedCache
 
 KERNELS: set[int] = set()
 """addresses of all kernels, as Numba writes them down where one is called, to no use"""
 ADDRESS = 'numba.dynamic.globals.'
 """where it does so; code with addresses that are of use cannot be kept for other processes"""
+NEEDLESS = ('inline_closure_likes', 'inline_inlinables', 'inline_overloads', 'literal_unroll',
+            'make_function_op_code_to_jit_function', 'with_lifting')
+"""passes for closures, comprehensions, code that is inlined before it has types, and contexts"""
+MOST_FIELDS = 32
+"""of a named tuple that a kernel makes"""
 
 register_default(types.NamedTuple)(tuple_model)
+lower_getattr_generic(types.NamedTuple)(field)
+unbox(types.NamedTuple)(unboxed)
+for _count in range(2, MOST_FIELDS + 1):    # Numba's own takes any number, which is less specific
+    lower_builtin(types.NamedTupleClass, *[types.Any] * _count)(made)
 
 
 class Library(codegen.JITCodeLibrary):
@@ -95,11 +106,50 @@ class Library(codegen.JITCodeLibrary):
         return library
 
 
-class Compiler(compiler.Compiler):
-    """Numba's compiler, for parts."""
+class WholeLibrary(codegen.JITCodeLibrary):
+    """The code of a kernel that Python calls, with all parts linked in."""
+
+    def _optimize_final_module(self):
+        """
+        Optimise. Nobody else calls the parts: arguments that none of them reads are dropped.
+
+        So their names must not be those of the same parts in another library, to which the JIT
+        would bind calls there.
+        """
+        for function in self._final_module.functions:
+            if function.linkage == binding.Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = 'internal'
+                function.name = f'own.{function.name}'
+        super()._optimize_final_module()
+
+
+class Pipeline(compiler.Compiler):
+    """Numba's compiler, without passes for what kernels do not have."""
+
+    def define_pipelines(self):
+        """Return the passes."""
+        pipelines = super().define_pipelines()
+        for each in pipelines:
+            each.passes = [known for known in each.passes if known[0].name() not in NEEDLESS]
+        return pipelines
+
+
+class Compiler(Pipeline):
+    """For parts."""
 
     def __init__(self, typing, target, library, *rest):
         super().__init__(typing, target, Library(target.codegen(), 'part'), *rest)
+
+
+class WholeCompiler(Pipeline):
+    """For kernels that Python calls."""
+
+    def compile_extra(self, func):
+        """Compile a function."""
+        library = WholeLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        library.enable_object_caching()
+        self.state.library = library
+        return super().compile_extra(func)
 
 
 class CacheImpl(CompileResultCacheImpl):

@@ -21,8 +21,10 @@ import os
 from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, lower_builtin, models, register_model, type_callable
+from numba.extending import intrinsic, lower_builtin, models, register_model
 import numpy as np
+
+from xpbd_ros.sim.backend.operators import type_first
 
 PROCESSOR = binding.get_host_cpu_name()
 """LLVM's name of this machine's processor, such as znver4"""
@@ -349,13 +351,11 @@ def transpose(typing, source, start, row_stride, target, target_start, target_st
 
 
 def _arithmetic(operation, name):
-    def typer(typing):
-        def result(a, b):
-            if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
-                return a
-            if isinstance(b, Vector) and isinstance(a, types.Number):
-                return b
-        return result
+    def typer(a, b):
+        if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
+            return a
+        if isinstance(b, Vector) and isinstance(a, types.Number):
+            return b
 
     def lower(context, builder, signature, arguments):
         return getattr(builder, name)(*(
@@ -363,7 +363,7 @@ def _arithmetic(operation, name):
             for v, k in zip(arguments, signature.args)))
 
     for operator_ in (operation, getattr(operator, 'i' + operation.__name__)):
-        type_callable(operator_)(typer)
+        type_first(operator_)(typer)
         for kinds in ((Vector, Vector), (Vector, types.Number), (types.Number, Vector)):
             lower_builtin(operator_, *kinds)(lower)
 
@@ -374,18 +374,16 @@ for _operation, _name in ((operator.add, 'fadd'), (operator.sub, 'fsub'),
 
 
 def _comparison(operation, sign):
-    def typer(typing):
-        def result(a, b):
-            if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
-                return Vector(types.boolean, a.count)
-        return result
+    def typer(a, b):
+        if isinstance(a, Vector) and (a == b or isinstance(b, types.Number)):
+            return Vector(types.boolean, a.count)
 
     def lower(context, builder, signature, arguments):
         vector = signature.args[0]
         return builder.fcmp_ordered(sign, arguments[0], widened(
             context, builder, arguments[1], signature.args[1], vector))
 
-    type_callable(operation)(typer)
+    type_first(operation)(typer)
     for kind in (Vector, types.Number):
         lower_builtin(operation, Vector, kind)(lower)
 
@@ -394,6 +392,6 @@ for _operation, _sign in ((operator.lt, '<'), (operator.gt, '>'),
                           (operator.le, '<='), (operator.ge, '>=')):
     _comparison(_operation, _sign)
 
-type_callable(operator.neg)(lambda typing: lambda a: a if isinstance(a, Vector) else None)
+type_first(operator.neg)(lambda a: a if isinstance(a, Vector) else None)
 lower_builtin(operator.neg, Vector)(
     lambda context, builder, signature, arguments: builder.fneg(arguments[0]))
