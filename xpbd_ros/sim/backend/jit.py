@@ -16,7 +16,7 @@ import os
 from pathlib import Path
 
 import numba
-from numba import config, njit
+from numba import config, njit, types
 from numba.extending import overload
 
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
@@ -84,7 +84,7 @@ def jit(function=None, *, inline: bool = False, cache_name: str | None = 'kernel
     A kernel makes no arrays: those that it gets outlive the call, so references are not counted.
 
     Python and compiled code call a kernel alike. For each of them it is compiled at its first
-    call; for compiled code as a part of its caller.
+    call; for compiled code as a part of its caller, once for all constants of a type.
 
     Parameters
     ----------
@@ -109,7 +109,8 @@ def jit(function=None, *, inline: bool = False, cache_name: str | None = 'kernel
             with _no_collection():
                 return compile_for(*arguments, **keywords)
         kernel._compile_for_args = compile_quietly
-        kernel.get_call_template = lambda *arguments: part().get_call_template(*arguments)
+        kernel.get_call_template = lambda kinds, named: part().get_call_template(
+            [types.unliteral(kind) for kind in kinds], named)
         kernel.get_overload = lambda signature: part().get_overload(signature)
         kernel.part = part
         linking.KERNELS.add(id(kernel))
