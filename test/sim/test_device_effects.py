@@ -39,6 +39,9 @@ COLLIDERS = {
                              [0.1 * k, 0.1 * k, -0.03]} for k in range(5)}},
 }
 """more than are searched at once, with corners that particles are squeezed into"""
+SEAMS = {'open': {'between': [{'cloth': 'c', 'at': [3, 9]}, {'cloth': 'c', 'at': [20, 15]}]},
+         'soft': {'between': [{'cloth': 'c', 'at': 'edge_0x'}, {'cloth': 'c', 'at': 'edge_1x'}],
+                  'compliance': 0.01}}
 CARDS = [{'order': 'shuffled', 'grid': 2, 'block': 8},
          {'order': 'backwards', 'grid': 6, 'block': 2}]
 CASES = {
@@ -56,9 +59,9 @@ CASES = {
     'contact, history': (CONTACT, {'integrator': 'ndf2', 'precision': 'float64'}),
     'contact, pad': (CONTACT, {'colliders': 'pad'}),
     **{name: (('stretch', name), {}) for name in (
-        'cross_bend', 'hinge', 'area', 'membrane', 'rayleigh', 'tether')},
+        'cross_bend', 'hinge', 'area', 'membrane', 'rayleigh', 'tether', 'seam', 'strain_limit')},
     **{f'mesh, {name}': ((name,), {'mesh': disc_file}) for name in (
-        'stretch', 'bend', 'hinge', 'area', 'membrane')},
+        'stretch', 'bend', 'hinge', 'area', 'membrane', 'strain_limit')},
     **{name: ((name,), {'mesh': lambda name=name: file_of(*SHAPES[name]())}) for name in SHAPES},
 }
 
@@ -66,7 +69,8 @@ CASES = {
 def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, colliders='two',
           contact=None, **solver):
     """Return a sheet of square cells, a disc or a body, pinned, with some effects."""
-    examples = {**EXAMPLES, 'contact': {**EXAMPLES['contact'], **(contact or {})}}
+    examples = {**EXAMPLES, 'contact': {**EXAMPLES['contact'], **(contact or {})},
+                'strain_limit': {'max': 0.02}}
     of = {scope: {name: examples[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
           for scope in ('cloth', 'scene')}
     shape = ({'grid': {'size': list(size), 'resolution': [6, 5]}} if mesh is None
@@ -76,7 +80,8 @@ def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, collider
                    'precision': 'float32', 'order': 'coloured', 'device': device, **solver},
         'cloths': {'c': {**shape, 'density': 1.0, 'effects': of['cloth']}},
         'pins': {'a': {'cloth': 'c', 'at': [0], **(pin or {})}}, 'effects': of['scene'],
-        **({'colliders': COLLIDERS[colliders]} if 'contact' in names else {})},
+        **({'colliders': COLLIDERS[colliders]} if 'contact' in names else {}),
+        **({'seams': SEAMS} if 'seam' in names else {})},
         where='x', name='x'))
 
 
@@ -119,6 +124,8 @@ def same_frames(case, cards, monkeypatch) -> None:
     assert len({each.hash() for each in found}) == 1
     if 'contact' in names:
         assert np.abs(ours.colliders['ball'].force).max() > 0.0
+    for name in {'strain_limit', 'seam'} & set(names):
+        assert any(part.force.any() for part in found[0].effects[name].parts)
     assert np.abs(ours.v).max() > 0.01
 
 

@@ -6,8 +6,8 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.model import Scene
 
 EFFECTS = ('pin', 'wind', 'drag', 'force', 'damping', 'rayleigh', 'bend', 'cross_bend', 'hinge',
-           'volume', 'area', 'pressure', 'shear', 'membrane', 'stretch', 'tether', 'contact',
-           'friction')
+           'volume', 'area', 'pressure', 'shear', 'membrane', 'stretch', 'tether', 'strain_limit',
+           'seam', 'contact', 'friction')
 """effects whose kernels have the CPU's bits as PTX (test/sim/test_device_effects.py)"""
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'jacobi', 'line')
 
@@ -36,6 +36,11 @@ def check(scene: Scene) -> None:
     if solver.error_target is not None:
         raise InputError('solver.error_target: changes substeps as it runs, and those of a GPU '
                          'are fixed; leave it out, or take solver.device: cpu')
+    pullers = [name for name in ('seam', 'contact') if name in scene.effect_names]
+    if 'strain_limit' in scene.effect_names and pullers:
+        raise InputError('solver.device: cuda has strain_limit only without seam and contact, '
+                         f'with which it takes turns (got {" and ".join(pullers)}); leave it out, '
+                         'or take device: cpu')
     others = [name for name in scene.effect_names if name not in EFFECTS]
     if others:
         raise InputError(f'solver.device: cuda does not have the effects {", ".join(others)} yet '

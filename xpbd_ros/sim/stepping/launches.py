@@ -168,7 +168,8 @@ VALUES: dict[Callable, Callable] = {integration.turned: turned,
 COMPOSITE = (methods._kick,)
 """kernels whose calls are launches of their own"""
 ANSWERS: dict[Callable, Callable] = {step.flush_denormals: lambda: 0,
-                                     step.restore_mode: lambda mode: None}
+                                     step.restore_mode: lambda mode: None,
+                                     stages.are_inequalities_unmet: lambda *_: False}
 
 
 def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float,
@@ -176,7 +177,8 @@ def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float,
     """
     Return the launches of one frame, and the gate of their barrier; parameters as of ``advance``.
 
-    Effects with ``are_inequalities_unmet`` cannot be recorded: their turns depend on the state.
+    Effects that take turns (``are_inequalities_unmet``) cannot be recorded: their number depends
+    on the state.
     """
     gate = np.zeros(1, np.int64)
     recorder = Recorder(len(state.inv_mass))
