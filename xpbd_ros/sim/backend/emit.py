@@ -9,8 +9,7 @@ from collections.abc import Callable
 from inspect import signature
 
 from numba import types
-from numba.core.datamodel.models import StructModel
-from numba.extending import lower_builtin, type_callable
+from numba.extending import lower_builtin, models, type_callable
 
 WRITTEN: dict[Callable, Callable] = {}
 """function that writes the code of a stub's calls, by stub"""
@@ -36,10 +35,9 @@ class Writer:
         kind, found = value
         k = kind.fields.index(k) if isinstance(k, str) else k
         model = self.context.data_model_manager[kind]
-        found = (model.get(self.builder, found, k) if isinstance(model, StructModel)
+        found = (model.get(self.builder, found, k) if isinstance(model, models.StructModel)
                  else self.builder.extract_value(found, k))
         return kind.types[k], found
-
 
     def tuple(self, values):
         """Return a tuple of values."""
@@ -51,7 +49,7 @@ class Writer:
 
     def _made(self, kind, values):
         model, items = self.context.data_model_manager[kind], [found for _, found in values]
-        if not isinstance(model, StructModel):
+        if not isinstance(model, models.StructModel):
             return kind, self.context.make_tuple(self.builder, kind, items)
         made = self.context.get_constant_undef(kind)
         for k, item in enumerate(items):

@@ -1,5 +1,5 @@
 """
-Operators of vectors, arrays and truth values, which Numba asks for first.
+Types of operators of vectors, arrays and numbers, for which Numba asks first.
 
 Numba asks all that know types of an operator, one after another and each twice: for ``x[i]`` seven
 others, of lists, strings and records, before those of arrays. That is a tenth of the time to
