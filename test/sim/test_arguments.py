@@ -37,6 +37,13 @@ class Foreign(NamedTuple):
     line: np.ndarray
 
 
+class Pair(NamedTuple):
+    """Two of a kind, which Numba has as an array."""
+
+    first: float
+    second: float
+
+
 for _kind in (Inner, Outer):
     _kind.__module__ = 'xpbd_ros.sim.test'
 
@@ -114,6 +121,7 @@ def test_numba_without_our_flags_reads_the_tuples_and_keeps_no_array():
         assert read(outer) == 6.5
     assert [sys.getrefcount(each) for each in (*outer[:4], outer.inner.flags)] == held
     assert njit(lambda foreign: foreign.line[1])(Foreign(outer.line)) == 1.0
+    assert njit(lambda x: Pair(x, 2.0 * x))(0.5) == Pair(0.5, 1.0)
 
 
 def test_a_contiguous_array_is_an_address_and_a_shape():

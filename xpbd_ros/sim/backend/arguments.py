@@ -20,6 +20,8 @@ from numba.core.imputils import impl_ret_borrowed
 from numba.core.pythonapi import NativeValue
 from numba.np.numpy_support import as_dtype
 
+from xpbd_ros.sim.backend.emit import tuple_of
+
 PACKAGE = __name__.partition('.')[0]
 
 
@@ -140,9 +142,9 @@ def field(context, builder, kind, value, name):
 def made(context, builder, signature, fields):
     """Return a named tuple of fields."""
     kind = signature.return_type
-    model, found = context.data_model_manager[kind], context.get_constant_undef(kind)
-    for k, (value, given) in enumerate(zip(fields, signature.args)):
-        found = model.set(builder, found, context.cast(builder, value, given, kind[k]), k)
+    found = tuple_of(context, builder, kind, [
+        context.cast(builder, value, *types_) for value, *types_ in zip(
+            fields, signature.args, kind)])
     return impl_ret_borrowed(context, builder, kind, found)
 
 

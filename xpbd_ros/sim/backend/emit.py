@@ -48,13 +48,7 @@ class Writer:
         return self._made(types.NamedTuple([each for each, _ in values], kind), values)
 
     def _made(self, kind, values):
-        model, items = self.context.data_model_manager[kind], [found for _, found in values]
-        if not isinstance(model, models.StructModel):
-            return kind, self.context.make_tuple(self.builder, kind, items)
-        made = self.context.get_constant_undef(kind)
-        for k, item in enumerate(items):
-            made = model.set(self.builder, made, item, k)
-        return kind, made
+        return kind, tuple_of(self.context, self.builder, kind, [found for _, found in values])
 
     def truth(self, value: bool):
         """Return a truth value."""
@@ -71,6 +65,17 @@ class Writer:
     def only_if(self, value):
         """Return a context for calls that depend on a value."""
         return self.builder.if_then(value[1])
+
+
+def tuple_of(context, builder, kind, items):
+    """Return a tuple of a type, of what LLVM has of its items."""
+    model = context.data_model_manager[kind]
+    if not isinstance(model, models.StructModel):
+        return context.make_tuple(builder, kind, items)
+    found = context.get_constant_undef(kind)
+    for k, item in enumerate(items):
+        found = model.set(builder, found, item, k)
+    return found
 
 
 def written_out(stub):
