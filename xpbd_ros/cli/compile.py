@@ -1,7 +1,7 @@
 """
 Compile scenes ahead of time, and print the folder of the compiled kernels.
 
-The first run of a scene compiles its kernels, which takes from seconds to half a minute. Later
+The first run of a scene compiles its kernels, which takes from seconds to a minute. Later
 runs, by any process that uses the same folder, load them from it. For container images and for
 robots with a read-only home, set NUMBA_CACHE_DIR for this command and for the node.
 """
