@@ -92,12 +92,12 @@ def lengths(names: int, transforms: int, twists: int) -> MultiDOFJointState:
                                     'quaternion'),
     ({'pose__position__z': -1e7}, 'marker a/0: position [0.0, 0.0, -10000000.0] is further than '
                                   '1e+06 m away'),
-    ({'scale__x': 0.0}, 'marker a/0: scale.x is twice the grasp radius and must be > 0 m '
-                        '(got 0.0)'),
-    ({'scale__x': -1.0}, 'must be > 0 m (got -1.0)'),
-    ({'scale__x': nan}, 'must be > 0 m (got nan)'),
-    ({'scale__x': inf}, 'must be > 0 m (got inf)'),
-    ({'scale__x': 5e-324}, 'must be > 0 m (got 5e-324)'),
+    ({'scale__x': 0.0}, 'marker a/0: scale.x is twice the grasp radius and must be finite '
+                        'and > 0 m (got 0.0)'),
+    ({'scale__x': -1.0}, 'must be finite and > 0 m (got -1.0)'),
+    ({'scale__x': nan}, 'must be finite and > 0 m (got nan)'),
+    ({'scale__x': inf}, 'must be finite and > 0 m (got inf)'),
+    ({'scale__x': 5e-324}, 'must be finite and > 0 m (got 5e-324)'),
     ({'ns': 'no good!'}, "marker no good!/0: bad name 'no good!'"),
     ({'ns': 'ä'}, "marker ä/0: bad name 'ä'"),
     ({'id': -1}, "marker a/-1: bad name 'a_-1'"),

@@ -110,8 +110,8 @@ def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
         elif marker.action == Marker.ADD:
             radius = 0.5 * marker.scale.x
             if not (isfinite(radius) and radius > 0.0):
-                raise InputError(f'{what}: scale.x is twice the grasp radius and must be > 0 m '
-                                 f'(got {marker.scale.x})')
+                raise InputError(f'{what}: scale.x is twice the grasp radius and must be finite '
+                                 f'and > 0 m (got {marker.scale.x})')
             commands.append(Grasp(
                 name, pose(marker.pose.position, marker.pose.orientation, what), radius,
                 nanoseconds(marker.lifetime, f'{what}: lifetime')))
