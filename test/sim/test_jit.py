@@ -236,3 +236,21 @@ from xpbd_ros.sim.geometry.quaternion import rotate
 assert rotate(0.0, 0.0, 1.0, 0.0, 1.0, 2.0, 3.0) == (-1.0, -2.0, 3.0)
 print(WHY_PLAIN)
 """)
+
+
+def test_a_numba_without_its_templates_of_arrays_tries_those_of_vectors_last():
+    assert python("""
+import numba.core.typing.arraydecl as declared
+del declared.GetItemBuffer
+from xpbd_ros.sim.backend import operators
+from xpbd_ros.sim.backend.simd import Vector
+import operator
+from numba import types
+from numba.core.registry import cpu_target
+cpu_target.typing_context.refresh()
+vector = Vector(types.float64, 4)
+for kinds in ((vector, types.float64), (types.float64[:, ::1], types.int64)):
+    known = cpu_target.typing_context.resolve_function_type(
+        operator.mul if vector in kinds else operator.getitem, kinds, {})
+    print(operators.FIRST, known.return_type)
+""").splitlines() == ['False Vector(float64 x 4)', 'False array(float64, 1d, C)']

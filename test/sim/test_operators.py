@@ -1,4 +1,4 @@
-"""Whom Numba asks for the type of an operator's result, and that it is the one it had."""
+"""Which typing template of an operator Numba tries first, and the types that result."""
 
 import operator
 
@@ -47,7 +47,7 @@ def result_of(function, kinds):
 @pytest.mark.parametrize('function, kinds, result', FIRST)
 def test_what_kernels_do_most_is_known_at_once(function, kinds, result, monkeypatch):
     def refuse(self, *arguments):
-        raise AssertionError(f'Numba asked {self}')
+        raise AssertionError(f'Numba tried {self}')
     monkeypatch.setattr(_OverloadFunctionTemplate, '_get_impl', refuse)
     assert result_of(function, kinds) == result
 

@@ -23,7 +23,7 @@ ADDRESS = 'numba.dynamic.globals.'
 """where it does so; code with addresses that are of use cannot be kept for other processes"""
 NEEDLESS = ('inline_closure_likes', 'inline_inlinables', 'inline_overloads', 'literal_unroll',
             'make_function_op_code_to_jit_function', 'with_lifting')
-"""passes for closures, comprehensions, code that is inlined before it has types, and contexts"""
+"""passes for what kernels lack: closures, comprehensions, inlining before typing, ``with``"""
 MOST_FIELDS = 32
 """of a named tuple that a kernel makes"""
 
@@ -111,10 +111,10 @@ class WholeLibrary(codegen.JITCodeLibrary):
 
     def _optimize_final_module(self):
         """
-        Optimise. Nobody else calls the parts: arguments that none of them reads are dropped.
+        Give the parts internal linkage, so that LLVM removes their unused arguments; optimise.
 
-        So their names must not be those of the same parts in another library, to which the JIT
-        would bind calls there.
+        They are renamed: MCJIT would resolve calls of the same part in another library, which
+        passes all arguments, to the one that has lost some.
         """
         for function in self._final_module.functions:
             if function.linkage == binding.Linkage.linkonce_odr and not function.is_declaration:

@@ -1,9 +1,10 @@
 """
-Types of operators of vectors, arrays and numbers, for which Numba asks first.
+Typing templates of operators that Numba tries first: of arrays, vectors and numbers.
 
-Numba asks all that know types of an operator, one after another and each twice: for ``x[i]`` seven
-others, of lists, strings and records, before those of arrays. That is a tenth of the time to
-compile. Those that name the CPU as their target are asked before those for any target.
+To type an operator, Numba tries its templates one after another, each with and without literal
+types. For ``x[i]`` seven overloads, such as those of lists and strings, come before the template
+of arrays, which takes a tenth of the time to compile. Templates for the target ``cpu`` are tried
+before generic ones.
 """
 
 from collections.abc import Callable
@@ -16,14 +17,14 @@ from numba.extending import type_callable
 try:
     from numba.core.typing.arraydecl import GetItemBuffer, SetItemBuffer
     from numba.core.typing.templates import infer, infer_global, make_callable_template
-except ImportError:    # a Numba without these internals, which asks for them last
+except ImportError:    # a Numba without these internals: the templates come last
     FIRST = False
 else:
     FIRST = True
 
 
 def type_first(function: Callable) -> Callable:
-    """Register a function that returns the type of an operator's result; None: not known."""
+    """Register a function that returns the type of an operator's result, or None."""
     def register(typer):
         if not FIRST:
             return type_callable(function)(lambda typing: typer)
@@ -47,7 +48,7 @@ def _are_alike(a, b) -> bool:
 
 
 def _arrays_first(function: Callable, known: Any) -> None:
-    """Let Numba's own template of an operator of arrays be asked first."""
+    """Let Numba try its own template for arrays first."""
     def generic(self, args, kws):
         return known.generic(self, args, kws) if _is_whole(args[1]) else None
     infer_global(function)(type(known.__name__, (known,), {
