@@ -36,7 +36,7 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend import cuda
 from xpbd_ros.sim.backend.device_kernel import compile_kernels
 from xpbd_ros.sim.constraints.grid_batches import listed
-from xpbd_ros.sim.stepping.launches import launches_of
+from xpbd_ros.sim.stepping.launches import flattened, launches_of, Shared
 
 EFFECTS = {'stretch': {'warp': 500.0, 'weft': 500.0}, 'shear': {'stiffness': 20.0},
            'bend': {'stiffness': 1e-4}}
@@ -165,10 +165,11 @@ def contact(n: int, card) -> dict:
 def registers(n: int, card) -> list[dict]:
     """Return the registers of each kernel, by ptxas."""
     assembler, simulation, found = ptxas(), sheet(n), []
-    launches, _ = launches_of(simulation._tuple, simulation.state, simulation._method(),
-                              simulation.frame_dt, SUBSTEPS)
+    launches = launches_of(
+        simulation._tuple, simulation.state, simulation._method(), simulation.frame_dt, SUBSTEPS,
+        Shared(np.zeros(1, np.int64), np.zeros(2, np.int64)))
     for arch in ARCHES:
-        unique = {launch.request(arch).key: launch for launch in launches}
+        unique = {launch.request(arch).key: launch for launch in flattened(launches)}
         kernels = compile_kernels([launch.request(arch) for launch in unique.values()])
         for launch, ptx in zip(unique.values(), kernels):
             said = assembled(assembler, ptx, arch)

@@ -92,7 +92,7 @@ def repeated_places(run: Path) -> np.ndarray:
     assert numbers['refused'] == 0
     recording = Recording(str(run))
     simulation, places = compile_scene(recording.scene), []
-    simulation._advance = lambda substeps: None    # the colliders alone
+    simulation._advance = lambda: None    # the colliders alone
     for index in range(1, recording.last + 1):
         frame = simulation.step(recording.commands.get(index, []))
         if 'ball' in frame.colliders and index > 1:

@@ -10,8 +10,6 @@ from support.ptx_emulator import EmulatedCard
 from support.scenes import SMALL_SHEET
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.device import check
-from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend import cuda, device_memory
 from xpbd_ros.sim.commands import (
     Grasp,
@@ -201,28 +199,10 @@ def test_without_a_card_there_is_one_line(monkeypatch, tmp_path, capfd):
 @pytest.mark.parametrize('options, expected', [
     ({'order': 'sequential'}, 'solver.device: cuda sweeps constraints by colours; add '
      'solver.order: coloured'),
-    ({'method': 'explicit', 'integrator': 'leapfrog'},
-     'solver.method: explicit does not run on a GPU; take one of gauss_seidel, '),
+    ({'method': 'auto'}, 'solver.method: auto predicts the times of a CPU; for solver.device: '
+     'cuda take one of gauss_seidel, '),
     ({'error_target': 1e-3}, 'solver.error_target: changes substeps as it runs'),
 ])
 def test_what_a_gpu_cannot_do_is_told_with_the_way_out(options, expected, monkeypatch):
     monkeypatch.setattr(cuda, 'Card', EmulatedCard)
     assert refusal(**options).startswith(f'x: {expected}')
-
-
-@pytest.mark.parametrize('effects, expected', [
-    ({'self_collision': {'thickness': 0.01}},
-     'solver.device: cuda does not have the effects self_collision yet (it has pin, '),
-    ({'contact': {'thickness': 0.01}, 'seam': {}},
-     'solver.device: cuda has strain_limit only without seam and contact, with which it takes '
-     'turns (got seam and contact); leave it out, or take device: cpu'),
-])
-def test_effects_that_a_gpu_does_not_have_are_told(effects, expected):
-    scene = scene_from_mapping({
-        'solver': {'method': 'gauss_seidel', 'device': 'cuda', 'order': 'coloured'},
-        'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [3, 3]}, 'density': 0.2,
-                         'effects': {'strain_limit': {'max': 0.1}}}},
-        'effects': effects}, where='x', name='x')
-    with pytest.raises(InputError) as told:
-        check(scene)
-    assert str(told.value).startswith(expected)

@@ -9,7 +9,6 @@ from support.scenes import disc_file, EXAMPLES, SHAPES
 from xpbd_ros.effects import EFFECTS
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.device import EFFECTS as ON_DEVICE
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend import cuda
 from xpbd_ros.sim.commands import (
@@ -39,6 +38,7 @@ COLLIDERS = {
                              [0.1 * k, 0.1 * k, -0.03]} for k in range(5)}},
 }
 """more than are searched at once, with corners that particles are squeezed into"""
+LAYERS = ('stretch', 'self_collision', 'friction')
 SEAMS = {'open': {'between': [{'cloth': 'c', 'at': [3, 9]}, {'cloth': 'c', 'at': [20, 15]}]},
          'soft': {'between': [{'cloth': 'c', 'at': 'edge_0x'}, {'cloth': 'c', 'at': 'edge_1x'}],
                   'compliance': 0.01}}
@@ -58,6 +58,11 @@ CASES = {
     'contact, after': (CONTACT, {'iterations': 2, 'contact': {'when': 'after'}}),
     'contact, history': (CONTACT, {'integrator': 'ndf2', 'precision': 'float64'}),
     'contact, pad': (CONTACT, {'colliders': 'pad'}),
+    'explicit': (CONTACT, {'method': 'explicit', 'integrator': 'leapfrog', 'substeps': 12}),
+    'self_collision': (LAYERS, {'layers': 2}),
+    'self_collision, particles': (LAYERS, {'layers': 2, 'mode': 'particles'}),
+    'self_collision, contact, pads': ((*LAYERS, 'contact'), {'layers': 2, 'colliders': 'pad'}),
+    'strain_limit, contact, seam': ((*CONTACT, 'strain_limit', 'seam'), {}),
     **{name: (('stretch', name), {}) for name in (
         'cross_bend', 'hinge', 'area', 'membrane', 'rayleigh', 'tether', 'seam', 'strain_limit')},
     **{f'mesh, {name}': ((name,), {'mesh': disc_file}) for name in (
@@ -66,11 +71,21 @@ CASES = {
 }
 
 
+OWN = {'method', 'integrator', 'iterations', 'precision', 'substeps', 'size'}
+METHODS = {'gauss_seidel_symmetric': 'bdf2', 'jacobi': 'backward_euler', 'line': 'backward_euler',
+           'explicit': 'leapfrog'}
+"""methods and an integrator of each, besides that of the cases"""
+PAIRS = [(case, method) for case, (_, options) in CASES.items() if not OWN & set(options)
+         for method in METHODS if (case, method) not in {
+             ('rayleigh', 'line'), ('rayleigh', 'explicit'), ('mesh, stretch', 'line')}]
+"""without those that a CPU refuses too"""
+
+
 def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, colliders='two',
-          contact=None, **solver):
-    """Return a sheet of square cells, a disc or a body, pinned, with some effects."""
+          contact=None, layers=1, mode='surface', **solver):
+    """Return sheets of square cells, a disc or a body, pinned, with some effects."""
     examples = {**EXAMPLES, 'contact': {**EXAMPLES['contact'], **(contact or {})},
-                'strain_limit': {'max': 0.02}}
+                'strain_limit': {'max': 0.02}, 'self_collision': {'thickness': 0.03, 'mode': mode}}
     of = {scope: {name: examples[name] for name in (*names, 'pin') if EFFECTS[name] == scope}
           for scope in ('cloth', 'scene')}
     shape = ({'grid': {'size': list(size), 'resolution': [6, 5]}} if mesh is None
@@ -78,7 +93,9 @@ def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, collider
     return compile_scene(scene_from_mapping({
         'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 2,
                    'precision': 'float32', 'order': 'coloured', 'device': device, **solver},
-        'cloths': {'c': {**shape, 'density': 1.0, 'effects': of['cloth']}},
+        'cloths': {name: {**shape, 'density': 1.0, 'effects': of['cloth'],
+                          'pose': {'position': [0.03 * k, 0.02 * k, 0.02 * k]}}
+                   for k, name in enumerate('cd'[:layers])},
         'pins': {'a': {'cloth': 'c', 'at': [0], **(pin or {})}}, 'effects': of['scene'],
         **({'colliders': COLLIDERS[colliders]} if 'contact' in names else {}),
         **({'seams': SEAMS} if 'seam' in names else {})},
@@ -86,7 +103,7 @@ def scene(names, *, device='cpu', mesh=None, size=(1.0, 0.8), pin=None, collider
 
 
 def test_the_cases_cover_what_a_gpu_has():
-    assert {name for names, _ in CASES.values() for name in names} | {'pin'} == set(ON_DEVICE)
+    assert {name for names, _ in CASES.values() for name in names} | {'pin'} == set(EFFECTS)
 
 
 def both(names, monkeypatch, **options) -> list:
@@ -95,9 +112,10 @@ def both(names, monkeypatch, **options) -> list:
     return [scene(names, device=device, **options) for device in ('cpu', 'cuda')]
 
 
-def same_frames(case, cards, monkeypatch) -> None:
+def same_frames(case, cards, monkeypatch, **solver) -> None:
     """Compare the frames of a case on the CPU with those on some cards."""
     names, options = CASES[case]
+    options = {**options, **solver}
     found = [scene(names, **options)]
     for card in cards:
         monkeypatch.setattr(cuda, 'Card', lambda card=card: card)
@@ -106,6 +124,7 @@ def same_frames(case, cards, monkeypatch) -> None:
     for each in found:
         state, slot = each.state, each.slot
         state.x[:, slot] += (noise * (state.inv_mass[slot] > 0.0)).astype(state.x.dtype)
+    layers = 0
     for index in range(4):
         commands = [MovePin('a', Pose((0.0, 0.01 * index, 0.02)))]
         if 'contact' in names:
@@ -119,23 +138,35 @@ def same_frames(case, cards, monkeypatch) -> None:
             for name, collider in ours.colliders.items():
                 np.testing.assert_array_equal(other.colliders[name].force, collider.force)
                 np.testing.assert_array_equal(other.colliders[name].torque, collider.torque)
+        layers += found[0].stats().get('self_contacts', 0)
     stats = [each.stats() for each in found]
     assert all(each == stats[0] for each in stats)
     assert len({each.hash() for each in found}) == 1
     if 'contact' in names:
         assert np.abs(ours.colliders['ball'].force).max() > 0.0
+    assert layers > 0 or 'self_collision' not in names
     for name in {'strain_limit', 'seam'} & set(names):
         assert any(part.force.any() for part in found[0].effects[name].parts)
     assert np.abs(ours.v).max() > 0.01
 
 
-@pytest.mark.parametrize('case', CASES)
-def test_frames_have_the_bits_of_the_cpu_and_no_race(case, monkeypatch):
+def same_frames_without_race(case, monkeypatch, **solver) -> None:
+    """Compare the frames of a case with those on two emulated cards."""
     cards = [EmulatedCard(**keys) for keys in CARDS]
-    same_frames(case, cards, monkeypatch)
+    same_frames(case, cards, monkeypatch, **solver)
     for card in cards:
         assert (card.races, card.astray) == (0, 0)
         assert card.launches > 30
+
+
+@pytest.mark.parametrize('case', CASES)
+def test_frames_have_the_bits_of_the_cpu_and_no_race(case, monkeypatch):
+    same_frames_without_race(case, monkeypatch)
+
+
+@pytest.mark.parametrize(('case', 'method'), PAIRS)
+def test_so_have_those_of_all_other_methods(case, method, monkeypatch):
+    same_frames_without_race(case, monkeypatch, method=method, integrator=METHODS[method])
 
 
 @pytest.mark.parametrize('compliance', [0.0, 1e-3])
@@ -173,6 +204,36 @@ def test_hinges_of_a_frame_that_is_rolled_back_are_those_before(monkeypatch):
     ours, theirs = (each.effects['hinge'].data.angle for each in found)
     assert np.abs(ours).max() > 1e-4
     np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize('rough', [{}, {'rough_frames': 2, 'rough_substeps': 3,
+                                        'rough_integrator': 'ndf2'}])
+def test_an_unstable_frame_is_computed_again_on_the_card(rough, monkeypatch):
+    """And those after it with ``line``; what either method leaves to the next is the CPU's."""
+    found = both(CONTACT, monkeypatch, method='explicit', integrator='leapfrog', substeps=12,
+                 **rough)
+    for index in range(9):
+        if index in {3, 7}:
+            for each in found:
+                each.fetch()
+                each.state.v[2, each.slot[13]] = 40.0
+        ours, theirs = (each.step() for each in found)
+        for name in ('x', 'v'):
+            assert getattr(ours, name).tobytes() == getattr(theirs, name).tobytes(), index
+        np.testing.assert_array_equal(ours.colliders['ball'].force, theirs.colliders['ball'].force)
+    ours, theirs = (each.stats() for each in found)
+    assert ours == theirs
+    assert ours['method_switches' if rough else 'explicit_redone'] > 1
+    assert len({each.hash() for each in found}) == 1
+
+
+def test_a_frame_that_is_kept_has_the_wrenches_of_the_cpu(monkeypatch):
+    """``keep`` brings all arrays to the host, after what the frame begins with."""
+    found = both(CONTACT, monkeypatch)
+    for _ in range(3):
+        ours, theirs = (each.step(keep=True) for each in found)
+        np.testing.assert_array_equal(ours.colliders['ball'].force, theirs.colliders['ball'].force)
+    assert np.abs(ours.colliders['ball'].force).max() > 0.0
 
 
 @pytest.fixture(scope='module')

@@ -35,7 +35,8 @@ HEAD = '\n'.join([
     f'declare {kind} @llvm.{name}.{suffix}({", ".join([kind] * count)})'
     for kind, suffix in (('float', 'f32'), ('double', 'f64'))
     for name, count in (('fma', 3), ('sqrt', 1), ('fabs', 1), ('rint', 1), ('floor', 1),
-                        ('ceil', 1), ('trunc', 1)))])
+                        ('ceil', 1), ('trunc', 1))),
+    *(f'declare {kind} @llvm.ctpop.{kind}({kind})' for kind in ('i32', 'i64'))])
 
 
 def kind_of(suffix: str) -> str:
@@ -233,6 +234,11 @@ class Translation:
         assert modes[-1][0] == 'u'
         shifted = self.value(f'lshr {kind} {self.get(a, kind)}, {first}')
         self.put(d, self.value(f'and {kind} {shifted}, {2**int(count) - 1}'), kind)
+
+    def op_popc(self, modes, d, a) -> None:
+        kind = kind_of(modes[-1])
+        count = self.value(f'call {kind} @llvm.ctpop.{kind}({kind} {self.get(a, kind)})')
+        self.put(d, self.cast(count, int(kind[1:]), 'i32'), 'i32')
 
     def op_mov(self, modes, d, a) -> None:
         kind = kind_of(modes[0])

@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, takes_part, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -127,6 +127,11 @@ class SelfCollision(NamedTuple):
     """None with ``mode: particles``"""
     contacts: Contacts | None
     """those with colliders; None in a scene without colliders"""
+
+    @property
+    def most_threads(self) -> int:
+        """Number of threads that may share the work: each has scratch memory."""
+        return len(self.near.points.found)
 
 
 @stage(prepare, SelfCollision)
@@ -235,7 +240,7 @@ def find_planes(team, effect, state):
 def stop(effect, state, substep):
     """Separate pairs that would pass through one another, in turn with colliders."""
     near, planes, team = effect.near, effect.planes, state.team
-    if alone(team):
+    if takes_part(team):
         leave(effect.contacts, state)
     for turn in range(ROUNDS):
         if told(team, near, alone(team) and strays(near, state)):
@@ -246,7 +251,7 @@ def stop(effect, state, substep):
                 break
         if told(team, near, part_sides(planes, near, state) if alone(team) else 0) == 0:
             return
-        if alone(team):
+        if takes_part(team):
             push_again(effect.contacts, state, turn >= ROUNDS // 2)
     give_way(team, effect, near, planes, effect.contacts, state, substep)
 
@@ -379,6 +384,10 @@ class BuiltSelfCollision(Built):
 
     def reset(self, state, now_ns):
         self.again()
+
+    def read_by_stats(self):
+        pairs, near = self.data.pairs, self.data.near
+        return pairs.count, pairs.push, pairs.end, near.kind_begin, near.kind_end, near.count
 
     def stats(self):
         pairs, near = self.data.pairs, self.data.near

@@ -96,7 +96,7 @@ class Simulation:
 
     def compile(self) -> None:
         """Compile all kernels of a frame, or load them from the cache; the state is unchanged."""
-        self._advance(0)
+        self._crew.compile(*self._arguments())
         if self._guard is not None:
             self._guard.compile()
         self._last.look()
@@ -127,7 +127,7 @@ class Simulation:
         self.start = self._keep() if keep else None
         self._last.keep()
         if self._guard is None:
-            self._advance(self.solver.substeps)
+            self._advance()
         else:
             self._guard.advance()
         self._last.look()
@@ -177,11 +177,15 @@ class Simulation:
         """Setting of the next frame: the solver's, or that of rough frames."""
         return self.solver if self._guard is None else self._guard.setting
 
-    def _advance(self, substeps: int, setting: Solver | None = None) -> None:
+    def _advance(self, setting: Solver | None = None) -> None:
         """Advance by a frame with the solver's setting or another one."""
+        self._crew.run(*self._arguments(setting))
+
+    def _arguments(self, setting: Solver | None = None) -> tuple:
+        """Return the step, and what it gets."""
         setting = setting or self.solver
-        self._crew.run(self._step, self._tuple, self._view(setting), self._method(setting),
-                       self.frame_dt, substeps)
+        return (self._step, self._tuple, self._view(setting), self._method(setting),
+                self.frame_dt, setting.substeps)
 
     def by_parts(self, work: Callable[[int, int], None], count: int) -> None:
         """Call work(begin, end) for parts of so many pieces, on the threads that there are."""

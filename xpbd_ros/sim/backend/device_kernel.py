@@ -143,8 +143,8 @@ def packed(parameters: Sequence[Any], address) -> np.ndarray:
     for k, value in enumerate(parameters):
         if isinstance(value, np.ndarray):
             found[k] = address(value)
-        elif isinstance(value, float):
-            found[k:k + 1].view(np.float64)[0] = value
+        elif isinstance(value, float | np.floating):
+            found[k:k + 1].view(np.result_type(value))[0] = value
         elif value is not None:
             found[k] = value
     return found

@@ -94,6 +94,10 @@ def alone_on_device(team):
     """Return False for the other threads of a GPU, in what one thread of a CPU does."""
 
 
+def takes_part(team):
+    """Return whether this thread does what one thread of a CPU does, or those of a GPU share."""
+
+
 def wait_on_device(team):
     """Go on when all threads of a GPU are here, in what one thread of a CPU does."""
 
@@ -194,6 +198,13 @@ def _turns_on_device(team, count):
 @inline(alone_on_device)
 def _alone_on_device(team):
     return (lambda team: alone(team)) if is_on_device(team) else lambda team: True
+
+
+@inline(takes_part)
+def _takes_part(team):
+    if is_on_device(team):
+        return lambda team: True
+    return lambda team: alone(team)
 
 
 @inline(wait_on_device)
@@ -321,6 +332,10 @@ class ThreadPool:
     def __deepcopy__(self, memo: dict) -> 'ThreadPool':
         """Return a pool of as many threads of its own."""
         return ThreadPool(self.workers)
+
+    def compile(self, step, effects, state, method, frame_dt: float, substeps: int) -> None:
+        """Compile a step, or load it from the cache."""
+        self.run(step, effects, state, method, frame_dt, 0)
 
     def run(self, step, effects, state, *arguments) -> None:
         """Call a step on all threads, this one among them."""

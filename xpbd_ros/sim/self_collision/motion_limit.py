@@ -14,7 +14,6 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.collider_motion import surface_motion
-from xpbd_ros.sim.contact.contacts import count_penetrating
 from xpbd_ros.sim.contact.corners import is_penetrating
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.neighbour_list import gone, TRAVEL
@@ -169,13 +168,7 @@ def left_over(planes, near, contacts, state):
     count = 0
     for m in range(planes.count[0]):
         count += not parts(planes, m, near, state.x)
-    return count + count_collider_penetrations(contacts, state)
-
-
-@jit
-def count_collider_penetrations(contacts, state):
-    """Return the number of contacts that penetrate a collider."""
-    if contacts is None:
-        return 0
-    else:    # Numba prunes the branch that is not taken
-        return count_penetrating(contacts, state)
+    if contacts is not None:
+        for k in range(contacts.count[0]):
+            count += is_penetrating(contacts, k, state)
+    return count

@@ -39,7 +39,7 @@ CANDIDATES = 1024
 FULL, TOLD = 3, 4
 """
 places in ``NeighbourList.plan`` behind those of the kinds, the ends of their pairs that stay:
-whether a thread has no room for what it finds; a number that ``told`` passes on
+how many threads have no room for what they find; a number that ``told`` passes on
 """
 
 
@@ -192,7 +192,8 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32),
         np.zeros(room // PACK, np.int32), np.ones(1, np.bool_), np.zeros(5, np.int64),
         np.zeros((2, -(-most // PACK)), np.int64),
-        np.zeros((threads, 4, room // threads + CANDIDATES), np.int32) if threads > 1 else None,
+        np.zeros((threads, 4, max(room // threads, CANDIDATES) + CANDIDATES), np.int32)
+        if threads > 1 else None,
         tree(points[:, None]), trees, kin)
 
 

@@ -11,7 +11,7 @@ from numba import types
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker, workers
+from xpbd_ros.sim.backend.threads import alone, count_up, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps
 from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.near_pairs import closest, travel_of
@@ -94,13 +94,13 @@ def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
                                   room, which)
             pieces[1, p] = found - pieces[0, p]
         if found > room:
-            near.plan[FULL] = True
+            count_up(team, near.plan, FULL, 1)
         wait_uneven(team)
         if not near.plan[FULL]:
             return gather(team, near, kind, packs_of(tree), end)
     wait_uneven(team)
     if alone(team):
-        near.plan[FULL] = False
+        near.plan[FULL] = 0
         near.plan[TOLD] = list_alone(near, kind, tree, others, size, end, which, to_the_end)
     wait_uneven(team)
     return near.plan[TOLD]

@@ -169,9 +169,9 @@ class ExplicitGuard:
     def compile(self) -> None:
         """Compile the check and ``line``."""
         self._look()
-        solver = self._simulation.solver
+        simulation, solver = self._simulation, self._simulation.solver
         if solver.method == 'explicit':
-            self._simulation._advance(0, solver.rough)
+            simulation._crew.compile(*simulation._arguments(solver.rough))
 
     def collect(self) -> None:
         """Read edges, cells and external forces from the effects."""
@@ -202,20 +202,21 @@ class ExplicitGuard:
         solver = simulation.solver
         self._begin(setting.method)
         if solver.method != 'explicit':
-            simulation._advance(solver.substeps)
+            simulation._advance()
             self.line_frames += 1
             return
         before, more = self._look(), self._loads()
         if self._left:
-            simulation._advance(setting.substeps, setting)
+            simulation._advance(setting)
             self._left = self._left - 1 if self._is_stable(before, more) else solver.rough_frames
             self.switches += not self._left
             self.line_frames += 1
             return
         self._x[:], self._v[:] = state.x, state.v
-        simulation._advance(solver.substeps)
+        simulation._advance()
         if self._is_stable(before, more):
             return
+        simulation.fetch()
         put_back(simulation, self._x, self._v)
         self._left, self._method = solver.rough_frames, 'line'
         self.redone += 1
@@ -227,11 +228,12 @@ class ExplicitGuard:
                 start, method=simulation._method(rough), substeps=rough.substeps,
                 state=start.state._replace(apart=None, history=deepcopy(state.history),
                                            gap=state.gap))
-        simulation._advance(rough.substeps, rough)
+        simulation._advance(rough)
 
     def _begin(self, method: str) -> None:
         """Begin a frame of a method."""
         if method != self._method:
+            self._simulation.fetch()
             for built in self._simulation.effects.values():
                 built.forget()
         self._method = method

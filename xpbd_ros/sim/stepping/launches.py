@@ -7,7 +7,7 @@ So there is one source of the order of stages. Small kernels need fewer register
 sooner, than one for a whole frame.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import importlib
 import operator
@@ -20,6 +20,7 @@ import numpy as np
 from xpbd_ros.sim.backend.device_kernel import Request
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.emit import WRITTEN
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, wait
 from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.particles import explicit_updates, history, integration
@@ -47,6 +48,31 @@ class Launch(NamedTuple):
         return self.kernel.__name__
 
 
+class Repeat(NamedTuple):
+    """Launches that are done again as long as effects take turns."""
+
+    turns: np.ndarray
+    """of ``Shared``"""
+    launches: list[Launch]
+    """of a turn, with those that tell whether there is another one"""
+
+
+class Shared(NamedTuple):
+    """Arrays of all frames."""
+
+    gate: np.ndarray
+    """state of the barrier, shape (1,)"""
+    turns: np.ndarray
+    """number of the turn, and 1 if its inequalities are unmet; shape (2,)"""
+
+
+@jit
+def ask(effects, state, turns, first):
+    """Begin to count turns, or go on; note whether inequalities are unmet."""
+    turns[0] = 1 if first else turns[0] + 1
+    turns[1] = stages.are_inequalities_unmet(effects, state, turns[0])
+
+
 def name_of(kernel: Callable) -> tuple:
     """Return a name by which another process finds a kernel: arguments of ``find``."""
     return stages.name_of(kernel) or (kernel.__module__, kernel.__name__)
@@ -62,8 +88,9 @@ def find(module: str, name: Any) -> Callable:
 class Recorder:
     """Writes launches down, where Numba's ``Writer`` writes LLVM; a value is a type and itself."""
 
-    def __init__(self, slots: int):
-        self.launches: list[Launch] = []
+    def __init__(self, slots: int, turns: np.ndarray):
+        self.launches: list[Any] = []
+        self._turns = turns
         self._slots = slots
         self._alone = False
         self._types: dict[int, tuple] = {}
@@ -124,9 +151,23 @@ class Recorder:
         found = {name: self._recorded(each) for name, each in source.__globals__.items()}
         FunctionType(source.__code__, found)(*arguments)
 
+    def _take_turns(self, effects, state, turn: int) -> bool:
+        """Record a turn of a loop, where the loop asks for the first and for the second one."""
+        asked = tuple(effect for effect in effects if stages.kernel_of(
+            stages.are_inequalities_unmet, numba.typeof(effect)) is not None)
+        with self.only_if(None):
+            self.call(ask, *map(self.typed, (asked, state, self._turns, turn == 1)))
+        if turn == 1:
+            self._before, self.launches = self.launches, []
+        else:
+            self.launches = [*self._before, Repeat(self._turns, self.launches)]
+        return turn == 1
+
     def _recorded(self, found):
         if not callable(found) or isinstance(found, type):
             return found
+        if found is stages.are_inequalities_unmet:
+            return self._take_turns
         if found in ANSWERS:
             return ANSWERS[found]
         if found in stages._QUESTIONS:
@@ -146,6 +187,7 @@ def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
     """Return the number of threads that can share a kernel: constraints of a colour, or slots."""
     solves_lines = (stages.name_of(kernel) or ('',))[0] == stages.solve_lines.__name__
     for each in arguments:
+        slots = min(slots, getattr(each, 'most_threads', slots))
         if solves_lines and hasattr(each, 'lines'):
             return len(each.lines.work)
         batch = getattr(each, 'edges', each)
@@ -163,25 +205,28 @@ def turned(state: State) -> State:
 
 
 VALUES: dict[Callable, Callable] = {integration.turned: turned,
-                                    explicit_updates.at_start: explicit_updates.at_start.py_func}
+                                    **{each: each.py_func for each in (
+                                        explicit_updates.at_start, explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""
 COMPOSITE = (methods._kick,)
 """kernels whose calls are launches of their own"""
 ANSWERS: dict[Callable, Callable] = {step.flush_denormals: lambda: 0,
-                                     step.restore_mode: lambda mode: None,
-                                     stages.are_inequalities_unmet: lambda *_: False}
+                                     step.restore_mode: lambda mode: None}
 
 
-def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float,
-                substeps: int) -> tuple[list[Launch], np.ndarray]:
-    """
-    Return the launches of one frame, and the gate of their barrier; parameters as of ``advance``.
-
-    Effects that take turns (``are_inequalities_unmet``) cannot be recorded: their number depends
-    on the state.
-    """
-    gate = np.zeros(1, np.int64)
-    recorder = Recorder(len(state.inv_mass))
+def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float, substeps: int,
+                shared: Shared) -> list[Launch | Repeat]:
+    """Return the launches of one frame; parameters as of ``advance``."""
+    recorder = Recorder(len(state.inv_mass), shared.turns)
     recorder.run(step.advance, tuple(effects),
-                 state._replace(team=DeviceTeam(0, 1, gate)), method, frame_dt, substeps)
-    return recorder.launches, gate
+                 state._replace(team=DeviceTeam(0, 1, shared.gate)), method, frame_dt, substeps)
+    return recorder.launches
+
+
+def flattened(launches: Sequence[Launch | Repeat]) -> Iterator[Launch]:
+    """Yield all launches, those to be repeated once."""
+    for each in launches:
+        if isinstance(each, Repeat):
+            yield from each.launches
+        else:
+            yield each
