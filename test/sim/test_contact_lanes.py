@@ -106,7 +106,7 @@ class World:
         velocity = speed * (random.normal(size=(slots // 8, 3))
                             * 10.0**random.uniform(-1, 0, (slots // 8, 1)))[group]
         self.state.v[:, slot] = velocity.T
-        self.contacts = new_contacts(self._colliders(), 16 * count, THICKNESS, slots)
+        self.contacts = new_contacts(self._colliders(), 16 * count, THICKNESS, slots, 1)
         self.frame()
 
     def _colliders(self):

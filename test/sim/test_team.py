@@ -61,6 +61,60 @@ def test_the_same_bits_with_any_number_of_threads(method, options):
     assert len(set(one)) == len(one)
 
 
+GROUND = {'floor': {'plane': {}},
+          'ball': {'sphere': {'radius': 0.1}, 'position': [0.2, 0.3, -0.07]}}
+MANY = {**GROUND, 'bar': {'box': {'size': [0.1, 0.5, 0.05]}, 'position': [0.4, 0.3, 0.0],
+                          'restitution': 0.6, 'static_friction': 0.9},
+        'lid': {'box': {'size': [0.2, 0.2, 0.05]}, 'position': [0.1, 0.6, 0.035]},
+        'hills': {'heights': {'size': [0.5, 0.7], 'values': [[0.0, 0.01], [0.02, 0.01]]},
+                  'position': [0.25, 0.35, -0.005]}}
+PADS = {name: {**each, 'pad': {'stiffness': 1e6}, 'restitution': 0.0}
+        for name, each in MANY.items()}
+FULL = {f'floor_{k}': {'plane': {}} for k in range(20)}
+
+
+def lying(threads: int, colliders, *, effects=None, contact=None, frames=5, **solver) -> list:
+    """Return what each of some frames has of a crumpled sheet that lies on colliders."""
+    simulation = compile_scene(scene_from_mapping({
+        'solver': {'substeps': 4, 'threads': threads, **solver},
+        'cloths': {'c': {'grid': {'size': [0.5, 0.7], 'resolution': [19, 43]}, 'density': 0.2,
+                         'pose': {'position': [0, 0, 0.003]}, 'effects': {'stretch': STRETCH}}},
+        'colliders': colliders, 'effects': {'contact': {'thickness': 0.004, **(contact or {})},
+                                            'friction': {}, **(effects or {})}},
+        where='x', name='x'))
+    noise = np.random.default_rng(1).normal(0.0, 0.003, (3, len(simulation.slot)))
+    simulation.state.x[:, simulation.slot] += noise
+    found = []
+    for _ in range(frames):
+        frame = simulation.step()
+        simulation._crew._rest = 0    # else only the first frames with fewer cores than threads
+        stats = {name: value for name, value in simulation.stats().items()
+                 if name != 'frames_on_one_thread'}
+        found.append((simulation.hash(), stats, *(
+            (*state.force, *state.torque) for state in frame.colliders.values())))
+    assert sum(stats['contacts'] for _, stats, *_ in found) > 100
+    return found
+
+
+@pytest.mark.parametrize('colliders, options', [
+    (GROUND, {'method': 'gauss_seidel', 'integrator': 'backward_euler'}), *(
+        pytest.param(*each, marks=pytest.mark.slow) for each in [
+            (GROUND, {'method': 'line', 'integrator': 'ndf2'}),
+            (MANY, {'method': 'gauss_seidel', 'integrator': 'backward_euler'}),
+            (MANY, {'method': 'line', 'integrator': 'ndf2', 'precision': 'float32'}),
+            (PADS, {'method': 'line', 'integrator': 'bdf2'}),
+            (PADS, {'method': 'line', 'integrator': 'bdf2', 'effects': {
+                'self_collision': {'thickness': 0.004}}}),
+            (MANY, {'method': 'jacobi', 'iterations': 2, 'contact': {'when': 'after'}}),
+            (GROUND, {'method': 'explicit', 'integrator': 'leapfrog', 'substeps': 80}),
+            (FULL, {'method': 'gauss_seidel', 'integrator': 'backward_euler'})])])
+def test_contact_has_the_same_bits_with_any_number_of_threads(colliders, options):
+    one = lying(1, colliders, **options)
+    for threads in (2, 3):
+        assert lying(threads, colliders, **options) == one
+    assert bool(one[0][1]['contacts_without_room']) == (colliders is FULL)
+
+
 @njit(nogil=True)
 def _in_step(team, seen, rounds):
     """Count rounds; note where somebody is not exactly here."""

@@ -48,7 +48,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone_on_device, count_up, wait_on_device
+from xpbd_ros.sim.backend.threads import alone, count_up, wait, wait_within
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, RemoveAllColliders, RemoveCollider
 from xpbd_ros.sim.contact.broad_phase import find_candidates
 from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed, write_shape
@@ -113,20 +113,21 @@ class Contact(NamedTuple):
     """iterations done in this substep, and their number; None with ``when: sweep``"""
 
 
-@stage(prepare, Contact, on_device=True)
+@stage(prepare, Contact, shared=True)
 @jit
 def forget_contacts(contact, state, substep):
     """Move the colliders, and discard the pairs of the last substep."""
-    if alone_on_device(state.team):
+    if alone(state.team):
         begin_waiting(contact.wait)
         if substep.begin == 0.0:
             contact.contacts.count[1] = contact.contacts.count[4] = 0
         contact.contacts.count[0] = NOT_SOUGHT
         begin_wrenches(contact.contacts.wrenches, substep)
     move_colliders(contact.contacts, state.team, substep)
+    wait_within(state.team)
 
 
-@stage(project_inequalities, Contact, on_device=True)
+@stage(project_inequalities, Contact, shared=True)
 @jit
 def push_out(contact, state, substep):
     """Push every candidate that is too deep out along the normal; repeat between two colliders."""
@@ -137,14 +138,15 @@ def push_out(contact, state, substep):
     push_all(contact.contacts, state, False)
 
 
-@stage(accumulate_impulses, Contact, on_device=True)
+@stage(accumulate_impulses, Contact, shared=True)
 @jit
 def react(contact, state, substep):
     """Add the impulses of all contacts of this substep to the colliders' wrenches."""
     add_impulses(contact.contacts, state, substep)
+    wait_within(state.team)
 
 
-@stage(finish, Contact, on_device=True)
+@stage(finish, Contact, shared=True)
 @jit
 def calm(contact, state, substep):
     """Remove the velocity that came from separating old overlaps; apply restitution."""
@@ -154,11 +156,11 @@ def calm(contact, state, substep):
     calm_overlaps(contacts, state, substep)
     rebound(contact.bounce, contacts, state, substep)
     calm_pads(contacts.pads, contacts, state, substep)
-    wait_on_device(state.team)
+    wait(state.team)
     sum_up(contacts, state.team)
 
 
-@stage(add_explicit_forces, Contact)
+@stage(add_explicit_forces, Contact, shared=True)
 @jit
 def rest_on_colliders(contact, state, substep):
     """Particles in contact keep their velocity: colliders bear what would change it."""
@@ -192,6 +194,7 @@ class BuiltContact(Built):
         self.ns_per_substep = NS_PER_SUBSTEP + pads * NS_PER_PAD
         self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads > 0)
         self.contacts = new_contacts(self.colliders, room, parameters.thickness, world.slots,
+                                     1 if world.on_device else world.threads,
                                      new_pads(room, areas(world)) if pads else None,
                                      new_marks(world.slots) if world.on_device else None)
         if 'self_collision' in world.built:

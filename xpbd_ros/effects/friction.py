@@ -35,7 +35,7 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_columns,
     WIDTH,
 )
-from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import turns, wait
 from xpbd_ros.sim.contact.clamp_friction import (
     across,
     clamp_at,
@@ -124,10 +124,10 @@ def resist_clamped(pads, friction, state, substep):
     if pads is not None:
         contacts, x = friction.contacts, state.x
         s = contacts.slip
-        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        begin, end, step = turns(state.team, contacts.count[0])
         for k in range(begin, end, step):
             pads.clamped[k] = 0
-        wait_on_device(state.team)
+        wait(state.team)
         for k in range(begin, end, step):
             if hold(pads, friction, k, state, substep):
                 continue
@@ -148,7 +148,7 @@ def resist_clamped(pads, friction, state, substep):
             x[0, i] += s[j, 0] + s[k, 0] - tx
             x[1, i] += s[j, 1] + s[k, 1] - ty
             x[2, i] += s[j, 2] + s[k, 2] - tz
-        wait_on_device(state.team)
+        wait(state.team)
 
 
 @jit(inline=True)
@@ -261,7 +261,7 @@ def are_clamped(pads, k):
         return any_true(pads.clamped, k)
 
 
-@stage(project_inequalities, Friction, on_device=True)
+@stage(project_inequalities, Friction, shared=True)
 @jit
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
@@ -277,7 +277,7 @@ def resist(friction, state, substep):
                     resist_candidate(friction, j, state, substep)
         wait_for_others(contacts, team)
     fast = contacts.count[2] != 0    # friction too moves them far
-    wait_on_device(team)
+    wait(team)
     if fast:
         push_once(contacts, state, not fast, False)    # compiled once: no literal of its own
     if contacts.count[3]:

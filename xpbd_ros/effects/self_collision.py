@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, takes_part, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -240,8 +240,7 @@ def find_planes(team, effect, state):
 def stop(effect, state, substep):
     """Separate pairs that would pass through one another, in turn with colliders."""
     near, planes, team = effect.near, effect.planes, state.team
-    if takes_part(team):
-        leave(effect.contacts, state)
+    leave(effect.contacts, state)
     for turn in range(ROUNDS):
         if told(team, near, alone(team) and strays(near, state)):
             if alone(team):
@@ -251,8 +250,7 @@ def stop(effect, state, substep):
                 break
         if told(team, near, part_sides(planes, near, state) if alone(team) else 0) == 0:
             return
-        if takes_part(team):
-            push_again(effect.contacts, state, turn >= ROUNDS // 2)
+        push_again(effect.contacts, state, turn >= ROUNDS // 2)
     give_way(team, effect, near, planes, effect.contacts, state, substep)
 
 

@@ -240,6 +240,14 @@ def lowest_bit(typing, number):
 
 
 @intrinsic
+def count_bits(typing, number):
+    """Return how many bits are set."""
+    def generate(context, builder, signature, arguments):
+        return builder.ctpop(arguments[0])
+    return types.int64(types.int64), generate
+
+
+@intrinsic
 def highest(typing, a):
     """Return the largest lane."""
     def generate(context, builder, signature, arguments):

@@ -94,16 +94,12 @@ def alone_on_device(team):
     """Return False for the other threads of a GPU, in what one thread of a CPU does."""
 
 
-def takes_part(team):
-    """Return whether this thread does what one thread of a CPU does, or those of a GPU share."""
-
-
 def wait_on_device(team):
     """Go on when all threads of a GPU are here, in what one thread of a CPU does."""
 
 
 def count_up(team, counts, k, number):
-    """Add to counts[k], int64, where threads of a GPU may add at the same time."""
+    """Add to counts[k], int64, where other threads may add at the same time."""
 
 
 def wait_within(team):
@@ -200,13 +196,6 @@ def _alone_on_device(team):
     return (lambda team: alone(team)) if is_on_device(team) else lambda team: True
 
 
-@inline(takes_part)
-def _takes_part(team):
-    if is_on_device(team):
-        return lambda team: True
-    return lambda team: alone(team)
-
-
 @inline(wait_on_device)
 def _wait_on_device(team):
     return (lambda team: wait(team)) if is_on_device(team) else lambda team: None
@@ -214,7 +203,7 @@ def _wait_on_device(team):
 
 @inline(count_up)
 def _count_up(team, counts, k, number):
-    if is_on_device(team):
+    if not _none(team):
         return lambda team, counts, k, number: add_atomically(counts, k, number)
 
     def add(team, counts, k, number):

@@ -4,7 +4,7 @@ from math import sqrt
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import wide
-from xpbd_ros.sim.backend.threads import turns_on_device
+from xpbd_ros.sim.backend.threads import turns
 from xpbd_ros.sim.contact.colliders import to_local, to_world, write_pose
 from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 
@@ -53,7 +53,7 @@ def surface_before(contacts, c, h):
 @jit
 def move_colliders(contacts, team, substep):
     """Compute poses, motion and bounds of all colliders in this substep."""
-    begin, end, step = turns_on_device(team, contacts.colliders.count[0])
+    begin, end, step = turns(team, contacts.colliders.count[0])
     for c in range(begin, end, step):
         write_pose(contacts.colliders, c, substep.begin, contacts.before)
         write_pose(contacts.colliders, c, substep.end, contacts.after)

@@ -26,7 +26,7 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_wide,
     WIDTH,
 )
-from xpbd_ros.sim.backend.threads import alone_on_device, count_up, wait_on_device
+from xpbd_ros.sim.backend.threads import alone, count_up, wait, worker
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     has_pad,
@@ -114,7 +114,7 @@ class Contacts(NamedTuple):
     near: NearBlocks
     """particles that may come close, by collider"""
     scratch: np.ndarray
-    """working memory, shape (4, WIDTH)"""
+    """working memory of each thread, shape (threads, 4, WIDTH)"""
     wrenches: Wrenches
     """impulses that the colliders got from the cloth"""
     pads: Pads | None
@@ -145,7 +145,7 @@ OF_CANDIDATES = ('earlier', 'particle', 'collider', 'gap', 'overlap', 'push', 'n
 
 
 def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
-                 pads: Pads | None = None, marks: tuple | None = None) -> Contacts:
+                 threads: int, pads: Pads | None = None, marks: tuple | None = None) -> Contacts:
     """Return an empty list with the capacity of ``room`` candidates, and a vector of padding."""
     capacity = len(colliders.shape)
 
@@ -163,9 +163,10 @@ def new_contacts(colliders: Colliders, room: int, thickness: float, slots: int,
                     zeros((slots,), np.int64), integers(), integers(), integers(),
                     numbers(), numbers(), numbers(), numbers(3), numbers(3),
                     zeros((room + WIDTH,), np.int32), numbers(4), np.zeros((room, 3)),
-                    np.zeros(capacity + 1, np.int64), new_near_blocks(colliders, slots),
-                    zeros((4, WIDTH), np.float64),
-                    new_wrenches(capacity, slots, room, on_device=marks is not None), pads, marks)
+                    np.zeros(capacity + 1, np.int64), new_near_blocks(colliders, slots, threads),
+                    zeros((threads, 4, WIDTH), np.float64),
+                    new_wrenches(capacity, slots, room, threads, on_device=marks is not None),
+                    pads, marks)
 
 
 @jit(inline=True)
@@ -191,7 +192,7 @@ def push_all(contacts, state, eased):
             turn = CORNER
         if turn == CORNER and not contacts.count[3]:
             break
-        wait_on_device(state.team)    # until all have read the count
+        wait(state.team)    # until all have read the count
     if contacts.count[3]:
         leave_corners(contacts, state)
 
@@ -200,7 +201,7 @@ def push_all(contacts, state, eased):
 def wait_for_others(contacts, team):
     """Go on when all threads of a GPU are done with a collider, if particles have several."""
     if contacts.count[3]:
-        wait_on_device(team)
+        wait(team)
 
 
 @jit
@@ -214,9 +215,9 @@ def push_once(contacts, state, back, eased):
     """
     held_back, count, team = False, contacts.colliders.count[0], state.team
     if not back:
-        if alone_on_device(team):
+        if alone(team):
             contacts.count[2] = 0
-        wait_on_device(team)
+        wait(team)
     if contacts.count[0] > 0:
         for n in range(count):
             c = count - 1 - n if back else n
@@ -224,7 +225,7 @@ def push_once(contacts, state, back, eased):
             wait_for_others(contacts, team)
     if held_back:
         count_up(team, contacts.count, 2, 1)
-    wait_on_device(team)
+    wait(team)
 
 
 @jit(inline=True)
@@ -253,7 +254,8 @@ def push_pack(contacts, c, k, state, back, eased):
     if not stays_within(contacts, c, k, state, x, y, z):
         return False
     lx, ly, lz = vectors_to_local(contacts.after, c, x, y, z)
-    phi, nx, ny, nz = signed_distances(contacts.colliders, contacts.scratch, c, lx, ly, lz)
+    phi, nx, ny, nz = signed_distances(contacts.colliders, contacts.scratch[worker(state.team)],
+                                       c, lx, ly, lz)
     before, gap = load_wide(contacts.push, k), load_wide(contacts.gap, k)
     if eased:
         gap = smaller(SHORT * contacts.thickness[0], gap)
@@ -359,7 +361,7 @@ def is_clear(contacts, c, k, state):
         return False
     x, y, z = positions(state.x, contacts.particle, k)
     lx, ly, lz = vectors_to_local(contacts.after, c, x, y, z)
-    phi = depths(contacts.colliders, contacts.scratch, c, lx, ly, lz)
+    phi = depths(contacts.colliders, contacts.scratch[worker(state.team)], c, lx, ly, lz)
     least = smaller(load_wide(contacts.gap, k) - SHORT * contacts.thickness[0], 0.0)
     return not any_lane(phi < least)
 

@@ -19,10 +19,10 @@ from math import sqrt
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
 from xpbd_ros.sim.backend.threads import (
-    alone_on_device,
+    alone,
     count_up,
-    turns_on_device,
-    wait_on_device,
+    turns,
+    wait,
 )
 from xpbd_ros.sim.contact.colliders import is_soft, to_local
 from xpbd_ros.sim.contact.pieces import candidate, rounds
@@ -77,7 +77,7 @@ def leave_corners(contacts, state):
     if contacts.count[3] == 0:
         return
     found = 0
-    begin, end, step = turns_on_device(team, contacts.count[0])
+    begin, end, step = turns(team, contacts.count[0])
     for k in range(begin, end, step):
         i = contacts.particle[k]
         if (contacts.latest[i] == k and contacts.earlier[k] >= 0
@@ -91,7 +91,7 @@ def leave_corners(contacts, state):
                 project_jointly(contacts, k, i, state, True)
             invalidate_history(state.history, i)
     note_extra(contacts, team, found)
-    wait_on_device(team)
+    wait(team)
 
 
 @jit(inline=True)
@@ -124,8 +124,8 @@ def add_extra(contacts, state):
                         add_reaction(contacts, k, state, contacts.particle[k], x, y, z)
                         for a in range(3):
                             contacts.extra[k, a] = 0.0
-        wait_on_device(team)    # until all have read the count
-        if alone_on_device(team):
+        wait(team)    # until all have read the count
+        if alone(team):
             contacts.count[5] = 0
 
 

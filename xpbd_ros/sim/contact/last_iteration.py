@@ -1,24 +1,24 @@
 """Contact in the last iteration of a substep only (``effects.contact.when: after``)."""
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import alone, wait
 
 
 @jit
-def begin_waiting(wait):
+def begin_waiting(done):
     """Reset the count of iterations."""
-    if wait is not None:
-        wait[0] = 0
+    if done is not None:
+        done[0] = 0
 
 
 @jit(inline=True)
-def waits(wait, team):
+def waits(done, team):
     """Tell whether contact waits for a later iteration."""
-    if wait is None:
+    if done is None:
         return False
     else:    # Numba prunes the branch that is not taken
-        begun = wait[0] + 1
-        wait_on_device(team)    # until all have read it
-        if alone_on_device(team):
-            wait[0] = begun
-        return begun < wait[1]
+        begun = done[0] + 1
+        wait(team)    # until all have read it
+        if alone(team):
+            done[0] = begun
+        return begun < done[1]

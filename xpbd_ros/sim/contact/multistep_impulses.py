@@ -28,13 +28,13 @@ from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either, select
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import (
-    alone_on_device,
+    alone,
     count_up,
     is_on_device,
+    share,
     turns,
-    turns_on_device,
     wait,
-    wait_on_device,
+    worker,
 )
 from xpbd_ros.sim.contact.particle_lanes import block, numbers
 from xpbd_ros.sim.contact.pieces import LANES, over_lanes
@@ -68,19 +68,19 @@ class Multistep(NamedTuple):
     fresh: np.ndarray
     """``History.fresh`` of particles that have touched nothing, shape (1,)"""
     parts: np.ndarray
-    """sums of a part, of every one on a GPU, shape (…, COLUMNS, LANES)"""
+    """sums of a part for each thread, of every part on a GPU, shape (…, COLUMNS, LANES)"""
     chains: np.ndarray
     """sums of every CHAINS-th part, shape (CHAINS, USUAL)"""
 
 
-def new_multistep(capacity: int, slots: int, *, on_device: bool = False) -> Multistep:
+def new_multistep(capacity: int, slots: int, threads: int, *, on_device: bool) -> Multistep:
     """Return a state without marks."""
     def sums():
         return np.zeros((capacity, 6))
 
     return Multistep(np.full(slots, float(FREE)), np.zeros(capacity, np.int64),
                      np.zeros(capacity, np.int64), sums(), sums(), sums(), np.full(1, NONE),
-                     np.zeros((-(-slots // PART) if on_device else 1, COLUMNS, LANES)),
+                     np.zeros((-(-slots // PART) if on_device else threads, COLUMNS, LANES)),
                      np.zeros((CHAINS, USUAL)))
 
 
@@ -105,15 +105,15 @@ def spread_impulses(history, contacts, state, h):
         active = spread.marked[c] > 0
         if active:
             sum_parts(history, contacts, c, state, h)
-        begin, end, step = turns_on_device(team, 6)
+        begin, end, step = turns(team, 6)
         for k in range(begin, end, step):
             finish_sums(history, contacts, c, k, active)
-        wait_on_device(team)
-    begin, end, step = turns_on_device(team, colliders)
+        wait(team)
+    begin, end, step = turns(team, colliders)
     for c in range(begin, end, step):
         spread.marked[c] -= spread.unmarked[c]
         spread.unmarked[c] = 0
-    if alone_on_device(team):
+    if alone(team):
         spread.fresh[0] = later(history, spread.fresh[0])
 
 
@@ -177,34 +177,44 @@ def sum_parts(history, contacts, c, state, h):
 def _sum_parts(history, contacts, c, state, h):
     if is_on_device(state[state.fields.index('team')]):
         return lambda history, contacts, c, state, h: sum_by_all(history, contacts, c, state, h)
-    return lambda history, contacts, c, state, h: sum_alone(history, contacts, c, state, h)
+    return lambda history, contacts, c, state, h: sum_by_lanes(history, contacts, c, state, h)
 
 
 @jit
-def sum_alone(history, contacts, c, state, h):
-    """Do so on one thread of a CPU."""
-    spread = contacts.wrenches.multistep
-    spread.chains[:] = 0.0
-    sums, count = spread.parts[0], len(spread.owner)
-    for part in range((count + PART - 1) // PART):
-        found, rare, end = False, False, min((part + 1) * PART, count)
-        for q in range(part * PART, end, WIDTH):
-            owner = load_wide(spread.owner, q)
-            mine, new = is_equal(owner, c), is_equal(owner, NEW - c)
-            if any_lane(either(mine, new)):
-                if not found:
-                    sums[USUAL:] = 0.0
-                found = True
-                if any_lane(new) or not add_usual(history, contacts, sums, c, mine, q, state, h):
-                    if not rare:
-                        sums[:USUAL] = 0.0
-                    rare = True
-                    for i in range(q, q + WIDTH):
-                        add_particle(history, contacts, sums, c, i, state, h)
-        if found:
-            chain = spread.chains[part % CHAINS]
-            for k in range(USUAL if rare else NOW):
-                chain[k] += sum_of(sums, k, rare)
+def sum_by_lanes(history, contacts, c, state, h):
+    """Do so on a CPU, where each thread has some of the chains."""
+    spread, team = contacts.wrenches.multistep, state.team
+    first, last = share(team, CHAINS)
+    spread.chains[first:last] = 0.0
+    parts = (len(spread.owner) + PART - 1) // PART
+    for begin in range(0, parts, CHAINS):
+        for part in range(begin + first, min(begin + last, parts)):
+            sum_part(history, contacts, spread.parts[worker(team)], part, c, state, h)
+    wait(team)
+
+
+@jit(inline=True)
+def sum_part(history, contacts, sums, part, c, state, h):
+    """Add the sums of a part, with ``sums`` to do so in, to its chain."""
+    spread, found, rare = contacts.wrenches.multistep, False, False
+    end = min((part + 1) * PART, len(spread.owner))
+    for q in range(part * PART, end, WIDTH):
+        owner = load_wide(spread.owner, q)
+        mine, new = is_equal(owner, c), is_equal(owner, NEW - c)
+        if any_lane(either(mine, new)):
+            if not found:
+                sums[USUAL:] = 0.0
+            found = True
+            if any_lane(new) or not add_usual(history, contacts, sums, c, mine, q, state, h):
+                if not rare:
+                    sums[:USUAL] = 0.0
+                rare = True
+                for i in range(q, q + WIDTH):
+                    add_particle(history, contacts, sums, c, i, state, h)
+    if found:
+        chain = spread.chains[part % CHAINS]
+        for k in range(USUAL if rare else NOW):
+            chain[k] += sum_of(sums, k, rare)
 
 
 @jit(inline=True)

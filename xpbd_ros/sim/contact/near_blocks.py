@@ -64,16 +64,23 @@ class NearBlocks(NamedTuple):
     """its end, or ALL, shape (capacity,)"""
     block: np.ndarray
     """first slots of blocks, ascending within a list"""
+    chosen: np.ndarray | None
+    """scratch of several threads: bits of the particles in reach of each block, shape (slots /
+    WIDTH,)"""
+    found: np.ndarray | None
+    """number of those that each thread has found, shape (threads,)"""
 
 
-def new_near_blocks(colliders: Colliders, slots: int) -> NearBlocks:
+def new_near_blocks(colliders: Colliders, slots: int, threads: int = 1) -> NearBlocks:
     """Return an empty list."""
     capacity = len(colliders.shape)
     return NearBlocks(
         np.zeros(1, np.int64), zeros((3, slots), np.float64), zeros((slots,), np.float64),
         np.zeros_like(colliders.start), np.zeros(capacity), np.zeros(capacity),
         np.zeros(capacity, np.int64), np.zeros(capacity, np.int64),
-        np.zeros(min(capacity, LISTS) * -(-slots // WIDTH), np.int64))
+        np.zeros(min(capacity, LISTS) * -(-slots // WIDTH), np.int64),
+        *((np.zeros(-(-slots // WIDTH), np.int64), np.zeros(threads, np.int64))
+          if threads > 1 else (None, None)))
 
 
 @jit(inline=True)

@@ -1,10 +1,12 @@
 """
 How the candidates of a collider are divided among threads.
 
-One thread of a CPU takes them all, a vector at a time. On a GPU they are in chunks of CHUNK, and a
-thread takes every LANES-th one of a chunk: those that add to one partial sum of their impulses
-(``contact.wrenches``), where no other thread writes.
+They are in chunks of CHUNK. A thread of a CPU takes whole chunks, a vector at a time. One of a GPU
+takes every LANES-th candidate of a chunk. So no two threads add to one partial sum of the impulses
+(``contact.wrenches``).
 """
+
+from numba import types
 
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
@@ -23,8 +25,13 @@ def candidate(team, n, begin):
 
 @inline(rounds)
 def _rounds(team, begin, end):
-    if not is_on_device(team):
+    if isinstance(team, types.NoneType):
         return lambda team, begin, end: (end - begin + WIDTH - 1) // WIDTH
+    if not is_on_device(team):
+        def of_chunks(team, begin, end):
+            chunks = (end - begin + CHUNK - 1) // CHUNK
+            return (chunks - team.worker + team.workers - 1) // team.workers * (CHUNK // WIDTH)
+        return of_chunks
 
     def of_sums(team, begin, end):
         sums = LANES * ((end - begin + CHUNK - 1) // CHUNK)
@@ -34,8 +41,13 @@ def _rounds(team, begin, end):
 
 @inline(candidate)
 def _candidate(team, n, begin):
-    if not is_on_device(team):
+    if isinstance(team, types.NoneType):
         return lambda team, n, begin: begin + n * WIDTH
+    if not is_on_device(team):
+        def of_chunk(team, n, begin):
+            each = CHUNK // WIDTH
+            return begin + (team.worker + n // each * team.workers) * CHUNK + n % each * WIDTH
+        return of_chunk
 
     def of_sum(team, n, begin):
         each = CHUNK // LANES

@@ -3,6 +3,7 @@
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, larger, root, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide
+from xpbd_ros.sim.backend.threads import worker
 from xpbd_ros.sim.contact.colliders import BOX, vectors_to_local
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.contact.near_blocks import bounding_distance
@@ -25,7 +26,7 @@ def in_reach(contacts, state, c, q, most):
     colliders = contacts.colliders
     x, y, z = block(state.x, slots, q)
     lx, ly, lz = vectors_to_local(p, c, x, y, z)
-    phi = depths(colliders, contacts.scratch, c, lx, ly, lz)
+    phi = depths(colliders, contacts.scratch[worker(state.team)], c, lx, ly, lz)
     free, sampled = load_wide(state.inv_mass, q) > 0.0, colliders.shape[c] > BOX
     close = both(free, phi <= most)
     if any_lane(close) and (sampled or any_lane(both(close, phi > thickness))):
@@ -47,7 +48,7 @@ def distances_to_keep(contacts, state, c, q, h):
     """Return vectors: φ at the substep's start, φ up to which it may separate, gap, overlap."""
     x, y, z = block(state.x_prev, len(state.inv_mass), q)
     x, y, z = vectors_to_local(contacts.before, c, x, y, z)
-    start = depths(contacts.colliders, contacts.scratch, c, x, y, z)
+    start = depths(contacts.colliders, contacts.scratch[worker(state.team)], c, x, y, z)
     limit = start + DEPENETRATION * h
     gap = smaller(limit, contacts.thickness[0])
     return start, limit, gap, larger(gap - start, 0.0)

@@ -12,7 +12,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
-from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import turns, wait
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import wait_for_others
@@ -126,14 +126,14 @@ def calm_pads(pads, contacts, state, substep):
     It is that along the sum u of all pushes, so where two pads balance there is none.
     """
     if pads is not None:
-        wait_on_device(state.team)
+        wait(state.team)
         found = 0
-        begin, end, step = turns_on_device(state.team, contacts.count[0])
+        begin, end, step = turns(state.team, contacts.count[0])
         for k in range(begin, end, step):
             if contacts.latest[contacts.particle[k]] == k:
                 found |= calm_particle(pads, contacts, k, state, substep)
         note_extra(contacts, state.team, found)
-        wait_on_device(state.team)
+        wait(state.team)
         add_extra(contacts, state)
 
 

@@ -14,10 +14,10 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, bits, both, lowest_bit
 from xpbd_ros.sim.backend.simd_wide import load_columns, store_wide, WIDTH
-from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
+from xpbd_ros.sim.backend.threads import turns, wait, worker
 from xpbd_ros.sim.contact.multistep_impulses import Multistep, new_multistep
-from xpbd_ros.sim.contact.pieces import CHUNK, LANES, over_lanes
-from xpbd_ros.sim.geometry.quaternion import turns
+from xpbd_ros.sim.contact.pieces import candidate, CHUNK, LANES, over_lanes, rounds
+from xpbd_ros.sim.geometry import quaternion
 from xpbd_ros.sim.particles.explicit_updates import half_of, stay
 
 TURNED = 1e-4
@@ -41,10 +41,11 @@ class Wrenches(NamedTuple):
     """parts of forces that still act on velocities"""
 
 
-def new_wrenches(capacity: int, slots: int, room: int, *, on_device: bool = False) -> Wrenches:
+def new_wrenches(capacity: int, slots: int, room: int, threads: int = 1, *,
+                 on_device: bool = False) -> Wrenches:
     """Return zero wrenches of ``capacity`` colliders, for ``room`` candidates."""
     return Wrenches(np.zeros((capacity, 6)), np.zeros((room // CHUNK + capacity + 1, 6, LANES)),
-                    np.zeros(1), new_multistep(capacity, slots, on_device=on_device))
+                    np.zeros(1), new_multistep(capacity, slots, threads, on_device=on_device))
 
 
 @jit
@@ -84,32 +85,32 @@ def sum_up(contacts, team):
         return
     partial, total = contacts.wrenches.partial, contacts.wrenches.impulse
     count = contacts.colliders.count[0]
-    begin, end, step = turns_on_device(team, 6 * first_chunk(contacts, count))
+    begin, end, step = turns(team, 6 * first_chunk(contacts, count))
     for n in range(begin, end, step):
         q = partial[n // 6, n % 6]
         q[0] = over_lanes(q)
         for lane in range(1, LANES):
             q[lane] = 0.0
-    wait_on_device(team)
+    wait(team)
     for c in range(count):
         first, chunks = first_chunk(contacts, c), chunks_of(contacts, c)
-        begin, end, step = turns_on_device(team, 6 * CHAINS if chunks > CHAINS else 0)
+        begin, end, step = turns(team, 6 * CHAINS if chunks > CHAINS else 0)
         for n in range(begin, end, step):
             a, chain = n % 6, first + n // 6
             for chunk in range(chain + CHAINS, first + chunks, CHAINS):
                 partial[chain, a, 0] += partial[chunk, a, 0]
                 partial[chunk, a, 0] = 0.0
-    wait_on_device(team)
+    wait(team)
     for c in range(count):
         first, found = first_chunk(contacts, c), 0.0
-        begin, end, step = turns_on_device(team, 6)
+        begin, end, step = turns(team, 6)
         for a in range(begin, end, step):
             found = 0.0
             for chunk in range(first, first + min(CHAINS, chunks_of(contacts, c))):
                 found += partial[chunk, a, 0]
                 partial[chunk, a, 0] = 0.0
             total[c, a] -= found
-    wait_on_device(team)
+    wait(team)
 
 
 @jit(inline=True)
@@ -127,13 +128,30 @@ def bear_half_kick(contacts, state, substep):
     particle besides it, ±½ h F with F the weight and the sum of ``apart.move``, h² F / m, goes to
     its colliders, in proportion to their pushes.
     """
-    for k in range(contacts.count[0]):
-        if contacts.push[k] > 0.0 and state.inv_mass[contacts.particle[k]] > 0.0:
-            bear(contacts, k, state, substep)
-    for k in range(contacts.count[0]):
-        if contacts.push[k] > 0.0:
+    team, push, count = state.team, contacts.push, contacts.colliders.count[0]
+    for c in range(count if contacts.count[0] > 0 else 0):
+        begin, last = contacts.first[c], contacts.first[c + 1]
+        for n in range(rounds(team, begin, last)):
+            first = candidate(team, n, begin)
+            for k in range(first, min(first + WIDTH, last)):
+                if push[k] > 0.0 and state.inv_mass[contacts.particle[k]] > 0.0:
+                    bear(contacts, k, state, substep)
+    wait(team)
+    begin, end, step = turns(team, contacts.count[0])
+    for k in range(begin, end, step):
+        if contacts.latest[contacts.particle[k]] == k and is_pushed(contacts, k):
             stay(state, contacts.particle[k], substep.h)
-    sum_up(contacts, state.team)
+    sum_up(contacts, team)
+
+
+@jit(inline=True)
+def is_pushed(contacts, k):
+    """Return True if a collider pushes the particle whose last candidate is k."""
+    while k >= 0:
+        if contacts.push[k] > 0.0:
+            return True
+        k = contacts.earlier[k]
+    return False
 
 
 @jit(inline=True)
@@ -156,7 +174,8 @@ def work_of_colliders(impulse, colliders, dt: float) -> float:
     if not len(moves):
         return 0.0
     start, goal = colliders.start[moves], colliders.goal[moves]
-    twist = np.hstack([goal[:, :3] - start[:, :3], turns(start[:, 3:], goal[:, 3:])]) / dt
+    twist = np.hstack([goal[:, :3] - start[:, :3],
+                       quaternion.turns(start[:, 3:], goal[:, 3:])]) / dt
     twist[colliders.has_twist[moves]] += colliders.twist[moves][colliders.has_twist[moves]]
     return float(np.abs(impulse[moves] * twist).sum())
 
@@ -166,7 +185,7 @@ def react_to_turns(contacts, k, state, again, nx, ny, nz):
     """Call ``react_to_turn`` for the lanes of the mask."""
     mx, my, mz = load_columns(contacts.normal, k)
     if any_lane(both(again, is_turned(mx - nx, my - ny, mz - nz))):
-        scratch, chosen = contacts.scratch, bits(again)
+        scratch, chosen = contacts.scratch[worker(state.team)], bits(again)
         store_wide(scratch, 0, nx)
         store_wide(scratch, WIDTH, ny)
         store_wide(scratch, 2 * WIDTH, nz)
