@@ -20,6 +20,7 @@ from xpbd_ros.sim.backend.threads import (
     wait_uneven,
     WORTH_PARTS,
 )
+from xpbd_ros.sim.contact.pads import press_pads
 
 STRETCH = {'warp': 2e3, 'weft': 1e3}
 ALL = {'stretch': STRETCH, 'shear': {'stiffness': 300.0}, 'bend': {'stiffness': 1e-4}}
@@ -113,6 +114,27 @@ def test_contact_has_the_same_bits_with_any_number_of_threads(colliders, options
     for threads in (2, 3):
         assert lying(threads, colliders, **options) == one
     assert bool(one[0][1]['contacts_without_room']) == (colliders is FULL)
+
+
+@pytest.mark.slow
+def test_threads_share_the_particles_that_pads_clamp():
+    """Their last candidates, with which they are solved, are all of the second collider."""
+    pad = {'box': {'size': [0.2, 0.2, 0.1]}, 'pad': {'stiffness': 1e6}}
+    simulation = compile_scene(scene_from_mapping({
+        'solver': {'method': 'gauss_seidel', 'substeps': 4},
+        'cloths': {'c': {'grid': {'size': [0.5, 0.7], 'resolution': [19, 43]}, 'density': 0.2,
+                         'effects': {'stretch': STRETCH}}},
+        'colliders': {'low': {**pad, 'position': [0.25, 0.35, -0.05]},
+                      'high': {**pad, 'position': [0.25, 0.35, 0.05]}},
+        'effects': {'contact': {'thickness': 0.004}, 'friction': {}}}, where='x', name='x'))
+    simulation.step()
+    contacts, done = simulation.effects['contact'].contacts, []
+    for worker in range(2):
+        contacts.pads.given[:] = 0.0
+        press_pads(contacts.pads, contacts, simulation.state._replace(
+            team=ThreadTeam(worker, 2, np.zeros(24, np.int64))))
+        done.append(int((contacts.pads.given[:contacts.count[0]] > 0.0).sum()))
+    assert min(done) > 0.4 * sum(done) > 40
 
 
 @njit(nogil=True)

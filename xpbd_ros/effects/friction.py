@@ -35,7 +35,7 @@ from xpbd_ros.sim.backend.simd_wide import (
     store_columns,
     WIDTH,
 )
-from xpbd_ros.sim.backend.threads import turns, wait
+from xpbd_ros.sim.backend.threads import wait, worker, workers
 from xpbd_ros.sim.contact.clamp_friction import (
     across,
     clamp_at,
@@ -124,11 +124,11 @@ def resist_clamped(pads, friction, state, substep):
     if pads is not None:
         contacts, x = friction.contacts, state.x
         s = contacts.slip
-        begin, end, step = turns(state.team, contacts.count[0])
-        for k in range(begin, end, step):
+        first, step = worker(state.team), workers(state.team)
+        for k in range(first, contacts.count[0], step):
             pads.clamped[k] = 0
         wait(state.team)
-        for k in range(begin, end, step):
+        for k in range(first, contacts.count[0], step):
             if hold(pads, friction, k, state, substep):
                 continue
             j = partner(pads, contacts, k)

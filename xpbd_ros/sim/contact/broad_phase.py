@@ -81,8 +81,11 @@ def search_together(contacts, bounce, state, substep):
     wait(team)
     for c in range(contacts.colliders.count[0]):
         listed, begin, end = blocks_of(near, c, state)
-        first, last = share(team, end - begin)
-        found = 0
+        if begin == end:    # out of reach
+            if alone(team):
+                contacts.first[c + 1] = contacts.first[c]
+            continue
+        (first, last), found = share(team, end - begin), 0
         for n in range(first, last):
             q = near.block[begin + n] if listed else n * WIDTH
             near.chosen[n] = chosen_of(contacts, state, c, q)
@@ -101,6 +104,7 @@ def search_together(contacts, bounce, state, substep):
         if worker(team) == workers(team) - 1:
             contacts.first[c + 1] = contacts.count[0] = k
         wait(team)
+    wait(team)
 
 
 @jit

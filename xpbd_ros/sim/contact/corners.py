@@ -18,12 +18,7 @@ from math import sqrt
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
-from xpbd_ros.sim.backend.threads import (
-    alone,
-    count_up,
-    turns,
-    wait,
-)
+from xpbd_ros.sim.backend.threads import alone, count_up, wait, worker, workers
 from xpbd_ros.sim.contact.colliders import is_soft, to_local
 from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.contact.signed_distance import signed_distance
@@ -77,8 +72,7 @@ def leave_corners(contacts, state):
     if contacts.count[3] == 0:
         return
     found = 0
-    begin, end, step = turns(team, contacts.count[0])
-    for k in range(begin, end, step):
+    for k in range(worker(team), contacts.count[0], workers(team)):
         i = contacts.particle[k]
         if (contacts.latest[i] == k and contacts.earlier[k] >= 0
                 and penetrates_any(contacts, k, state)):

@@ -20,7 +20,7 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
 from xpbd_ros.sim.backend.simd_wide import load_columns, load_wide, store_wide, WIDTH
-from xpbd_ros.sim.backend.threads import turns, wait
+from xpbd_ros.sim.backend.threads import wait, worker, workers
 from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
 from xpbd_ros.sim.contact.multistep_impulses import mark, mark_pack, spread_impulses
@@ -185,8 +185,7 @@ def add_rest_of_pads(pads, contacts, state, substep):
     """Add the impulses of u - Σ d n of clamped particles, half to each of both colliders."""
     if pads is not None:
         n, d, found = contacts.normal, pads.given, 0
-        begin, end, step = turns(state.team, contacts.count[0])
-        for k in range(begin, end, step):
+        for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             i, j = contacts.particle[k], contacts.earlier[k]
             if pads.clamped[k] and contacts.latest[i] == k and j >= 0:
                 ratio = weights_before(state.history, i)[0]

@@ -108,7 +108,9 @@ def spread_impulses(history, contacts, state, h):
         begin, end, step = turns(team, 6)
         for k in range(begin, end, step):
             finish_sums(history, contacts, c, k, active)
-        wait(team)
+        if active:    # the next one takes the same chains
+            wait(team)
+    wait(team)
     begin, end, step = turns(team, colliders)
     for c in range(begin, end, step):
         spread.marked[c] -= spread.unmarked[c]

@@ -71,7 +71,7 @@ class NearBlocks(NamedTuple):
     """number of those that each thread has found, shape (threads,)"""
 
 
-def new_near_blocks(colliders: Colliders, slots: int, threads: int = 1) -> NearBlocks:
+def new_near_blocks(colliders: Colliders, slots: int, threads: int) -> NearBlocks:
     """Return an empty list."""
     capacity = len(colliders.shape)
     return NearBlocks(

@@ -40,7 +40,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import turns
+from xpbd_ros.sim.backend.threads import worker, workers
 from xpbd_ros.sim.contact.continuous_detection import detect_crossing
 from xpbd_ros.sim.contact.corners import contact_distance
 from xpbd_ros.sim.geometry.mesh import cross, length, Mesh
@@ -143,8 +143,7 @@ def begin_pad(pads, contacts, k, start, limit):
 def press_pads(pads, contacts, state):
     """Solve all particles that have a candidate with a pad."""
     if pads is not None:
-        begin, end, step = turns(state.team, contacts.count[0])
-        for k in range(begin, end, step):
+        for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             i = contacts.particle[k]
             if contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
                 press(pads, contacts, k, i, state)

@@ -3,7 +3,8 @@ How the candidates of a collider are divided among threads.
 
 They are in chunks of CHUNK. A thread of a CPU takes whole chunks, a vector at a time. One of a GPU
 takes every LANES-th candidate of a chunk. So no two threads add to one partial sum of the impulses
-(``contact.wrenches``).
+(``contact.wrenches``). Where few candidates take long, those of pads and in corners, each thread
+takes every n-th one, so that none has all of them.
 """
 
 from numba import types

@@ -12,7 +12,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
-from xpbd_ros.sim.backend.threads import turns, wait
+from xpbd_ros.sim.backend.threads import wait, worker, workers
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import wait_for_others
@@ -128,8 +128,7 @@ def calm_pads(pads, contacts, state, substep):
     if pads is not None:
         wait(state.team)
         found = 0
-        begin, end, step = turns(state.team, contacts.count[0])
-        for k in range(begin, end, step):
+        for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             if contacts.latest[contacts.particle[k]] == k:
                 found |= calm_particle(pads, contacts, k, state, substep)
         note_extra(contacts, state.team, found)

@@ -41,8 +41,8 @@ class Wrenches(NamedTuple):
     """parts of forces that still act on velocities"""
 
 
-def new_wrenches(capacity: int, slots: int, room: int, threads: int = 1, *,
-                 on_device: bool = False) -> Wrenches:
+def new_wrenches(capacity: int, slots: int, room: int, threads: int, *,
+                 on_device: bool) -> Wrenches:
     """Return zero wrenches of ``capacity`` colliders, for ``room`` candidates."""
     return Wrenches(np.zeros((capacity, 6)), np.zeros((room // CHUNK + capacity + 1, 6, LANES)),
                     np.zeros(1), new_multistep(capacity, slots, threads, on_device=on_device))
