@@ -248,3 +248,8 @@ def card():
 @pytest.mark.parametrize('case', CASES)
 def test_frames_on_a_card_have_the_bits_of_the_cpu(case, card, monkeypatch):
     same_frames(case, [card], monkeypatch)
+
+
+@pytest.mark.parametrize(('case', 'method'), PAIRS)
+def test_so_have_those_of_all_other_methods_on_a_card(case, method, card, monkeypatch):
+    same_frames(case, [card], monkeypatch, method=method, integrator=METHODS[method])
