@@ -110,6 +110,15 @@ for precision in ('float64', 'float32'):
         skin.step()
     print(skin.hash())
 """
+LAYERS = """
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene
+towel = compile_scene(load_scene('fold', {'solver.method': 'line', 'solver.substeps': 8}))
+for _ in range(240):
+    towel.step()
+assert towel.stats()['self_contacts'] > 100
+print(towel.hash())
+"""
 BARE = PROGRAM.replace(""",
     'cloths.sheet.effects.bend.stiffness': 1e-4""", '').replace("'line'", "'gauss_seidel'")
 TOUCHING = PROGRAM.replace("'swing'", "'drape'").replace('sheet.grid', 'cover.grid').replace(
@@ -120,8 +129,8 @@ TOUCHING = PROGRAM.replace("'swing'", "'drape'").replace('sheet.grid', 'cover.gr
 @pytest.mark.parametrize(('program', 'widths'), [
     pytest.param(ROPES, ('128', ''), id='ropes, narrow and native'),
     *(pytest.param(program, ('128', '256', '512'), id=name, marks=pytest.mark.slow)
-      for name, program in (('bare', BARE), ('free', PROGRAM), ('paths', PATHS),
-                            ('touching', TOUCHING)))])
+      for name, program in (('bare', BARE), ('free', PROGRAM), ('layers', LAYERS),
+                            ('paths', PATHS), ('touching', TOUCHING)))])
 def test_same_bits_whatever_the_vector_width(program, widths):
     """The cache of kernels is one folder per width; the native one has the step already."""
     found = {}

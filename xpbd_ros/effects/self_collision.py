@@ -46,6 +46,7 @@ from xpbd_ros.sim.self_collision.backing import (
     new_backing,
     store_backing,
 )
+from xpbd_ros.sim.self_collision.clamped_pairs import project_again
 from xpbd_ros.sim.self_collision.motion_limit import (
     go_share,
     hold_back,
@@ -149,10 +150,14 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team, seeks = effect.near, effect.pairs, state.team, False
+    if is_further_turn(pairs.backing):
+        if alone(team):
+            project_again(pairs.backing, near, pairs, state)
+        wait_uneven(team)
+        return
     if alone(team):
         load_backing(pairs.backing, near.slot)
-        seeks = not is_further_turn(pairs.backing) and (
-            pairs.count[0] == NOT_SOUGHT or strays(near, state))
+        seeks = pairs.count[0] == NOT_SOUGHT or strays(near, state)
         if seeks:
             common_step(near, state)
     if told(team, near, seeks):
@@ -162,7 +167,7 @@ def keep_apart(effect, state, substep):
     if alone(team):
         project_pairs(near, pairs)
         store_moves(near, state)
-        store_backing(pairs.backing, near, state)
+        store_backing(pairs.backing, near)
     wait_uneven(team)
 
 
@@ -368,7 +373,7 @@ class BuiltSelfCollision(Built):
         """Take the contacts with colliders into account."""
         pairs, near = self.data.pairs, self.data.near
         self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
-            backing=new_backing(contacts, len(near.slot))))
+            backing=new_backing(contacts, len(near.slot), len(pairs.push))))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""

@@ -3,7 +3,8 @@ Backing: colliders behind two layers of cloth, so that these press on one anothe
 
 Pair contacts and contacts alternate, and one turn transmits only about 1 / κ of the force between
 pads (κ: ``contact.pads``). So where pads press, the inequalities are projected TURNS times more,
-and then pairs with colliders behind both sides are solved together with these. With sums over the
+and pairs with colliders behind both sides are solved together with these; in further turns only
+those pairs of which one collider is a pad (``self_collision.clamped_pairs``). With sums over the
 colliders that touch a particle, along the normal n of the stiffest of them: those that a push
 along b n_p is towards, b n_p·n_k < 0, and those that it is away from,
 
@@ -29,10 +30,11 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import absolute, both, either, fma, lowest_bit, select
+from xpbd_ros.sim.backend.simd import absolute, both, either, fma, load, select
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.geometry.closest_points_simd import dot
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, INV_MASS
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
 
 STIFFEST = 1e3
 """largest κ: in single precision, more would leave no digits of 1 - s"""
@@ -40,6 +42,30 @@ TURNS = 2
 """further turns of pair contacts and contacts in an iteration"""
 OPPOSITE = 3
 """last column of the records: √s for pushes along n, relative to that for pushes against n"""
+BESIDE, BESIDE_PAD = 1, 2
+"""bits that tell that a collider, and that a pad, is near a particle"""
+
+
+class ClampedPairs(NamedTuple):
+    """
+    Pairs with colliders near both sides, one of them a pad (``self_collision.clamped_pairs``).
+
+    They and their particles take part in further turns.
+    """
+
+    part: np.ndarray
+    """1 for such pairs, else 0, in groups that may have some; float32, shape (pairs,)"""
+    groups: np.ndarray
+    """True for groups that may have some, shape (pairs / PACK,)"""
+    near: np.ndarray
+    """BESIDE for particles near a collider, BESIDE | BESIDE_PAD near a pad; uint8, shape
+    (particles + 1,)"""
+    particles: np.ndarray
+    """those of such pairs, shape (particles,)"""
+    count: np.ndarray
+    """their number, shape (1,)"""
+    listed: np.ndarray
+    """True for them, shape (particles + 1,)"""
 
 
 class Backing(NamedTuple):
@@ -61,14 +87,19 @@ class Backing(NamedTuple):
     """True for particles with colliders behind them, shape (particles + 1,)"""
     turn: np.ndarray
     """number of the present turn; 0: the first, of all pairs; shape (1,)"""
+    clamped: ClampedPairs
 
 
-def new_backing(contacts: Contacts, particles: int) -> Backing | None:
-    """Return storage for a number of particles; None in a scene without pads."""
+def new_backing(contacts: Contacts, particles: int, pairs: int) -> Backing | None:
+    """Return storage for numbers of particles and of pairs; None in a scene without pads."""
     if contacts.pads is None:
         return None
+    clamped = ClampedPairs(
+        np.zeros(pairs, np.float32), np.zeros(pairs // PACK, np.bool_),
+        np.zeros(particles + 1, np.uint8), np.zeros(particles, np.int64), np.zeros(1, np.int64),
+        np.zeros(particles + 1, np.bool_))
     return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros((particles, 2)),
-                   np.zeros(particles + 1, np.bool_), np.zeros(1, np.int64))
+                   np.zeros(particles + 1, np.bool_), np.zeros(1, np.int64), clamped)
 
 
 @jit(inline=True)
@@ -122,18 +153,24 @@ def along(contacts, k, best):
 def load_backing(backing, slot):
     """Write the records of all particles, from the contacts of the last turn."""
     if backing is not None:
-        axis, contacts = backing.axis, backing.contacts
-        contacts.pads.again[0] = backing.turn[0] < TURNS
+        backing.contacts.pads.again[0] = True
         for i in range(len(slot)):
-            best, front, back, last = -1, 0.0, 0.0, last_candidate(contacts, slot[i])
-            if last >= 0:
-                best, front, back = stiffest(contacts, last)
-            backing.held[i, 0] = backing.held[i, 1] = 0.0
-            backing.behind[i] = best >= 0
-            root = root_of(front, back)
-            axis[i, OPPOSITE] = root_of(back, front) / root if best >= 0 else 0.0
-            for a in range(3):
-                axis[i, a] = root * contacts.normal[best, a] if best >= 0 else 0.0
+            load_axis(backing, slot, i)
+
+
+@jit(inline=True)
+def load_axis(backing, slot, i):
+    """Write the record of one particle."""
+    axis, contacts = backing.axis, backing.contacts
+    best, front, back, last = -1, 0.0, 0.0, last_candidate(contacts, slot[i])
+    if last >= 0:
+        best, front, back = stiffest(contacts, last)
+    backing.held[i, 0] = backing.held[i, 1] = 0.0
+    backing.behind[i] = best >= 0
+    root = root_of(front, back)
+    axis[i, OPPOSITE] = root_of(back, front) / root if best >= 0 else 0.0
+    for a in range(3):
+        axis[i, a] = root * contacts.normal[best, a] if best >= 0 else 0.0
 
 
 @jit(inline=True)
@@ -144,16 +181,22 @@ def root_of(towards, away):
 
 
 @jit
-def store_backing(backing, near, state):
+def store_backing(backing, near):
     """Add Δd, the displacement that the contacts prevented, to their pushes."""
     if backing is not None:
-        contacts, held = backing.contacts, backing.held
         for i in range(len(near.slot)):
-            if held[i, 0] != 0.0 or held[i, 1] != 0.0:
-                last = last_candidate(contacts, near.slot[i])
-                best, front, back = stiffest(contacts, last)
-                add_pushes(contacts, last, best, held[i, 0], front, back, 1.0)
-                add_pushes(contacts, last, best, held[i, 1], back, front, -1.0)
+            store_pushes(backing, near, i)
+
+
+@jit(inline=True)
+def store_pushes(backing, near, i):
+    """Do so for one particle."""
+    contacts, held = backing.contacts, backing.held
+    if held[i, 0] != 0.0 or held[i, 1] != 0.0:
+        last = last_candidate(contacts, near.slot[i])
+        best, front, back = stiffest(contacts, last)
+        add_pushes(contacts, last, best, held[i, 0], front, back, 1.0)
+        add_pushes(contacts, last, best, held[i, 1], back, front, -1.0)
 
 
 @jit(inline=True)
@@ -242,24 +285,23 @@ def take_part(backing, axes, n, b, movable):
 
 
 @jit(inline=True)
-def may_take_part(backing, particles, kind, q, found):
-    """Return False if none of a kind's pairs q + k of all bits k takes part in this turn."""
+def in_turn(backing, q, mine):
+    """Return the mask of those of a vector of pairs, ``mine``, that are ClampedPairs in a turn."""
+    if backing is None:
+        return mine
+    else:    # Numba prunes the branch that is not taken
+        if is_further_turn(backing):
+            return both(mine, load(backing.clamped.part, q) > 0.0)
+        return mine
+
+
+@jit(inline=True)
+def is_group_in_turn(backing, group):
+    """Return False if no pair of a group takes part in this turn."""
     if backing is None:
         return True
     else:    # Numba prunes the branch that is not taken
-        if not is_further_turn(backing):
-            return True
-        behind, both_sides = backing.behind, False
-        while found:
-            k = q + lowest_bit(found)
-            found &= found - 1
-            first, second = behind[particles[0, k]], behind[particles[1, k]]
-            rest = behind[particles[2, k]] | behind[particles[3, k]]
-            if kind == EDGES:
-                both_sides |= (first | second) & rest
-            else:
-                both_sides |= first & (second | rest)
-        return both_sides
+        return not is_further_turn(backing) or backing.clamped.groups[group]
 
 
 @jit(inline=True)

@@ -355,25 +355,37 @@ def load_starts(near):
 @jit
 def load_moves(near, state):
     """Copy the displacements in this substep to the records."""
+    for i in range(len(near.slot)):
+        load_move(near, state, i)
+
+
+@jit(inline=True)
+def load_move(near, state, i):
+    """Do so for one particle."""
     move, x, w, start, step = (near.precise_move, state.x, state.inv_mass, near.x,
                                near.step)
-    for i in range(len(near.slot)):
-        j = near.slot[i]
-        for a in range(3):
-            move[i, a] = near.move[i, a] = near.loaded[i, a] = x[a, j] - start[i, a] - step[a]
-        move[i, INV_MASS] = near.move[i, INV_MASS] = near.unit * w[j]
+    j = near.slot[i]
+    for a in range(3):
+        move[i, a] = near.move[i, a] = near.loaded[i, a] = x[a, j] - start[i, a] - step[a]
+    move[i, INV_MASS] = near.move[i, INV_MASS] = near.unit * w[j]
 
 
 @jit
 def store_moves(near, state):
     """Add what pair contacts have added to the displacements to the positions."""
-    move, loaded, x = near.precise_move, near.loaded, state.x
     for i in range(len(near.slot)):
-        dx, dy, dz = (move[i, 0] - loaded[i, 0], move[i, 1] - loaded[i, 1],
-                      move[i, 2] - loaded[i, 2])
-        if dx != 0.0 or dy != 0.0 or dz != 0.0:
-            j = near.slot[i]
-            x[0, j] += dx
-            x[1, j] += dy
-            x[2, j] += dz
-            invalidate_history(state.history, j)
+        store_move(near, state, i)
+
+
+@jit(inline=True)
+def store_move(near, state, i):
+    """Do so for one particle."""
+    move, loaded, x = near.precise_move, near.loaded, state.x
+    dx, dy, dz = (move[i, 0] - loaded[i, 0], move[i, 1] - loaded[i, 1],
+                  move[i, 2] - loaded[i, 2])
+    if dx != 0.0 or dy != 0.0 or dz != 0.0:
+        j = near.slot[i]
+        x[0, j] += dx
+        x[1, j] += dy
+        x[2, j] += dz
+        invalidate_history(state.history, j)

@@ -20,6 +20,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     absolute,
+    any_lane,
     bits,
     both,
     either,
@@ -38,7 +39,8 @@ from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.backing import (
     Backing,
     by_backing,
-    may_take_part,
+    in_turn,
+    is_group_in_turn,
     prevented,
     take_part,
 )
@@ -213,18 +215,18 @@ def store_weights(pairs, q, b):
 def project_pairs(near, pairs):
     """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
     for group in range(0, pairs.end[0], PACK):
-        for turn in range(pairs.rounds[group // PACK]):
-            for q in range(group, group + PACK, lanes(near.move)):
-                project_round(near, pairs, pairs.kind[group // PACK], q, float(turn))
+        if is_group_in_turn(pairs.backing, group // PACK):
+            for turn in range(pairs.rounds[group // PACK]):
+                for q in range(group, group + PACK, lanes(near.move)):
+                    project_round(near, pairs, q, float(turn))
 
 
 @jit(inline=True)
-def project_round(near, pairs, kind, q, turn):
+def project_round(near, pairs, q, turn):
     """Project those of a vector of pairs that are contacts, and that belong to a round."""
     now, deficit = load(pairs.turn, q), load(pairs.deficit, q)
-    mine = both(deficit > NEVER, both(now >= turn, now <= turn))
-    found = bits(mine)
-    if found and may_take_part(pairs.backing, pairs.particles, kind, q, found):
+    mine = in_turn(pairs.backing, q, both(deficit > NEVER, both(now >= turn, now <= turn)))
+    if any_lane(mine):
         project_some(near, pairs, q, mine, load_corners(near.move, pairs.particles, q),
                      load_axes(pairs.backing, pairs.particles, q),
                      load_vector(pairs.normal, q), load_weights(pairs, q), deficit)

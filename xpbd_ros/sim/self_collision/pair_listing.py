@@ -9,7 +9,8 @@ buffer have no room, one thread lists all pairs.
 from numba import types
 
 from xpbd_ros.sim.backend.jit import inline, jit
-from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd import bits, count_bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd_integers import compress, equal_bits, fill
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, count_up, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.box_tree import box_of, find_packs, overlaps
@@ -20,6 +21,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     CANDIDATES,
     EDGES,
     FULL,
+    POINTS,
     TOLD,
     TRIANGLES,
     UNKNOWN,
@@ -167,13 +169,11 @@ def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, whic
             mine &= mine - 1
             hit = overlaps(others, other, box_of(tree, pack + lane, size))
             hit &= free | -(2 << lane) if kind != TRIANGLES and other == pack else free
-            if count + PACK > CANDIDATES:
+            if count + 2 * PACK > CANDIDATES:
                 end, count = keep_close(near, corners, kind, size, end, room, count), 0
-            while hit:
-                d = other + lowest_bit(hit)
-                hit &= hit - 1
-                count += add_candidate(near, corners, kind, tree, others, pack + lane, d, count,
-                                       which)
+            if hit:
+                count += add_candidates(near, near.kin, corners, kind, tree, others, pack + lane,
+                                        other, hit, count, which)
     return keep_close(near, corners, kind, size, end, room, count)
 
 
@@ -203,6 +203,69 @@ def bounds_of(tree, pack, size):
             high = max(high[0], h[0]), max(high[1], h[1]), max(high[2], h[2])
         return low, high
     return box_of(tree, tree.begin[1] + pack // PACK, size)
+
+
+@jit(inline=True)
+def add_candidates(near, kin, corners, kind, tree, others, c, other, hit, count, which):
+    """
+    Write the pairs of an item and the items of a pack that ``hit`` tells of behind a list.
+
+    Pairs that are joined are left out. It may write to 2 PACK places.
+
+    Returns
+    -------
+    number of pairs
+
+    """
+    mine, theirs, k, added = tree.corners, others.corners, room_in(corners) + count, 0
+    if kin is None and kind != POINTS and other + PACK <= theirs.shape[1]:
+        if kind == EDGES:
+            return add_edges(corners, mine, theirs, c, other, hit, k)
+        return add_triangles(corners, mine, theirs, c, other, hit, k, which)
+    while hit:
+        d = other + lowest_bit(hit)
+        hit &= hit - 1
+        added += add_candidate(near, corners, kind, tree, others, c, d, count + added, which)
+    return added
+
+
+@jit(inline=True)
+def add_edges(corners, mine, theirs, c, other, hit, k):
+    """Write the pairs of edge c and those of a pack, the earlier edge first, from place k on."""
+    i, j = mine[0, c], mine[1, c]
+    for row in range(2):
+        hit &= ~(equal_bits(theirs[row], other, i) | equal_bits(theirs[row], other, j))
+    earlier = hit & ((1 << min(max(c - other, 0), PACK)) - 1)
+    if earlier:
+        compress(theirs[0], other, earlier, corners[0], k)
+        compress(theirs[1], other, earlier, corners[1], k)
+        fill(corners[2], k, i)
+        fill(corners[3], k, j)
+    later = k + count_bits(earlier)
+    if hit != earlier:
+        fill(corners[0], later, i)
+        fill(corners[1], later, j)
+        compress(theirs[0], other, hit ^ earlier, corners[2], later)
+        compress(theirs[1], other, hit ^ earlier, corners[3], later)
+    return count_bits(hit)
+
+
+@jit(inline=True)
+def add_triangles(corners, mine, theirs, c, other, hit, k, which):
+    """Write the pairs of triangle c and particles of a pack, or SWAPPED the converse."""
+    i = mine[0, c]
+    if which == SWAPPED:
+        for row in range(3):
+            hit &= ~equal_bits(theirs[row], other, i)
+        fill(corners[0], k, i)
+        for row in range(3):
+            compress(theirs[row], other, hit, corners[1 + row], k)
+    else:
+        for row in range(3):
+            hit &= ~equal_bits(theirs[0], other, mine[row, c])
+            fill(corners[1 + row], k, mine[row, c])
+        compress(theirs[0], other, hit, corners[0], k)
+    return count_bits(hit)
 
 
 @jit(inline=True)
