@@ -233,7 +233,7 @@ def test_near_pairs_are_complete_where_particles_leave_inner_margins_while_other
     state.x[2, slot] += np.where(np.arange(len(slot)) % 2, 5e-3, -5e-3)
     state.x[2, slot[0]] += 0.02    # the only one to leave its margin
     common_step(near, state)
-    load_pairs(None, near, state, THICKNESS)
+    load_pairs(near, state, THICKNESS)
     choose_near(None, near, pairs, THICKNESS)
     assert (near.count[[0, 4]] - searches == [1, 0]).all()
     chosen = all_near(near, pairs)

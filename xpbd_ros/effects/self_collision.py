@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -59,6 +59,7 @@ from xpbd_ros.sim.self_collision.narrow_phase import find_contacts, list_planes
 from xpbd_ros.sim.self_collision.near_pairs import choose_near
 from xpbd_ros.sim.self_collision.neighbour_list import (
     advance,
+    any_thread,
     common_step,
     gone,
     load_moves,
@@ -149,25 +150,24 @@ def forget_pairs(effect, state, substep):
 @jit
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
-    near, pairs, team, seeks = effect.near, effect.pairs, state.team, False
+    near, pairs, team = effect.near, effect.pairs, state.team
     if is_further_turn(pairs.backing):
         if alone(team):
             project_again(pairs.backing, near, pairs, state)
         wait_uneven(team)
         return
-    if alone(team):
-        load_backing(pairs.backing, near.slot)
-        seeks = pairs.count[0] == NOT_SOUGHT or strays(near, state)
-        if seeks:
-            common_step(near, state)
-    if told(team, near, seeks):
-        find_pairs(team, effect, state, substep)
-    elif alone(team):
+    load_backing(team, pairs.backing, near.slot)
+    if any_thread(team, near, pairs.count[0] == NOT_SOUGHT or strays(near, state)):
+        common_step(near, state)
+        find_pairs(effect, state, substep)
+    else:
         load_moves(near, state)
+        wait_uneven(team)
     if alone(team):
         project_pairs(near, pairs)
-        store_moves(near, state)
-        store_backing(pairs.backing, near)
+    wait_uneven(team)
+    store_moves(near, state)
+    store_backing(team, pairs.backing, near)
     wait_uneven(team)
 
 
@@ -187,29 +187,30 @@ def stir_contacts(contacts, most):
 
 @jit
 def strays(near, state):
-    """Tell whether a particle has left the range for which pairs were sought."""
-    for i in range(len(near.slot)):
+    """Tell whether one of this thread's particles has left the range where pairs were sought."""
+    first, end, step = turns(state.team, len(near.slot))
+    for i in range(first, end, step):
         if gone(state.x, near.x, near.step, near.slot[i], i) > near.x[i, TRAVEL]:
             return True
     return False
 
 
 @jit
-def find_pairs(team, effect, state, substep):
+def find_pairs(effect, state, substep):
     """Find the pairs in reach in this substep."""
-    near, pairs, thickness = effect.near, effect.pairs, effect.thickness[0]
-    most = load_pairs(team, near, state, thickness)
+    near, pairs, team, thickness = effect.near, effect.pairs, state.team, effect.thickness[0]
+    most = load_pairs(near, state, thickness)
     lost = choose_near(team, near, pairs, thickness)
     if alone(team):
         stir_contacts(effect.contacts, most)
-        find_contacts(near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
         pairs.count[0] = SOUGHT
+    find_contacts(team, near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
     if lost:
         list_planes(team, near, effect.planes, thickness)
 
 
 @jit
-def load_pairs(team, near, state, thickness):
+def load_pairs(near, state, thickness):
     """
     Bring the list and the records up to date.
 
@@ -218,26 +219,23 @@ def load_pairs(team, near, state, thickness):
     longest way of a particle in this substep [m], on the main thread
 
     """
-    most, leaves = 0.0, False
-    if alone(team):
-        most, leaves = track_motion(near, state.x, SLACK * thickness)
-    if told(team, near, leaves):
+    team = state.team
+    most, leaves = track_motion(team, near, state.x, SLACK * thickness)
+    if leaves:
         seek(team, near, thickness, SUBSTEPS)
-    if told(team, near, alone(team) and (
-            is_front_incomplete(near) or not leaves and has_many_new(near))):
+    if is_front_incomplete(team, near) or not leaves and has_many_new(near):
         prune(team, near, state.x, thickness)
-    if alone(team):
-        load_starts(near)
-        load_moves(near, state)
+    load_starts(team, near)
+    load_moves(near, state)
     wait_uneven(team)
     return most
 
 
 @jit
-def find_planes(team, effect, state):
+def find_planes(effect, state):
     """Find the pairs that may pass through each other in this substep."""
-    load_pairs(team, effect.near, state, effect.thickness[0])
-    list_planes(team, effect.near, effect.planes, effect.thickness[0])
+    load_pairs(effect.near, state, effect.thickness[0])
+    list_planes(state.team, effect.near, effect.planes, effect.thickness[0])
 
 
 @stage(limit_motion, SelfCollision, shared=True)
@@ -247,11 +245,10 @@ def stop(effect, state, substep):
     near, planes, team = effect.near, effect.planes, state.team
     leave(effect.contacts, state)
     for turn in range(ROUNDS):
-        if told(team, near, alone(team) and strays(near, state)):
-            if alone(team):
-                common_step(near, state)
-            find_planes(team, effect, state)
-            if told(team, near, alone(team) and strays(near, state)):    # no room for all pairs
+        if any_thread(team, near, strays(near, state)):
+            common_step(near, state)
+            find_planes(effect, state)
+            if any_thread(team, near, strays(near, state)):    # no room for all pairs
                 break
         if told(team, near, part_sides(planes, near, state) if alone(team) else 0) == 0:
             return
@@ -286,7 +283,8 @@ def give_way(team, effect, near, planes, contacts, state, substep):
             if alone(team):
                 mark_all(planes, near, contacts, state, turn > 0)
                 rest_step(near, planes.held, contacts, state, substep)
-            find_planes(team, effect, state)
+            wait_uneven(team)
+            find_planes(effect, state)
             if alone(team):
                 mark_all(planes, near, contacts, state, turn > 0)
                 for i in range(len(near.slot)):
@@ -364,8 +362,10 @@ class BuiltSelfCollision(Built):
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(), kin(world), world.threads)
         self.data = SelfCollision(
-            np.array([parameters.thickness]), near, new_pair_contacts(NEAR * room, count),
-            new_planes(near.corners.shape[1], count, world.slots) if surface else None, None)
+            np.array([parameters.thickness]), near,
+            new_pair_contacts(NEAR * room, count, 1 if world.on_device else world.threads),
+            new_planes(near.corners.shape[1], count, world.slots, world.threads)
+            if surface else None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
 

@@ -32,6 +32,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import absolute, both, either, fma, load, select
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, turns
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.geometry.closest_points_simd import dot
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
@@ -84,7 +85,7 @@ class Backing(NamedTuple):
     against n, and along n; shape (particles, 2)
     """
     behind: np.ndarray
-    """True for particles with colliders behind them, shape (particles + 1,)"""
+    """1 for particles with colliders behind them, int32, shape (particles + 1,)"""
     turn: np.ndarray
     """number of the present turn; 0: the first, of all pairs; shape (1,)"""
     clamped: ClampedPairs
@@ -99,7 +100,7 @@ def new_backing(contacts: Contacts, particles: int, pairs: int) -> Backing | Non
         np.zeros(particles + 1, np.uint8), np.zeros(particles, np.int64), np.zeros(1, np.int64),
         np.zeros(particles + 1, np.bool_))
     return Backing(contacts, np.zeros((particles + 1, 4), np.float32), np.zeros((particles, 2)),
-                   np.zeros(particles + 1, np.bool_), np.zeros(1, np.int64), clamped)
+                   np.zeros(particles + 1, np.int32), np.zeros(1, np.int64), clamped)
 
 
 @jit(inline=True)
@@ -150,11 +151,13 @@ def along(contacts, k, best):
 
 
 @jit
-def load_backing(backing, slot):
+def load_backing(team, backing, slot):
     """Write the records of all particles, from the contacts of the last turn."""
     if backing is not None:
-        backing.contacts.pads.again[0] = True
-        for i in range(len(slot)):
+        if alone(team):
+            backing.contacts.pads.again[0] = True
+        first, end, step = turns(team, len(slot))
+        for i in range(first, end, step):
             load_axis(backing, slot, i)
 
 
@@ -181,10 +184,11 @@ def root_of(towards, away):
 
 
 @jit
-def store_backing(backing, near):
+def store_backing(team, backing, near):
     """Add Δd, the displacement that the contacts prevented, to their pushes."""
     if backing is not None:
-        for i in range(len(near.slot)):
+        first, end, step = turns(team, len(near.slot))
+        for i in range(first, end, step):
             store_pushes(backing, near, i)
 
 

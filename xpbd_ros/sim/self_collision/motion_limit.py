@@ -13,6 +13,8 @@ Pairs that pins and colliders still force through each other are counted.
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lowest_bit
+from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.corners import is_penetrating
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -29,13 +31,25 @@ def mark(planes, near, state):
     """Set ``held`` for the particles of all pairs that cross; return how many are new."""
     more = 0
     if planes is not None:
-        for m in range(planes.count[0]):
-            if not parts(planes, m, near, state.x):
-                for p in range(4):
-                    j = near.slot[planes.number[m, p]]
-                    if not planes.held[j]:
-                        planes.held[j] = True
-                        more += 1
+        for pack in range(0, planes.end[0], PACK):
+            found = planes.found[pack // PACK]
+            while found:
+                m = pack + lowest_bit(found)
+                found &= found - 1
+                if not parts(planes, m, near, state.x):
+                    more += hold(planes, m, near)
+    return more
+
+
+@jit
+def hold(planes, m, near):
+    """Set ``held`` for the particles of pair m; return how many are new."""
+    more = 0
+    for p in range(4):
+        j = near.slot[planes.number[m, p]]
+        if not planes.held[j]:
+            planes.held[j] = True
+            more += 1
     return more
 
 
@@ -47,39 +61,48 @@ def compute_shares(planes, near, state):
     The separating plane of each pair is midway between its sides at the substep's start, moved as
     far as pinned particles require.
     """
+    planes.share[:] = 1.0
+    for pack in range(0, planes.end[0], PACK):
+        found = planes.found[pack // PACK]
+        while found:
+            limit_shares(planes, pack + lowest_bit(found), near, state)
+            found &= found - 1
+
+
+@jit
+def limit_shares(planes, m, near, state):
+    """Do so for the particles of pair m."""
     start, step, slot, n, x, w = (near.x, near.step, near.slot, planes.normal, state.x,
                                   state.inv_mass)
-    planes.share[:] = 1.0
-    for m in range(planes.count[0]):
-        side, number = planes.side[m], planes.number[m]
-        first, above, below = number[0], np.inf, -np.inf
+    side, number = planes.side[m], planes.number[m]
+    first, above, below = number[0], np.inf, -np.inf
+    for p in range(4):
+        at = 0.0
+        for a in range(3):
+            at += n[m, a] * (start[number[p], a] - start[first, a])
+        if p < side:
+            above = min(above, at)
+        else:
+            below = max(below, at)
+    clear = 0.51 * planes.need[m]
+    plane = 0.5 * (above + below)
+    for turn in range(2):    # first move the plane for pinned particles, then limit the others
         for p in range(4):
-            at = 0.0
+            i = number[p]
+            j, at, go = slot[i], 0.0, 0.0
             for a in range(3):
-                at += n[m, a] * (start[number[p], a] - start[first, a])
-            if p < side:
-                above = min(above, at)
-            else:
-                below = max(below, at)
-        clear = 0.51 * planes.need[m]
-        plane = 0.5 * (above + below)
-        for turn in range(2):    # first move the plane for pinned particles, then limit the others
-            for p in range(4):
-                i = number[p]
-                j, at, go = slot[i], 0.0, 0.0
-                for a in range(3):
-                    at += n[m, a] * (start[i, a] - start[first, a])
-                    go += n[m, a] * (x[a, j] - start[i, a] - step[a])
-                if turn == 0:
-                    if w[j] == 0.0:
-                        plane = (min(plane, at + go - clear) if p < side
-                                 else max(plane, at + go + clear))
-                    continue
-                sign = 1.0 if p < side else -1.0
-                room, go = sign * (at - plane), sign * go
-                if room + go < clear and go < 0.0:
-                    planes.share[i] = min(planes.share[i], max(0.0, (room - clear) / -go))
-            plane = min(max(plane, below + clear), above - clear)
+                at += n[m, a] * (start[i, a] - start[first, a])
+                go += n[m, a] * (x[a, j] - start[i, a] - step[a])
+            if turn == 0:
+                if w[j] == 0.0:
+                    plane = (min(plane, at + go - clear) if p < side
+                             else max(plane, at + go + clear))
+                continue
+            sign = 1.0 if p < side else -1.0
+            room, go = sign * (at - plane), sign * go
+            if room + go < clear and go < 0.0:
+                planes.share[i] = min(planes.share[i], max(0.0, (room - clear) / -go))
+        plane = min(max(plane, below + clear), above - clear)
 
 
 @jit
@@ -166,8 +189,11 @@ def mark_penetrating(contacts, marks, state):
 def left_over(planes, near, contacts, state):
     """Return the number of pairs that cross and of contacts that penetrate."""
     count = 0
-    for m in range(planes.count[0]):
-        count += not parts(planes, m, near, state.x)
+    for pack in range(0, planes.end[0], PACK):
+        found = planes.found[pack // PACK]
+        while found:
+            count += not parts(planes, pack + lowest_bit(found), near, state.x)
+            found &= found - 1
     if contacts is not None:
         for k in range(contacts.count[0]):
             count += is_penetrating(contacts, k, state)

@@ -24,13 +24,13 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.near_pairs import (
     closest,
     is_inside,
     kept_distance,
-    part_of,
+    packs_of,
     travel_of,
 )
 from xpbd_ros.sim.self_collision.neighbour_list import (
@@ -48,16 +48,22 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
     weighted,
 )
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
-from xpbd_ros.sim.self_collision.separating_planes import add_plane, CLEAR
+from xpbd_ros.sim.self_collision.separating_planes import (
+    CLEAR,
+    end_planes,
+    forget_planes,
+    set_plane,
+)
 
 
 @jit
-def find_contacts(near, planes, pairs, x, apart):
+def find_contacts(team, near, planes, pairs, x, apart):
     """
     Set normals, weights and deficits of the near pairs, and list the planes.
 
     Parameters
     ----------
+    team : threads that take part
     near : neighbour list, with the records of the substep's start and of the displacements
     planes : receives the pairs that may pass through each other; None if only particles collide
     pairs : pair contacts
@@ -65,15 +71,19 @@ def find_contacts(near, planes, pairs, x, apart):
     apart : largest depenetration in the substep [m]
 
     """
-    if planes is not None:
-        planes.count[0] = 0
-    for q in range(0, pairs.end[0], lanes(near.start)):
-        find_some(near, planes, pairs, x, pairs.kind[q // PACK], q, apart)
+    if alone(team):
+        end_planes(planes, pairs.end[0])
+    first, end, step = packs_of(team, 0, pairs.end[0])
+    for group in range(first, end, step):
+        forget_planes(planes, group // PACK)
+        for q in range(group, group + PACK, lanes(near.start)):
+            find_some(near, planes, pairs, x, pairs.kind[group // PACK], q, apart, worker(team))
+    wait_uneven(team)
 
 
 @jit(inline=True)
-def find_some(near, planes, pairs, x, kind, q, apart):
-    """Do so for a vector of pairs."""
+def find_some(near, planes, pairs, x, kind, q, apart, me):
+    """Do so for a vector of pairs, on thread ``me``."""
     a, b, c, d = load_corners(near.start, pairs.particles, q)
     v, weight = closest(kind, a, b, c, d)
     distance, reach = root(dot(v, v)), travel_of(kind, a, b, c, d)
@@ -104,7 +114,7 @@ def find_some(near, planes, pairs, x, kind, q, apart):
     pushes = both(both(inside, there), dot(n, weighted(weight, a, b, c, d)) < gap)
     if any_lane(pushes):
         n, weight, inside = end_normals(planes, near, pairs, x, kind, q, pushes, inside, n,
-                                        weight, distance, (a, b, c, d))
+                                        weight, distance, (a, b, c, d), me)
     store_vector(pairs.normal, q, n)
     store_weights(pairs, q, weight)
     a, b, c, d = starts
@@ -134,16 +144,17 @@ def zero_slip(friction, q, zero):
 def list_planes_of(planes, pairs, kind, q, found):
     """List the pairs q + k of all bits k, from their normals and distances."""
     if planes is not None:
+        planes.found[q // PACK] |= found << q % PACK
         while found:
             k = q + lowest_bit(found)
             found &= found - 1
             p, n = pairs.particles, pairs.normal
-            add_plane(planes, 2 if kind == EDGES else 1, p[0, k], p[1, k], p[2, k], p[3, k],
+            set_plane(planes, k, 2 if kind == EDGES else 1, p[0, k], p[1, k], p[2, k], p[3, k],
                       (n[0, k], n[1, k], n[2, k]), pairs.deficit[k], pairs.keep[k])
 
 
 @jit(inline=True)
-def end_normals(planes, near, pairs, x, kind, q, pushes, inside, n, weight, distance, points):
+def end_normals(planes, near, pairs, x, kind, q, pushes, inside, n, weight, distance, points, me):
     """
     Return the normals and weights of pairs, and which of them are contacts.
 
@@ -167,7 +178,7 @@ def end_normals(planes, near, pairs, x, kind, q, pushes, inside, n, weight, dist
             while unknown:
                 k = q + lowest_bit(unknown)
                 unknown &= unknown - 1
-                pairs.overlap[k] = is_separated(planes, near, pairs, x, kind, k)
+                pairs.overlap[k] = is_separated(planes, near, pairs, x, kind, k, me)
             good = load(pairs.overlap, q) > 0.0
         per = 1.0 / select(size > 0.0, size, 1.0)
         n = (select(good, per * v[0], n[0]), select(good, per * v[1], n[1]),
@@ -178,13 +189,13 @@ def end_normals(planes, near, pairs, x, kind, q, pushes, inside, n, weight, dist
 
 
 @jit
-def is_separated(planes, near, pairs, x, kind, k):
+def is_separated(planes, near, pairs, x, kind, k, me):
     """Return 1.0 if a direction separates the sides of pair k throughout the substep, else 0.0."""
-    p, n = pairs.particles, pairs.normal
-    count = write_vectors(planes.points, 2 if kind == EDGES else 1,
+    p, n, points = pairs.particles, pairs.normal, planes.points[me]
+    count = write_vectors(points, 2 if kind == EDGES else 1,
                           (p[0, k], p[1, k], p[2, k], p[3, k]), near.x, near.slot,
                           x)
-    return 1.0 if part(planes.points, planes.shares, count, (n[0, k], n[1, k], n[2, k]),
+    return 1.0 if part(points, planes.shares[me], count, (n[0, k], n[1, k], n[2, k]),
                        CLEAR * pairs.deficit[k])[0] else 0.0
 
 
@@ -210,7 +221,8 @@ def list_planes(team, near, planes, thickness):
             find_crossing(team, near, kind)
         wait_uneven(team)
         if alone(team):
-            planes.count[0] = 0
+            planes.end[0] = near.kind_end[EDGES]
+            planes.found[:planes.end[0] // PACK + 1] = 0
             for kind in range(3):
                 collect_planes(near, planes, kind, thickness)
         wait_uneven(team)
@@ -219,8 +231,8 @@ def list_planes(team, near, planes, thickness):
 @jit(inline=True)
 def find_crossing(team, near, kind):
     """Set ``hits`` to where this thread's part of a kind has pairs within their travels."""
-    first, last = part_of(team, near.kind_begin[kind], near.kind_front[kind])
-    for pack in range(first, last, PACK):
+    first, last, step = packs_of(team, near.kind_begin[kind], near.kind_front[kind])
+    for pack in range(first, last, step):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             a, b, c, d = load_corners(near.start, near.corners, q)
@@ -256,6 +268,7 @@ def list_movable(near, planes, kind, q, thickness):
 def list_planes_at(near, planes, kind, q, found, v):
     """List the pairs q + k of all bits k in the neighbour list."""
     scratch = planes.vectors
+    planes.found[q // PACK] |= found << q % PACK
     store_vector(scratch, 0, v)
     while found:
         lane = lowest_bit(found)
@@ -263,7 +276,7 @@ def list_planes_at(near, planes, kind, q, found, v):
         k, n = q + lane, (scratch[0, lane], scratch[1, lane], scratch[2, lane])
         i, j, l, m = near.corners[0, k], near.corners[1, k], near.corners[2, k], near.corners[3, k]
         distance = length(n)
-        add_plane(planes, 2 if kind == EDGES else 1, i, j, l, m, (
+        set_plane(planes, k, 2 if kind == EDGES else 1, i, j, l, m, (
             n[0] / distance, n[1] / distance, n[2] / distance), distance, near.keep[k])
 
 

@@ -11,11 +11,14 @@ The groups stay while they hold all near pairs. To that end they also hold pairs
 further apart, and keep pairs of edges whose closest points come to include an end.
 """
 
+import numpy as np
+
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     any_lane,
     bits,
     both,
+    count_bits,
     either,
     lanes,
     larger,
@@ -27,9 +30,9 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, share, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, share, turns, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES, POINTS, told, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import any_thread, EDGES, POINTS, TRIANGLES
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
 CLOTH = 3
@@ -43,19 +46,12 @@ REST_SHARE = 0.5
 @jit
 def choose_near(team, near, pairs, thickness):
     """Choose and group the near pairs; return the number of those beyond the capacity."""
-    find_near(team, near, POINTS, thickness)
-    find_near(team, near, TRIANGLES, thickness)
-    find_near(team, near, EDGES, thickness)
-    wait_uneven(team)
-    lost = 0
-    if alone(team) and near.regroup[0]:
-        pairs.end[0] = 0
-        pairs.touched[:] = 0
-        for kind in range(3):
-            lost += group_pairs(near, pairs, kind, collect(near, pairs, kind))
-        pairs.count[1] += lost
-        near.regroup[0] = lost > 0
-    return told(team, near, lost)
+    missing = find_near(team, near, POINTS, thickness)
+    missing |= find_near(team, near, TRIANGLES, thickness)
+    missing |= find_near(team, near, EDGES, thickness)
+    if any_thread(team, near, missing or near.regroup[0]):
+        return regroup(team, near, pairs)
+    return 0
 
 
 @jit(inline=True)
@@ -63,11 +59,11 @@ def find_near(team, near, kind, thickness):
     """
     Set ``hits`` for this thread's part of a kind's pairs: what groups made now would hold.
 
-    Set ``regroup`` if a near pair is in no group.
+    Return True if one of these near pairs is in no group.
     """
     end, missing = near.kind_front[kind], 0
-    first, last = part_of(team, near.kind_begin[kind], end)
-    for pack in range(first, last, PACK):
+    first, last, step = packs_of(team, near.kind_begin[kind], end)
+    for pack in range(first, last, step):
         found = wider = with_ends = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             a, b, c = hits_of(near, kind, q, thickness)
@@ -77,15 +73,14 @@ def find_near(team, near, kind, thickness):
         listed, grouped = (1 << min(PACK, end - pack)) - 1, near.grouped[pack // PACK]
         near.hits[pack // PACK] = (wider | with_ends & grouped) & listed
         missing |= found & listed & ~grouped
-    if missing:
-        near.regroup[0] = True
+    return missing != 0
 
 
 @jit(inline=True)
-def part_of(team, begin, end):
-    """Return the begin and the end of this thread's part of some pairs, whole packs."""
-    first, last = share(team, (end - begin + PACK - 1) // PACK)
-    return begin + PACK * first, begin + PACK * last
+def packs_of(team, begin, end):
+    """Return the first of this thread's packs of some pairs, their end, and the stride."""
+    first, last, step = turns(team, (end - begin + PACK - 1) // PACK)
+    return begin + PACK * first, begin + PACK * last, PACK * step
 
 
 @jit(inline=True)
@@ -131,52 +126,95 @@ def within(near, kind, q, thickness, spare):
 
 
 @jit
-def collect(near, pairs, kind):
-    """Copy a kind's near pairs to ``found`` and ``found_keep``; return their number."""
-    found, keep, count, room = pairs.found, pairs.found_keep, 0, len(pairs.found_keep)
-    for pack in range(near.kind_begin[kind], near.kind_front[kind], PACK):
+def regroup(team, near, pairs):
+    """Group the pairs that ``hits`` tells of; return the number of those beyond the capacity."""
+    end, lost = 0, 0
+    forget_touched(team, pairs)
+    for kind in range(3):
+        found = collect(team, near, pairs, kind, end)
+        count = max(0, min(found, len(pairs.push) - PACK - end))
+        group_pairs(team, near, pairs, kind, end, count)
+        end += (count + PACK - 1) // PACK * PACK
+        lost += found - count
+    wait_uneven(team)
+    if alone(team):
+        pairs.end[0] = end
+        pairs.count[1] += lost
+        near.regroup[0] = lost > 0
+    wait_uneven(team)
+    return lost
+
+
+@jit
+def forget_touched(team, pairs):
+    """Zero this thread's row of ``touched``."""
+    if worker(team) < len(pairs.touched):
+        pairs.touched[worker(team)][:] = 0
+
+
+@jit
+def collect(team, near, pairs, kind, end):
+    """
+    Copy a kind's near pairs to ``found`` and ``found_keep``, from ``end`` on.
+
+    Returns
+    -------
+    their number, those beyond the capacity included
+
+    """
+    begin, count, place, total = near.kind_begin[kind], 0, end, 0
+    first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
+    for pack in range(begin // PACK + first, begin // PACK + last):
+        count += count_bits(np.int64(near.hits[pack]))
+    near.parts[worker(team)] = count
+    wait_uneven(team)
+    for k in range(workers(team)):
+        if k < worker(team):
+            place += near.parts[k]
+        total += near.parts[k]
+    copy_found(near, pairs, begin + PACK * first, begin + PACK * last, place)
+    wait_uneven(team)
+    return total
+
+
+@jit(inline=True)
+def copy_found(near, pairs, first, last, place):
+    """Copy the near pairs from ``first`` to ``last`` in the list, from a place on."""
+    found, keep, room = pairs.found, pairs.found_keep, len(pairs.found_keep)
+    for pack in range(first, last, PACK):
         hit = near.hits[pack // PACK]
         near.grouped[pack // PACK] = hit
         while hit:
             k = pack + lowest_bit(hit)
             hit &= hit - 1
-            if count < room:
+            if place < room:
                 for p in range(4):
-                    found[count, p] = near.corners[p, k]
-                keep[count] = near.keep[k]
-            count += 1
-    return count
+                    found[place, p] = near.corners[p, k]
+                keep[place] = near.keep[k]
+            place += 1
 
 
 @jit
-def group_pairs(near, pairs, kind, found):
-    """
-    Put the pairs in ``pairs.found`` into groups, each with pairs from PACK parts of it.
-
-    Returns
-    -------
-    number of pairs beyond the capacity
-
-    """
-    count = max(0, min(found, len(pairs.push) - PACK - pairs.end[0]))
+def group_pairs(team, near, pairs, kind, end, count):
+    """Put ``count`` of those found, from ``end`` on, into groups: each has pairs of PACK parts."""
     groups = (count + PACK - 1) // PACK
-    for g in range(groups):
-        first, rounds = pairs.end[0], 1
-        pairs.end[0] += PACK
+    first, last = share(team, groups)
+    for g in range(first, last):
+        place, rounds = end + PACK * g, 1
         for lane in range(PACK):
             m = g + lane * groups
             if m < count:
-                rounds = max(rounds, put_pair(near, pairs, kind, m, first, lane))
+                rounds = max(rounds, put_pair(near, pairs, pairs.touched[worker(team)], kind,
+                                              end + m, place, lane))
             else:
-                clear_place(pairs, first + lane, len(near.slot))
-        pairs.kind[first // PACK], pairs.rounds[first // PACK] = kind, rounds
-    return found - count
+                clear_place(pairs, place + lane, len(near.slot))
+        pairs.kind[place // PACK], pairs.rounds[place // PACK] = kind, rounds
 
 
 @jit(inline=True)
-def put_pair(near, pairs, kind, m, first, lane):
+def put_pair(near, pairs, touched, kind, m, first, lane):
     """Copy pair m of those found to a lane of a group; return the number of its round, from 1."""
-    place, touched, turn = first + lane, pairs.touched, 0
+    place, turn = first + lane, 0
     found, particles, dummy = pairs.found, pairs.particles, len(near.slot)
     for p in range(4):
         i = found[m, p]

@@ -17,7 +17,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, count_up, turns, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.particles.history import invalidate_history
@@ -36,10 +36,11 @@ UNKNOWN = -1.0
 """distance to be kept that is not computed yet"""
 CANDIDATES = 1024
 """pairs whose distance the search computes at once, a multiple of PACK"""
-FULL, TOLD = 3, 4
+FULL, TOLD, SOME = 3, 4, 5
 """
 places in ``NeighbourList.plan`` behind those of the kinds, the ends of their pairs that stay:
-how many threads have no room for what they find; a number that ``told`` passes on
+how many threads have no room for what they find; a number that ``told`` passes on; how many
+threads tell ``any_thread`` True
 """
 
 
@@ -130,7 +131,11 @@ class NeighbourList(NamedTuple):
     regroup: np.ndarray
     """True if the groups do not hold all near pairs, shape (1,)"""
     plan: np.ndarray
-    """scratch: what a thread tells the others, see FULL; shape (5,)"""
+    """scratch: what a thread tells the others, see FULL; shape (6,)"""
+    largest: np.ndarray
+    """scratch: largest travel of the particles of each thread [m], shape (threads,)"""
+    parts: np.ndarray
+    """scratch: number of near pairs that each thread has found, shape (threads,)"""
     pieces: np.ndarray
     """scratch: begin and number of the pairs found for each pack of a tree, shape (2, packs)"""
     buffers: np.ndarray | None
@@ -190,7 +195,8 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
         np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
         np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32),
-        np.zeros(room // PACK, np.int32), np.ones(1, np.bool_), np.zeros(5, np.int64),
+        np.zeros(room // PACK, np.int32), np.ones(1, np.bool_), np.zeros(6, np.int64),
+        np.zeros(threads), np.zeros(threads, np.int64),
         np.zeros((2, -(-most // PACK)), np.int64),
         np.zeros((threads, 4, max(room // threads, CANDIDATES) + CANDIDATES), np.int32)
         if threads > 1 else None,
@@ -257,14 +263,30 @@ def told(team, near, value):
     return near.plan[TOLD]
 
 
+@jit(inline=True)
+def any_thread(team, near, found):
+    """Return True on all threads if ``found`` is True on one of them; all wait for one another."""
+    if found:
+        count_up(team, near.plan, SOME, 1)
+    wait_uneven(team)
+    if alone(team):
+        near.plan[TOLD], near.plan[SOME] = near.plan[SOME], 0
+    wait_uneven(team)
+    return near.plan[TOLD] > 0
+
+
 @jit
 def common_step(near, state):
     """Store the positions at the substep's start and the common displacement as predicted."""
-    before = state.x_prev
-    for i in range(len(near.slot)):
+    team, before = state.team, state.x_prev
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
         j = near.slot[i]
         near.x[i, 0], near.x[i, 1], near.x[i, 2] = before[0, j], before[1, j], before[2, j]
-    find_step(near, state)
+    wait_uneven(team)
+    if alone(team):
+        find_step(near, state)
+    wait_uneven(team)
 
 
 @jit
@@ -295,27 +317,35 @@ def find_step(near, state):
 
 
 @jit
-def track_motion(near, x, slack):
+def track_motion(team, near, x, slack):
     """
     Update the bounds of the particles' motion in this substep, the travel in ``near.x``.
 
     Parameters
     ----------
+    team : threads that take part
+    near : neighbour list
     x : predicted positions [m], shape (3, slots)
     slack : least motion that projections are assumed to add, besides BEYOND [m]
 
     Returns
     -------
-    largest travel; True if a sum of travel and s exceeds the particle's margin
+    largest travel, on the main thread; True if a sum of travel and s exceeds the particle's margin
 
     """
     most, leaves = 0.0, False
-    for i in range(len(near.slot)):
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.x[i, TRAVEL] = moved + max(BEYOND * moved, slack)
         most = max(most, near.x[i, TRAVEL])
         side = near.x[i, TRAVEL] + gone_since(near.x, near.seen, near.drift, i)
         leaves |= side > near.margin[i]
+    near.largest[worker(team)] = most
+    leaves = any_thread(team, near, leaves)
+    if alone(team):
+        for k in range(workers(team)):
+            most = max(most, near.largest[k])
     return most, leaves
 
 
@@ -343,10 +373,11 @@ def rounding_of(near):
 
 
 @jit
-def load_starts(near):
+def load_starts(team, near):
     """Copy the positions at the substep's start and the travels to the float32 records."""
     start, x, origin = near.start, near.x, near.origin
-    for i in range(len(near.slot)):
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
         for a in range(3):
             start[i, a] = x[i, a] - origin[a]
         start[i, TRAVEL] = UP * x[i, TRAVEL]
@@ -355,7 +386,8 @@ def load_starts(near):
 @jit
 def load_moves(near, state):
     """Copy the displacements in this substep to the records."""
-    for i in range(len(near.slot)):
+    first, end, step = turns(state.team, len(near.slot))
+    for i in range(first, end, step):
         load_move(near, state, i)
 
 
@@ -373,7 +405,8 @@ def load_move(near, state, i):
 @jit
 def store_moves(near, state):
     """Add what pair contacts have added to the displacements to the positions."""
-    for i in range(len(near.slot)):
+    first, end, step = turns(state.team, len(near.slot))
+    for i in range(first, end, step):
         store_move(near, state, i)
 
 

@@ -99,7 +99,7 @@ class PairContacts(NamedTuple):
     touched: np.ndarray
     """
     scratch: PACK times the first place of the last group that has a particle, plus the number of
-    rounds up to it, shape (particles + 1,)
+    rounds up to it, by thread, shape (threads, particles + 1)
     """
     impulse: np.ndarray
     """scratch: impulse of a vector of pairs, shape (3, PACK)"""
@@ -109,8 +109,8 @@ class PairContacts(NamedTuple):
     """None in a scene without pads"""
 
 
-def new_pair_contacts(room: int, particles: int) -> PairContacts:
-    """Return no pairs, with the capacity of ``room`` pairs."""
+def new_pair_contacts(room: int, particles: int, threads: int = 1) -> PairContacts:
+    """Return no pairs, with the capacity of ``room`` pairs; as many threads group them."""
     room = (room + 4 * PACK - 1) // PACK * PACK    # the last group of each kind may not be full
 
     def rows(*shape):
@@ -119,7 +119,7 @@ def new_pair_contacts(room: int, particles: int) -> PairContacts:
         np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
         rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
         rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
-        np.zeros(particles + 1, np.int64), np.zeros((3, PACK), np.float32), None, None)
+        np.zeros((threads, particles + 1), np.int64), np.zeros((3, PACK), np.float32), None, None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,

@@ -56,6 +56,7 @@ def seek(team, near, thickness, left):
         seek_all(team, near, thickness, left)
     if alone(team):
         empty_groups(near)
+    wait_uneven(team)
 
 
 @jit(inline=True)

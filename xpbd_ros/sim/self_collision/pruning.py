@@ -10,9 +10,10 @@ the dual lists of GROMACS).
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, wait_uneven
-from xpbd_ros.sim.self_collision.near_pairs import part_of, within
+from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
+from xpbd_ros.sim.self_collision.near_pairs import packs_of, within
 from xpbd_ros.sim.self_collision.neighbour_list import (
+    any_thread,
     EDGES,
     empty_groups,
     exchange,
@@ -34,13 +35,16 @@ MANY = 0.5
 
 
 @jit
-def is_front_incomplete(near):
+def is_front_incomplete(team, near):
     """Return True if a particle's travel and motion since the pruning exceed its inner margin."""
-    for i in range(len(near.slot)):
+    found = False
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
         moved = gone_since(near.x, near.pruned, near.drift, i)
         if near.x[i, TRAVEL] + moved > near.inner[i]:
-            return True
-    return False
+            found = True
+            break
+    return any_thread(team, near, found)
 
 
 @jit
@@ -98,8 +102,8 @@ def load_inner_margins(near, x, least):
 def find_front(team, near, kind, thickness):
     """Set ``hits`` for this thread's part of a kind's pairs, in front or not."""
     end = near.kind_end[kind]
-    first, last = part_of(team, near.kind_begin[kind], end)
-    for pack in range(first, last, PACK):
+    first, last, step = packs_of(team, near.kind_begin[kind], end)
+    for pack in range(first, last, step):
         found = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
             found |= bits(within(near, kind, q, thickness, 0.0)[0]) << (q - pack)

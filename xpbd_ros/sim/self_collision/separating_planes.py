@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
@@ -26,10 +27,12 @@ LEAST = 0.02
 
 
 class Planes(NamedTuple):
-    """The pairs that may pass through each other in this substep."""
+    """The pairs that may pass through each other in this substep, at their places in groups."""
 
-    count: np.ndarray
-    """number of pairs, shape (1,)"""
+    end: np.ndarray
+    """end of the places, shape (1,)"""
+    found: np.ndarray
+    """bits of the pairs of each PACK places, shape (capacity / PACK,)"""
     side: np.ndarray
     """number of particles on a pair's first side, shape (capacity,)"""
     number: np.ndarray
@@ -45,25 +48,40 @@ class Planes(NamedTuple):
     share: np.ndarray
     """fraction of its displacement that a held particle may make, shape (particles,)"""
     points: np.ndarray
-    """scratch: vectors between a pair's sides [m], shape (8, 3)"""
+    """scratch: vectors between a pair's sides [m], by thread, shape (threads, 8, 3)"""
     shares: np.ndarray
-    """scratch: their weights, shape (8,)"""
+    """scratch: their weights, shape (threads, 8)"""
     vectors: np.ndarray
     """scratch: vectors between closest points by lanes [m], shape (3, PACK)"""
 
 
-def new_planes(room: int, particles: int, slots: int) -> Planes:
-    """Return an empty list with the capacity of ``room`` pairs."""
-    return Planes(np.zeros(1, np.int64), np.zeros(room, np.int64), np.zeros((room, 4), np.int64),
-                  np.zeros((room, 3)), np.zeros(room), np.zeros(slots, np.bool_),
-                  np.zeros(slots, np.bool_), np.zeros(particles), np.zeros((8, 3)), np.zeros(8),
+def new_planes(room: int, particles: int, slots: int, threads: int = 1) -> Planes:
+    """Return an empty list with the capacity of ``room`` pairs, for as many threads."""
+    return Planes(np.zeros(1, np.int64), np.zeros(-(-room // PACK), np.int32),
+                  np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros((room, 3)),
+                  np.zeros(room), np.zeros(slots, np.bool_), np.zeros(slots, np.bool_),
+                  np.zeros(particles), np.zeros((threads, 8, 3)), np.zeros((threads, 8)),
                   np.zeros((3, PACK), np.float32))
 
 
+@jit(inline=True)
+def end_planes(planes, end):
+    """Set the end of the places."""
+    if planes is not None:
+        planes.end[0] = end
+
+
+@jit(inline=True)
+def forget_planes(planes, pack):
+    """Drop the pairs of PACK places."""
+    if planes is not None:
+        planes.found[pack] = 0
+
+
 @jit
-def add_plane(planes, side, i, j, k, l, normal, distance, keep):
+def set_plane(planes, m, side, i, j, k, l, normal, distance, keep):
     """
-    Append a pair that may pass through each other in this substep.
+    Enter a pair that may pass through each other in this substep at place m.
 
     Parameters
     ----------
@@ -73,8 +91,6 @@ def add_plane(planes, side, i, j, k, l, normal, distance, keep):
     keep : distance to be kept [m]
 
     """
-    m = planes.count[0]
-    planes.count[0] = m + 1
     planes.side[m] = side
     number = planes.number
     number[m, 0], number[m, 1], number[m, 2], number[m, 3] = i, j, k, l
@@ -105,9 +121,9 @@ def parts(planes, m, near, x):
     """Return True if a direction separates a pair's sides; update the pair's direction."""
     if apart_now(planes, m, near, x) >= planes.need[m]:
         return True
-    points, n = planes.points, planes.normal
+    points, n = planes.points[0], planes.normal
     count = write_vectors(points, planes.side[m], planes.number[m], near.x, near.slot, x)
-    good, best = part(points, planes.shares, count, (n[m, 0], n[m, 1], n[m, 2]), planes.need[m])
+    good, best = part(points, planes.shares[0], count, (n[m, 0], n[m, 1], n[m, 2]), planes.need[m])
     n[m, 0], n[m, 1], n[m, 2] = best
     return good
 
@@ -117,15 +133,24 @@ def part_sides(planes, near, state):
     """Push apart the sides of each pair that crosses once; return the number of such pairs."""
     count = 0
     if planes is not None:
-        for m in range(planes.count[0]):
-            if parts(planes, m, near, state.x):
-                continue
-            count += 1
-            for p in range(planes.side[m]):
-                for q in range(planes.side[m], 4):
-                    push_pair(planes, m, near.slot[planes.number[m, p]],
-                              near.slot[planes.number[m, q]], state)
+        for pack in range(0, planes.end[0], PACK):
+            found = planes.found[pack // PACK]
+            while found:
+                m = pack + lowest_bit(found)
+                found &= found - 1
+                if not parts(planes, m, near, state.x):
+                    count += 1
+                    push_sides(planes, m, near, state)
     return count
+
+
+@jit
+def push_sides(planes, m, near, state):
+    """Push apart the sides of pair m."""
+    for p in range(planes.side[m]):
+        for q in range(planes.side[m], 4):
+            push_pair(planes, m, near.slot[planes.number[m, p]], near.slot[planes.number[m, q]],
+                      state)
 
 
 @jit
