@@ -95,12 +95,11 @@ def list_some(clamped, near, pairs, kind, group, found):
 
 @jit(inline=True)
 def is_clamped(beside, pairs, kind, k):
-    """Return True if pair k is a contact with colliders near both sides, one of them a pad."""
+    """Return True if pair k, with a pad near it, is a contact with colliders near both sides."""
     p = pairs.particles
     first, last = beside[p[0, k]], beside[p[3, k]] | beside[p[2, k]]
     if kind == EDGES:
         first |= beside[p[1, k]]
     else:
         last |= beside[p[1, k]]
-    return (first & last & BESIDE) != 0 and ((first | last) & BESIDE_PAD) != 0 and (
-        pairs.deficit[k] > NEVER)
+    return first & last & BESIDE != 0 and pairs.deficit[k] > NEVER
