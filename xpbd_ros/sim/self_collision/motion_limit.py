@@ -13,13 +13,11 @@ Pairs that pins and colliders still force through each other are counted.
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import lowest_bit
-from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.corners import is_penetrating
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.neighbour_list import gone, TRAVEL
-from xpbd_ros.sim.self_collision.separating_planes import parts
+from xpbd_ros.sim.self_collision.separating_planes import next_plane, parts
 
 ALONE, PINNED, BESIDE, PUSHED = range(4)
 """source of held particles' common displacement, by rank: themselves, a pin, a collider nearby, a
@@ -31,13 +29,11 @@ def mark(planes, near, state):
     """Set ``held`` for the particles of all pairs that cross; return how many are new."""
     more = 0
     if planes is not None:
-        for pack in range(0, planes.end[0], PACK):
-            found = planes.found[pack // PACK]
-            while found:
-                m = pack + lowest_bit(found)
-                found &= found - 1
-                if not parts(planes, m, near, state.x):
-                    more += hold(planes, m, near)
+        m = next_plane(planes, 0)
+        while m < planes.end[0]:
+            if not parts(planes, m, near, state.x):
+                more += hold(planes, m, near)
+            m = next_plane(planes, m + 1)
     return more
 
 
@@ -62,11 +58,10 @@ def compute_shares(planes, near, state):
     far as pinned particles require.
     """
     planes.share[:] = 1.0
-    for pack in range(0, planes.end[0], PACK):
-        found = planes.found[pack // PACK]
-        while found:
-            limit_shares(planes, pack + lowest_bit(found), near, state)
-            found &= found - 1
+    m = next_plane(planes, 0)
+    while m < planes.end[0]:
+        limit_shares(planes, m, near, state)
+        m = next_plane(planes, m + 1)
 
 
 @jit
@@ -189,11 +184,10 @@ def mark_penetrating(contacts, marks, state):
 def left_over(planes, near, contacts, state):
     """Return the number of pairs that cross and of contacts that penetrate."""
     count = 0
-    for pack in range(0, planes.end[0], PACK):
-        found = planes.found[pack // PACK]
-        while found:
-            count += not parts(planes, pack + lowest_bit(found), near, state.x)
-            found &= found - 1
+    m = next_plane(planes, 0)
+    while m < planes.end[0]:
+        count += not parts(planes, m, near, state.x)
+        m = next_plane(planes, m + 1)
     if contacts is not None:
         for k in range(contacts.count[0]):
             count += is_penetrating(contacts, k, state)

@@ -100,6 +100,17 @@ def set_plane(planes, m, side, i, j, k, l, normal, distance, keep):
 
 
 @jit(inline=True)
+def next_plane(planes, m):
+    """Return the first place from m on that has a pair, or one behind the end."""
+    while m < planes.end[0]:
+        found = planes.found[m // PACK] >> m % PACK
+        if found:
+            return m + lowest_bit(np.int64(found))
+        m += PACK - m % PACK
+    return m
+
+
+@jit(inline=True)
 def apart_now(planes, m, near, x):
     """Return the distance of a pair's sides along its direction at the positions x [m]."""
     number, n, start, slot = planes.number, planes.normal, near.x, near.slot
@@ -133,14 +144,12 @@ def part_sides(planes, near, state):
     """Push apart the sides of each pair that crosses once; return the number of such pairs."""
     count = 0
     if planes is not None:
-        for pack in range(0, planes.end[0], PACK):
-            found = planes.found[pack // PACK]
-            while found:
-                m = pack + lowest_bit(found)
-                found &= found - 1
-                if not parts(planes, m, near, state.x):
-                    count += 1
-                    push_sides(planes, m, near, state)
+        m = next_plane(planes, 0)
+        while m < planes.end[0]:
+            if not parts(planes, m, near, state.x):
+                count += 1
+                push_sides(planes, m, near, state)
+            m = next_plane(planes, m + 1)
     return count
 
 
