@@ -87,7 +87,7 @@ GUARDS = (
           'if self._is_stable(before, more):', 'if True:'),
     Guard('H27', 'line bdf2 16x1 slammed shut', 'separating planes between triangles',
           'sim/self_collision/separating_planes.py',
-          'if parts(planes, m, near, state.x):', 'if True:'),
+          'if not parts(planes, m, near, state.x):', 'if False:'),
     Guard('H28', 'line bdf2 1x1 held', 'drag never accelerates cloth beyond the air speed',
           'effects/drag.py', '    s /= max(1.0, trace)\n', ''),
     Guard('H29', 'line bdf2 8x1 restitution 0', 'contact invalidates the multistep history',
