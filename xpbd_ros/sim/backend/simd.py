@@ -28,11 +28,12 @@ from xpbd_ros.sim.backend.operators import type_first
 
 PROCESSOR = binding.get_host_cpu_name()
 """LLVM's name of this machine's processor, such as znver4"""
-_FEATURES = binding.get_host_cpu_features()
+FEATURES = binding.get_host_cpu_features()
+"""instruction sets that LLVM says it has, such as avx2"""
 WIDTH_VARIABLE = 'XPBD_ROS_VECTOR_BITS'
 """environment variable that overrides the width"""
 BITS = int(os.environ.get(WIDTH_VARIABLE) or (
-    512 if _FEATURES.get('avx512f') else 256 if _FEATURES.get('avx') else 128))
+    512 if FEATURES.get('avx512f') else 256 if FEATURES.get('avx') else 128))
 """width of a vector"""
 
 

@@ -10,13 +10,13 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from xpbd_ros.sim.backend.simd import _FEATURES, BITS, place, splatted
+from xpbd_ros.sim.backend.simd import BITS, FEATURES, place, splatted
 from xpbd_ros.sim.backend.simd_records import PACK
 
 NUMBER, INDEX = ir.IntType(32), ir.IntType(64)
 HALF = 8
 """lanes that one instruction permutes"""
-PERMUTES = bool(_FEATURES.get('avx2')) and BITS >= 32 * HALF
+PERMUTES = bool(FEATURES.get('avx2')) and BITS >= 32 * HALF
 _PLACES = [[lane for lane in range(HALF) if chosen >> lane & 1] for chosen in range(1 << HALF)]
 
 
