@@ -14,6 +14,7 @@ from std_msgs.msg import String
 
 from support.logs import recorded_inputs
 from support.node import child_environment, Cloth, LATCHED, points, transform
+from support.tiers import slow
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.scene.urdf import Description
 from xpbd_ros.share import share_folder
@@ -92,7 +93,7 @@ def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path, foll
     assert any('arm_palm (palm)' in note for note in numbers['notes'])
 
 
-@pytest.mark.parametrize('sent', [True, False])
+@pytest.mark.parametrize('sent', [True, slow(False)])
 def test_a_description_on_a_topic_is_read_once_and_kept_in_the_log(start, peer, tmp_path, sent):
     """As robot_state_publisher latches it; without one the node says so and ends."""
     text = (ROBOTS / 'two_finger.urdf').read_text()

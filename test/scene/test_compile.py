@@ -13,7 +13,7 @@ from xpbd_ros.scene.save import scene_text
 from xpbd_ros.sim.measure import largest_strain
 
 EACH = each_scene(slow=('arch', 'bag', 'balloon', 'curtain', 'drape', 'drum', 'flag', 'fold',
-                        'fold_towel', 'shirt', 'softbox'))
+                        'fold_towel', 'grip', 'shirt', 'softbox'))
 """slow: those that take long to compile, of effects that have quick tests of their own"""
 
 

@@ -61,6 +61,7 @@ class Shirt:
         return on_table
 
 
+@pytest.mark.slow
 def test_a_coarse_shirt_is_lifted_and_laid_down():
     Shirt(0.04).lift_and_lay_down()
 

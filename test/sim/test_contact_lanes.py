@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.meshes import box_surface
+from support.tiers import slow
 from xpbd_ros.effects.friction import Friction, resist, resist_candidate
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.jit import jit
@@ -182,10 +183,9 @@ def brute_force(world):
 
 
 @pytest.mark.parametrize('speed, pace, stir, dtype, kept_at_least', [
-    (5.0, 0.0, 0.0, np.float64, 25), (0.0, 0.3, 0.0, np.float64, 25),
-    (5.0, 0.3, 0.001, np.float64, 25), *(pytest.param(*case, marks=pytest.mark.slow) for case in (
-        (0.0, 0.0, 0.0, np.float64, 39), (50.0, 0.0, 0.0, np.float64, 0),
-        (0.5, 0.02, 0.0, np.float32, 25)))])
+    (5.0, 0.3, 0.001, np.float64, 25), slow(5.0, 0.0, 0.0, np.float64, 25),
+    slow(0.0, 0.3, 0.0, np.float64, 25), slow(0.0, 0.0, 0.0, np.float64, 39),
+    slow(50.0, 0.0, 0.0, np.float64, 0), slow(0.5, 0.02, 0.0, np.float32, 25)])
 def test_candidates_are_those_of_brute_force(speed, pace, stir, dtype, kept_at_least):
     world = World(speed, dtype)
     contacts, kept, most = world.contacts, 0, 0
@@ -282,8 +282,7 @@ def count_singly(contacts, state):
 
 
 @pytest.mark.parametrize('speed, pace, dtype', [
-    (3.0, 0.2, np.float64), (0.5, 0.1, np.float32),
-    pytest.param(0.1, 0.0, np.float64, marks=pytest.mark.slow)])
+    (3.0, 0.2, np.float64), slow(0.5, 0.1, np.float32), slow(0.1, 0.0, np.float64)])
 def test_pushes_and_friction_have_the_bits_of_one_at_a_time(speed, pace, dtype):
     worlds = [World(speed, dtype) for _ in range(2)]
     touched = crossed = inside = 0

@@ -178,7 +178,8 @@ def test_a_crumpled_cloth_takes_line_until_it_is_calm():
     assert mixed.stats()['frames_taken_back'] == 0
 
 
-@pytest.mark.parametrize('precision', ['float64', slow('float32')])
+@pytest.mark.slow
+@pytest.mark.parametrize('precision', ['float64', 'float32'])
 def test_any_number_of_threads_gives_the_same_bits(precision, monkeypatch):
     hashes = []
     for threads in (1, 2):
@@ -292,7 +293,7 @@ def test_effects_with_lagging_velocities_or_limits_leave_auto_with_line(options)
 
 
 @pytest.mark.parametrize('name, effect, keys', [
-    ('sheet', 'membrane', {}), ('softbox', 'volume', {}),
+    ('sheet', 'membrane', {}), slow('softbox', 'volume', {}),
     ('sheet', 'area', {'cloths.sheet.effects.area': {'stiffness': 100.0}})])
 def test_elements_mix_and_their_energy_and_sides_are_looked_at(name, effect, keys):
     """By the definition in NumPy; what only the substeps' number makes unstable is redone."""
@@ -312,6 +313,7 @@ def test_elements_mix_and_their_energy_and_sides_are_looked_at(name, effect, key
     assert np.abs(few.frame().x).max() < 2.0
 
 
+@pytest.mark.slow
 def test_a_balloon_mixes_and_bounces_with_either_method_to_the_same_height(monkeypatch):
     """Gas stretches the skin, whose sides are looked at; a switch keeps the momentum."""
     raw = load_scene('balloon').raw
@@ -355,6 +357,7 @@ def test_the_work_of_wind_is_not_taken_for_instability(effects, wind):
     assert mixed.stats()['explicit_redone'] == 0
 
 
+@pytest.mark.slow
 def test_the_work_of_gas_is_not_taken_for_instability():
     """The amount of gas is raised by a hundredth at rest."""
     keys = {'solver.method': 'explicit', 'solver.substeps': 400,

@@ -14,6 +14,7 @@ from support.browser import Browser, CHROMIUM, MISSING, viewed
 from support.node import Cloth, NodeProcess, Peer
 from support.page import blue, drag, pins, SHEET
 from xpbd_ros.cli.main import main
+from xpbd_ros.ros import cloth_client
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec('viser') is None,
                                 reason="viser is not installed: pip install 'xpbd_ros[view]'")
@@ -126,7 +127,8 @@ def box(label: str) -> str:
     return f'({Browser.box(label)} || {{}}).value'
 
 
-def test_a_node_that_is_not_there_is_one_line(cloth, context, capsys):
+def test_a_node_that_is_not_there_is_one_line(cloth, context, capsys, monkeypatch):
+    monkeypatch.setattr(cloth_client, 'PATIENCE', 3.0)
     assert main(['view', '--node', '/nowhere', '--no-browser']) == 2
     said = capsys.readouterr().err
     assert said.count('\n') == 1

@@ -117,7 +117,7 @@ class ClothClient:
             self._thread.join()
         self.node.destroy_node()
 
-    def connect(self, patience: float = PATIENCE) -> Scene:
+    def connect(self) -> Scene:
         """
         Wait for the node, subscribe to the topics of its scene, and return the scene.
 
@@ -126,7 +126,7 @@ class ClothClient:
         InputError : the node is not there, or publishes no scene; with the remedy
 
         """
-        self._wait(lambda: self.scene_text, patience)
+        self._wait(lambda: self.scene_text)
         scene = self.scene()
         self.frame_id = scene.top.frame_id
         self._listen('pin_states', MultiDOFJointState, self._on_pins, LATEST)
@@ -143,14 +143,14 @@ class ClothClient:
             if INPUTS[topic].effect in scene.effect_names:
                 self._publishers[topic] = self.node.create_publisher(
                     INPUTS[topic].kind, f'{self.name}/{topic}', 10)
-        self.wait_for_meshes(scene, patience)
+        self.wait_for_meshes(scene)
         return scene
 
-    def wait_for_meshes(self, scene: Scene, patience: float = PATIENCE) -> None:
+    def wait_for_meshes(self, scene: Scene) -> None:
         """Wait for the mesh of each cloth; raise InputError if one does not come."""
-        self._wait(lambda: self.triangles.keys() >= scene.cloths.keys(), patience)
+        self._wait(lambda: self.triangles.keys() >= scene.cloths.keys())
 
-    def wait_for_state(self, scene: Scene, patience: float = PATIENCE) -> None:
+    def wait_for_state(self, scene: Scene) -> None:
         """
         Wait for a cloud of each cloth, and for the colliders.
 
@@ -159,7 +159,7 @@ class ClothClient:
         InputError : no cloud comes, as from a node that is paused
 
         """
-        deadline = time.monotonic() + patience
+        deadline = time.monotonic() + PATIENCE
         while not (self._clouded >= scene.cloths.keys() and (
                 'contact' not in scene.effect_names or self.colliders.joint_names)):
             if time.monotonic() > deadline:
@@ -186,8 +186,8 @@ class ClothClient:
     def _listen(self, topic: str, kind: type, act: Callable, qos):
         return self.node.create_subscription(kind, f'{self.name}/{topic}', act, qos)
 
-    def _wait(self, true: Callable, patience: float) -> None:
-        deadline = time.monotonic() + patience
+    def _wait(self, true: Callable) -> None:
+        deadline = time.monotonic() + PATIENCE
         while not true():
             if time.monotonic() > deadline:
                 raise InputError(self._missing())
