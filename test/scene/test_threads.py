@@ -1,10 +1,11 @@
-"""``threads: 0``: as many as pay, by the size of the largest grid and the cores there are."""
+"""``threads: 0``: as many as pay, by cloths, effects and the cores there are."""
 
 import os
 
 import pytest
 import yaml
 
+from xpbd_ros.effects.contact import BuiltContact
 from xpbd_ros.scene import threads
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED, table_text
@@ -45,17 +46,39 @@ def test_a_live_key_keeps_their_number(monkeypatch):
     assert simulation.solver.threads == 2
 
 
-def test_meshes_take_one():
-    assert compile_scene(load_scene('arch', {'solver.threads': 0})).solver.threads == 1
+def test_meshes_take_one_unless_they_collide_with_themselves(monkeypatch):
+    """Threads share no constraints of a mesh, but the search for its pairs."""
+    monkeypatch.setattr(threads, 'free_cores', lambda: 2)
+    monkeypatch.setattr(BuiltContact, 'particles_per_thread', 10.0)
+    assert compile_scene(load_scene('balloon', {'solver.threads': 0})).solver.threads == 1
+    assert compile_scene(load_scene('shirt', {'solver.threads': 0})).solver.threads == 2
+
+
+@pytest.mark.parametrize('name, cloth, effects', [
+    ('drape', 'cover', ['contact']), ('fold', 'napkin', ['self_collision', 'contact'])])
+def test_contact_takes_more_than_a_grid(name, cloth, effects, monkeypatch):
+    monkeypatch.setattr(threads, 'free_cores', lambda: 8)
+    for side in (12, 40, 60):
+        found = compile_scene(load_scene(name, {
+            f'cloths.{cloth}.grid.resolution': [side, side], 'solver.threads': 0}))
+        least = max(SHIPPED.for_thread(effect) for effect in effects)
+        assert found.solver.threads == paying(side**2, least, 8)
 
 
 def test_the_table_of_a_machine_has_its_own_number(tmp_path, monkeypatch):
     monkeypatch.setattr(threads, 'free_cores', lambda: 8)
     raw = yaml.safe_load(table_text(SHIPPED, 'some CPU'))
-    raw['particles_per_thread'] = 900.0
-    (tmp_path / 'table.yaml').write_text(yaml.safe_dump(raw))
-    scene = swing(60, **{'solver.cost_table': str(tmp_path / 'table.yaml')})
-    assert compile_scene(scene).solver.threads == 4
+    for given in ({'grid': 900.0}, 900.0):    # one number is that of grids
+        raw['particles_per_thread'] = given
+        file = tmp_path / f'{type(given).__name__}.yaml'
+        file.write_text(yaml.safe_dump(raw))
+        scene = swing(60, **{'solver.cost_table': str(file)})
+        assert compile_scene(scene).solver.threads == 4
+    raw['particles_per_thread'] = {'contact': 50.0}
+    (tmp_path / 'contact.yaml').write_text(yaml.safe_dump(raw))
+    scene = load_scene('drape', {'cloths.cover.grid.resolution': [20, 20], 'solver.threads': 0,
+                                 'solver.cost_table': str(tmp_path / 'contact.yaml')})
+    assert compile_scene(scene).solver.threads == 8
 
 
 def test_cores_are_those_that_the_process_may_use():

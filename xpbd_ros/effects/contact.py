@@ -171,6 +171,7 @@ class BuiltContact(Built):
     """All colliders of a scene, with room for more."""
 
     ns_per_particle = 7.5
+    particles_per_thread = 850.0
     pulls_taut = True
 
     def __init__(self, parameters: Parameters, world):

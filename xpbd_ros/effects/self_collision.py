@@ -347,6 +347,7 @@ class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
     ns_per_particle = 450.0
+    particles_per_thread, threads_pay_on_meshes = 850.0, True
     fewest_substeps = 4    # longer ones cost searches: ``fold_towel`` is slower with 3
     explicit_velocity_lags = True
 

@@ -23,15 +23,17 @@ from typing import Any
 import numpy as np
 import yaml
 
-from xpbd_ros.effects import EFFECTS
+from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
 
 VERSION = 1
 """of the file format"""
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
+GRID = 'grid'
+"""what threads share besides effects"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
-LEAST = {'slot': 1e-3, 'single': 1e-3, 'particles_per_thread': 1.0}
+LEAST = {'slot': 1e-3, 'single': 1e-3, GRID: 1.0}
 """smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
 """[bytes]"""
@@ -47,8 +49,14 @@ class CostTable:
     """time in float32 over that in float64"""
     effects: Mapping[str, float] = field(default_factory=dict)
     """time of an effect for each particle, where it is not that of the effect's own file"""
-    particles_per_thread: float = 5000.0
-    """fewest particles of a grid with which one more thread pays, for ``threads: 0``"""
+    particles_per_thread: Mapping[str, float] = field(default_factory={GRID: 2000.0}.copy)
+    """for ``threads: 0``, fewest particles with which one more thread pays: of a GRID, and in a
+    scene with an effect, where it is not that of the effect's own file"""
+
+    def for_thread(self, effect: str) -> float:
+        """Return the fewest particles with which one more thread pays, with an effect."""
+        built: Any = load(effect).build
+        return self.particles_per_thread.get(effect, built.particles_per_thread)
 
     def substep_ns(self, method: str, iterations: int, effects, state) -> float:
         """Return the time of a substep of a scene [ns]."""
@@ -139,8 +147,11 @@ def read_table(file: str) -> CostTable:
     _check_times(file, '', {'single': raw['single']}, ('single',))
     effects = raw.get('effects') or {}
     _check_times(file, 'effects.', effects, (), EFFECTS)
-    per_thread = raw.get('particles_per_thread', SHIPPED.particles_per_thread)
-    _check_times(file, '', {'particles_per_thread': per_thread}, ('particles_per_thread',))
+    per_thread = raw.get('particles_per_thread', {})
+    if not isinstance(per_thread, dict):    # as files were before
+        per_thread = {GRID: per_thread}
+    _check_times(file, 'particles_per_thread.', per_thread, (), (GRID, *EFFECTS))
+    per_thread = {**SHIPPED.particles_per_thread, **per_thread}
     return CostTable(raw['methods'], raw['single'], effects, per_thread)
 
 
@@ -149,7 +160,7 @@ def table_text(table: CostTable, cpu: str) -> str:
     raw = {'version': VERSION, 'cpu': cpu,
            'methods': {name: dict(entries) for name, entries in table.methods.items()},
            'single': table.single, 'effects': dict(table.effects),
-           'particles_per_thread': table.particles_per_thread}
+           'particles_per_thread': dict(table.particles_per_thread)}
     return '# Times on one core [ns]; read by solver.cost_table\n' + yaml.safe_dump(
         raw, sort_keys=False)
 

@@ -1,9 +1,13 @@
 """Resolve ``solver.threads: 0``. No bit of a run depends on the number of threads."""
 
 from dataclasses import replace
+from math import inf
 import os
+from typing import Any
 
+from xpbd_ros.effects import load
 from xpbd_ros.scene.auto import table_of
+from xpbd_ros.scene.cost_table import GRID
 from xpbd_ros.scene.model import MOST_THREADS, Scene, with_key
 from xpbd_ros.sim.geometry.mesh import Mesh
 
@@ -13,10 +17,22 @@ def with_threads(scene: Scene, meshes: list[Mesh]) -> Scene:
     keys = scene.top.solver
     if keys.threads > 0:
         return scene
-    largest = max((len(mesh.positions) for mesh in meshes if mesh.grid is not None), default=0)
-    count = paying(largest, table_of(keys).particles_per_thread, free_cores())
+    table, cores = table_of(keys), free_cores()
+    grid = max((len(mesh.positions) for mesh in meshes if mesh.grid is not None), default=0)
+    every = sum(len(mesh.positions) for mesh in meshes)
+    least, shared = max(((table.for_thread(name), every if on_meshes(name) else grid)
+                         for name in scene.effect_names if table.for_thread(name) < inf),
+                        default=(inf, 0))
+    count = max(paying(grid, table.particles_per_thread[GRID], cores),
+                paying(shared, least, cores))
     return replace(scene, raw=with_key(scene.raw, 'solver.threads', count),
                    top=replace(scene.top, solver=replace(keys, threads=count)))
+
+
+def on_meshes(effect: str) -> bool:
+    """Return True if the work of an effect that threads share is large on meshes too."""
+    built: Any = load(effect).build
+    return built.threads_pay_on_meshes
 
 
 def paying(particles: int, per_thread: float, cores: int) -> int:
@@ -25,7 +41,7 @@ def paying(particles: int, per_thread: float, cores: int) -> int:
 
     Parameters
     ----------
-    particles : of the largest grid, whose strips the threads share
+    particles : of the largest grid, whose strips the threads share, or of all cloths
     per_thread : fewest particles with which a thread gains more than barriers cost
     cores : that this process may use
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -162,6 +163,11 @@ class Built:
     """time in a substep besides its constraints [ns], for ``auto`` (``scene.cost_table``)"""
     ns_per_substep: float = 0.0
     """time in a substep whatever the particles [ns], for ``auto``"""
+    particles_per_thread: float = inf
+    """fewest particles with which one more thread pays in a scene that has it, where threads share
+    its work, for ``threads: 0``"""
+    threads_pay_on_meshes: bool = False
+    """True if that also holds for meshes, whose constraints threads do not share"""
     fewest_substeps: int = 1
     """substeps of a frame below which it takes no less time"""
     explicit_velocity_lags: bool = False

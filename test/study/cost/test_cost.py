@@ -199,6 +199,23 @@ def test_a_run_that_was_interrupted_hardly_moves_the_fit():
         0.5 * SHIPPED.methods['line']['slot'], rel=0.1)
 
 
+@pytest.mark.parametrize('paying, expected', [
+    ((41, 58, 82), 0.5 * 41**2), ((20, 82), 0.5 * 82**2), ((20, 41), 82**2)])
+def test_two_threads_pay_from_where_all_larger_sheets_gain(paying, expected, monkeypatch):
+    """One round of three may be disturbed, and a smaller sheet gain by chance."""
+    rounds = []
+
+    def gain(what, side, frames):
+        rounds.append(side)
+        return 1.3 if (side in paying) == (len(rounds) % 3 > 0) else 0.9
+    monkeypatch.setattr(calibrate, 'free_cores', lambda: 2)
+    monkeypatch.setattr(calibrate, 'gain_of_two_threads', gain)
+    assert calibrate.particles_per_thread('contact', 60) == expected
+    monkeypatch.setattr(calibrate, 'free_cores', lambda: 1)
+    assert calibrate.particles_per_thread('contact', 60) == SHIPPED.for_thread('contact')
+    assert calibrate.particles_per_thread('grid', 60) == SHIPPED.particles_per_thread['grid']
+
+
 @pytest.mark.slow
 def test_a_calibrated_table_is_one_that_auto_takes(tmp_path):
     table = calibrate.calibrate(count=10, frames=10)

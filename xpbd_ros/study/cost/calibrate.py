@@ -8,11 +8,11 @@ Random scenes of each kind, and shipped ones with what they lack, run with ``lin
 
 with ρ that counts outliers less (soft L1) and f the machine's own factor. Times of other methods,
 and of effects whose work depends on the motion, are f times the shipped ones; single precision is
-as in the shipped table. Sheets of growing size tell from how many particles on a second thread
-pays.
+as in the shipped table. Sheets of growing size, hanging, on colliders and folded, tell from how
+many particles on a second thread pays.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from pathlib import Path
@@ -28,7 +28,7 @@ from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import compensation
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, own_ns, SHIPPED
+from xpbd_ros.scene.cost_table import CostTable, GRID, own_ns, SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.threads import free_cores
@@ -46,10 +46,14 @@ OUTLIER = 0.2
 """log of the ratio from which on a run counts less"""
 FRAMES = 60
 """frames of a run"""
-SHEET, SIDES = 'swing', (45, 64, 91, 128, 181)
-"""scene of the sheets, and their particles along each side"""
+SHEETS = {GRID: ('swing', 'sheet', (45, 64, 91, 128, 181)),
+          'contact': ('drape', 'cover', (14, 20, 29, 41, 58, 82)),
+          'self_collision': ('fold', 'napkin', (29, 41, 58, 82))}
+"""by what threads share: a scene, its sheet, and the sheet's particles along each side"""
 GAIN = 1.15
 """time with one thread over that with two from which on these pay"""
+ROUNDS = 3
+"""of which the median gain counts"""
 FEW = 16
 """substeps of the sheets"""
 BY_MOTION = ('self_collision', 'strain_limit')
@@ -105,7 +109,7 @@ def calibrate(progress: Callable[[Iterable, str], Iterable] = lambda items, _: i
             random_scenes(count, SEED, Path(folder), KINDS).items())]
         runs = [run for scene in progress(scenes, 'scenes') for method in METHODS
                 if (run := measure(scene, method, frames)) is not None]
-    return fitted(runs, particles_per_thread(frames))
+    return fitted(runs, {what: particles_per_thread(what, frames) for what in SHEETS})
 
 
 def measure(scene: Scene, method: str, frames: int) -> Run | None:
@@ -133,7 +137,8 @@ def measure(scene: Scene, method: str, frames: int) -> Run | None:
                often * own_ns(simulation.effects), float(np.mean(took)))
 
 
-def fitted(runs: Sequence[Run], per_thread: float = SHIPPED.particles_per_thread) -> CostTable:
+def fitted(runs: Sequence[Run],
+           per_thread: Mapping[str, float] = SHIPPED.particles_per_thread) -> CostTable:
     """Return the table that fits some runs best."""
     shipped = {(method, entry): ns for method, entries in SHIPPED.methods.items()
                for entry, ns in entries.items()}
@@ -158,20 +163,28 @@ def fitted(runs: Sequence[Run], per_thread: float = SHIPPED.particles_per_thread
                      per_thread)
 
 
-def particles_per_thread(frames: int, sides: Iterable[int] = SIDES) -> float:
-    """Return the fewest particles with which each of two threads pays; SHIPPED's on one core."""
+def particles_per_thread(what: str, frames: int) -> float:
+    """
+    Return the fewest particles with which each of two threads pays; SHIPPED's on one core.
+
+    It is half of the smallest sheet from which on all larger ones gain; all of the largest, if
+    not even that one does.
+    """
     if free_cores() < 2:
-        return SHIPPED.particles_per_thread
-    for side in sides:
-        if gain_of_two_threads(side, frames) >= GAIN:
+        return SHIPPED.particles_per_thread[what] if what == GRID else SHIPPED.for_thread(what)
+    found = 2.0 * SHEETS[what][-1][-1]**2
+    for side in reversed(SHEETS[what][-1]):
+        if median(gain_of_two_threads(what, side, frames) for _ in range(ROUNDS)) < GAIN:
             break
-    return 0.5 * side**2
+        found = side**2
+    return 0.5 * found
 
 
-def gain_of_two_threads(side: int, frames: int) -> float:
+def gain_of_two_threads(what: str, side: int, frames: int) -> float:
     """Return the median time of a frame with one thread over that with two, in turn."""
-    both = [compile_scene(load_scene(SHEET, {
-        'cloths.sheet.grid.resolution': [side, side], 'solver.method': 'line',
+    scene, cloth, _ = SHEETS[what]
+    both = [compile_scene(load_scene(scene, {
+        f'cloths.{cloth}.grid.resolution': [side, side], 'solver.method': 'line',
         'solver.substeps': FEW, 'solver.threads': threads})) for threads in (1, 2)]
     times: list[list[float]] = [[], []]
     for simulation in both:
