@@ -90,7 +90,12 @@ def broken(change):
     (broken(lambda raw: raw['methods']['line'].update(slot=float('nan'))), 'line.slot: must be a'),
     (broken(lambda raw: raw['methods']['line'].update(slot=0.0)), 'slot: must be .* least 0.001'),
     (broken(lambda raw: raw['effects'].update(contct=1.0)), 'effects.contct: unknown key'),
-    (broken(lambda raw: raw.update(single=-1.0)), 'single: must be')])
+    (broken(lambda raw: raw.update(single=-1.0)), 'single: must be'),
+    (broken(lambda raw: raw.update(particles_per_thread='many')), 'thread.grid: must be a number'),
+    (broken(lambda raw: raw.update(particles_per_thread={'contact': 0})),
+     'particles_per_thread.contact: must be a number of at least 1'),
+    (broken(lambda raw: raw.update(particles_per_thread={'contct': 9.0})),
+     'particles_per_thread.contct: unknown key')])
 def test_what_is_no_table_is_refused_in_one_line(text, why, tmp_path):
     file = tmp_path / 'table.yaml'
     file.write_text(text)

@@ -33,7 +33,7 @@ GRID = 'grid'
 """what threads share besides effects"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
-LEAST = {'slot': 1e-3, 'single': 1e-3, GRID: 1.0}
+LEAST = {'slot': 1e-3, 'single': 1e-3}
 """smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
 """[bytes]"""
@@ -150,7 +150,7 @@ def read_table(file: str) -> CostTable:
     per_thread = raw.get('particles_per_thread', {})
     if not isinstance(per_thread, dict):    # as files were before
         per_thread = {GRID: per_thread}
-    _check_times(file, 'particles_per_thread.', per_thread, (), (GRID, *EFFECTS))
+    _check_times(file, 'particles_per_thread.', per_thread, (), (GRID, *EFFECTS), least=1.0)
     per_thread = {**SHIPPED.particles_per_thread, **per_thread}
     return CostTable(raw['methods'], raw['single'], effects, per_thread)
 
@@ -178,12 +178,13 @@ def _check_keys(file: str, where: str, given: Any, needed, further=()) -> None:
                              f'{", ".join((*needed, *further))})')
 
 
-def _check_times(file: str, where: str, given: Any, needed, further=()) -> None:
-    """Raise InputError unless a mapping has finite numbers of at least 0, or as in LEAST."""
+def _check_times(file: str, where: str, given: Any, needed, further=(), *,
+                 least: float = 0.0) -> None:
+    """Raise InputError unless a mapping has finite numbers of at least ``least`` or LEAST."""
     _check_keys(file, where, given, needed, further)
     for key, value in given.items():
-        least = LEAST.get(key, 0.0)
+        bound = LEAST.get(key, least)
         if (isinstance(value, bool) or not isinstance(value, int | float)
-                or not isfinite(value) or value < least):
-            raise InputError(f'{file}: {where}{key}: must be a number of at least {least:g} '
+                or not isfinite(value) or value < bound):
+            raise InputError(f'{file}: {where}{key}: must be a number of at least {bound:g} '
                              f'(got {value!s:.40})')
