@@ -74,11 +74,13 @@ def test_the_table_of_a_machine_has_its_own_number(tmp_path, monkeypatch):
         file.write_text(yaml.safe_dump(raw))
         scene = swing(60, **{'solver.cost_table': str(file)})
         assert compile_scene(scene).solver.threads == 4
-    raw['particles_per_thread'] = {'contact': 50.0}
+    raw['particles_per_thread'] = {'contact': 50.0, 'self_collision': 200.0}
     (tmp_path / 'contact.yaml').write_text(yaml.safe_dump(raw))
-    scene = load_scene('drape', {'cloths.cover.grid.resolution': [20, 20], 'solver.threads': 0,
-                                 'solver.cost_table': str(tmp_path / 'contact.yaml')})
-    assert compile_scene(scene).solver.threads == 8
+    for name, cloth, expected in (('drape', 'cover', 8), ('fold', 'napkin', 2)):
+        scene = load_scene(name, {f'cloths.{cloth}.grid.resolution': [20, 20],
+                                  'solver.threads': 0,
+                                  'solver.cost_table': str(tmp_path / 'contact.yaml')})
+        assert compile_scene(scene).solver.threads == expected, 'the largest number decides'
 
 
 def test_cores_are_those_that_the_process_may_use():

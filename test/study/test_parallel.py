@@ -64,7 +64,7 @@ def test_a_task_that_kills_every_worker_leaves_the_others_their_results(schedule
 
 
 def test_a_scheduler_without_workers_is_refused(monkeypatch):
-    monkeypatch.setattr(parallel, 'PATIENCE', '1s')
+    monkeypatch.setattr(parallel, 'PATIENCE', '3s')
     distributed = pytest.importorskip('distributed',
                                       reason="Dask is missing: pip install '.[cluster]'")
     with distributed.LocalCluster(n_workers=0, host='127.0.0.1', dashboard_address='127.0.0.1:0',

@@ -30,7 +30,7 @@ VERSION = 1
 """of the file format"""
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
 GRID = 'grid'
-"""what threads share besides effects"""
+"""key of ``particles_per_thread`` for the constraints of a grid"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
 LEAST = {'slot': 1e-3, 'single': 1e-3}
@@ -53,10 +53,12 @@ class CostTable:
     """for ``threads: 0``, fewest particles with which one more thread pays: of a GRID, and in a
     scene with an effect, where it is not that of the effect's own file"""
 
-    def for_thread(self, effect: str) -> float:
-        """Return the fewest particles with which one more thread pays, with an effect."""
-        built: Any = load(effect).build
-        return self.particles_per_thread.get(effect, built.particles_per_thread)
+    def for_thread(self, name: str) -> float:
+        """Return the fewest particles with which one more thread pays: GRID, or an effect."""
+        if name in self.particles_per_thread:
+            return self.particles_per_thread[name]
+        built: Any = load(name).build
+        return built.particles_per_thread
 
     def substep_ns(self, method: str, iterations: int, effects, state) -> float:
         """Return the time of a substep of a scene [ns]."""
@@ -148,7 +150,7 @@ def read_table(file: str) -> CostTable:
     effects = raw.get('effects') or {}
     _check_times(file, 'effects.', effects, (), EFFECTS)
     per_thread = raw.get('particles_per_thread', {})
-    if not isinstance(per_thread, dict):    # as files were before
+    if not isinstance(per_thread, dict):    # older files hold the number of grids alone
         per_thread = {GRID: per_thread}
     _check_times(file, 'particles_per_thread.', per_thread, (), (GRID, *EFFECTS), least=1.0)
     per_thread = {**SHIPPED.particles_per_thread, **per_thread}

@@ -23,7 +23,7 @@ def with_threads(scene: Scene, meshes: list[Mesh]) -> Scene:
     least, shared = max(((table.for_thread(name), every if on_meshes(name) else grid)
                          for name in scene.effect_names if table.for_thread(name) < inf),
                         default=(inf, 0))
-    count = max(paying(grid, table.particles_per_thread[GRID], cores),
+    count = max(paying(grid, table.for_thread(GRID), cores),
                 paying(shared, least, cores))
     return replace(scene, raw=with_key(scene.raw, 'solver.threads', count),
                    top=replace(scene.top, solver=replace(keys, threads=count)))

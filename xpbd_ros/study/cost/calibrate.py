@@ -171,7 +171,7 @@ def particles_per_thread(what: str, frames: int) -> float:
     not even that one does.
     """
     if free_cores() < 2:
-        return SHIPPED.particles_per_thread[what] if what == GRID else SHIPPED.for_thread(what)
+        return SHIPPED.for_thread(what)
     found = 2.0 * SHEETS[what][-1][-1]**2
     for side in reversed(SHEETS[what][-1]):
         if median(gain_of_two_threads(what, side, frames) for _ in range(ROUNDS)) < GAIN:
