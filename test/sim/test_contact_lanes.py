@@ -329,7 +329,7 @@ def take(team, begin, end, taken):
 def test_one_thread_of_a_gpu_has_all_candidates_of_a_partial_sum(count, workers):
     begin, taken = 7, np.zeros(7 + count, np.int64)
     for worker in range(workers):
-        take(DeviceTeam(worker, workers, np.zeros(1, np.int64)), begin, begin + count, taken)
+        take(DeviceTeam(worker, workers, 1, np.zeros(1, np.int64)), begin, begin + count, taken)
     n = np.arange(count)
     owner = (n // CHUNK * LANES + n % LANES) % workers
     np.testing.assert_array_equal(taken[begin:], owner + 1)

@@ -245,11 +245,19 @@ class EmulatedCard:
         self.launches += 1
 
     def _turns(self, run, threads, race, size) -> None:
-        """Let threads go on until all are done; ``size`` is that of a block."""
+        """
+        Let threads go on until all are done; ``size`` is that of a block.
+
+        Where all others have come to a barrier, a block whose threads are at its own one goes on.
+        """
         ready, met = list(range(len(threads))), []
         here: dict[int, list[int]] = {}    # at the barrier of each block
-        while ready or met:
-            if not ready:    # all that still run have come to the barrier
+        full: list[int] = []    # blocks all of whose threads are there
+        while ready or met or full:
+            if not ready and full:
+                ready = here.pop(full.pop(0))
+                race[RACE.index('epoch')] += 1
+            elif not ready:    # all that still run have come to the barrier
                 ready, met = sorted(met), []
                 race[RACE.index('epoch')] += 1
                 self.barriers += 1
@@ -261,9 +269,10 @@ class EmulatedCard:
                 elif why == IN_BLOCK:
                     waiting = here.setdefault(k // size, [])
                     waiting.append(k)
-                    if len(waiting) == size:
-                        ready += waiting
-                        waiting.clear()
+                    if len(waiting) == size and self.options.get('barrier_too'):
+                        ready += here.pop(k // size)    # others look again and again
+                    elif len(waiting) == size:
+                        full.append(k // size)
                 elif why != DONE:
                     ready.append(k)
 

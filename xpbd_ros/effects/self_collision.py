@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, in_first_block, turns, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -152,7 +152,7 @@ def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team = effect.near, effect.pairs, state.team
     if is_further_turn(pairs.backing):
-        if alone(team):
+        if in_first_block(team):
             project_again(pairs.backing, near, pairs, state)
         wait_uneven(team)
         return
@@ -163,8 +163,8 @@ def keep_apart(effect, state, substep):
     else:
         load_moves(near, state)
         wait_uneven(team)
-    if alone(team):
-        project_pairs(near, pairs)
+    if in_first_block(team):
+        project_pairs(team, near, pairs)
     wait_uneven(team)
     store_moves(near, state)
     store_backing(team, pairs.backing, near)
@@ -364,7 +364,7 @@ class BuiltSelfCollision(Built):
                                   world.state.mass[slots].mean(), kin(world), world.threads)
         self.data = SelfCollision(
             np.array([parameters.thickness]), near,
-            new_pair_contacts(NEAR * room, count, 1 if world.on_device else world.threads),
+            new_pair_contacts(NEAR * room, count, 0 if world.on_device else world.threads),
             new_planes(near.corners.shape[1], count, world.slots, world.threads)
             if surface else None, None)
         if 'strain_limit' in world.built:

@@ -10,8 +10,8 @@ import numpy as np
 
 from xpbd_ros.sim.backend.simd import place
 
-MEET_ALL = 'meet_all'
-"""name in LLVM of the barrier, which ``nvptx`` defines"""
+MEET_ALL, MEET_BLOCK = 'meet_all', 'meet_block'
+"""names in LLVM of the barriers, which ``nvptx`` defines"""
 
 
 class DeviceTeam(NamedTuple):
@@ -21,6 +21,8 @@ class DeviceTeam(NamedTuple):
     """number of this thread; those of neighbours on the card follow one another"""
     workers: int
     """number of threads"""
+    block: int
+    """number of threads of a block; the first ones are those of the first block"""
     gate: np.ndarray
     """state of the barrier, shape (1,)"""
 
@@ -36,12 +38,22 @@ def add_atomically(typing, array, index, number):
     return types.void(array, types.intp, types.int64), generate
 
 
-@intrinsic
-def meet_all(typing, gate):
-    """Go on when all threads of the launch are here, and see all that they wrote before."""
+def _meet(name, gate):
     def generate(context, builder, signature, arguments):
         at = place(context, builder, gate, arguments[0], ir.IntType(64)(0))
         kind = ir.FunctionType(ir.VoidType(), [at.type])
-        builder.call(cgutils.get_or_insert_function(builder.module, kind, MEET_ALL), [at])
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [at])
         return context.get_dummy_value()
     return types.void(gate), generate
+
+
+@intrinsic
+def meet_all(typing, gate):
+    """Go on when all threads of the launch are here, and see all that they wrote before."""
+    return _meet(MEET_ALL, gate)
+
+
+@intrinsic
+def meet_block(typing, gate):
+    """Go on when all threads of the block are here, and see all that they wrote before."""
+    return _meet(MEET_BLOCK, gate)

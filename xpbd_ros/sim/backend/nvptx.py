@@ -13,7 +13,7 @@ import re
 
 from llvmlite import binding as llvm
 
-from xpbd_ros.sim.backend.device_team import MEET_ALL
+from xpbd_ros.sim.backend.device_team import MEET_ALL, MEET_BLOCK
 
 LAYOUT = 'e-p6:32:32-i64:64-i128:128-i256:256-v16:16-v32:32-n16:32:64'
 TRIPLE = 'nvptx64-nvidia-cuda'
@@ -64,7 +64,7 @@ def for_gpu(text: str) -> str:
     """Return LLVM code for this machine as code for a GPU."""
     text = re.sub(r'target datalayout = "[^"]*"', f'target datalayout = "{LAYOUT}"', text)
     text = re.sub(r'target triple = "[^"]*"', f'target triple = "{TRIPLE}"', text)
-    text = re.sub(r'\ndeclare void @(llvm\.x86|meet_all)[^\n]*', '', text)
+    text = re.sub(r'\ndeclare void @(llvm\.x86|meet_all|meet_block)[^\n]*', '', text)
     for name in OF_LIBM:
         text = re.sub(rf'@{name}\(', f'@llvm.{name}.f64(', text)
         text = re.sub(rf'@{name}f\(', f'@llvm.{name}.f32(', text)
@@ -83,9 +83,15 @@ def _place() -> list[str]:
             '%workers = mul i64 %nctaid, %ntid']
 
 
+def _barrier(name: str, code: str, inputs: str = '', given: str = '') -> list[str]:
+    return [f'define internal void @{name}(ptr %gate) alwaysinline convergent {{',
+            f'call void asm sideeffect "{code}", "{inputs}~{{memory}}"({given}) convergent',
+            'ret void', '}']
+
+
 def entry(name: str, kinds: list[str], teams: list[int]) -> str:
     """
-    Return LLVM code of the entry function and the barrier.
+    Return LLVM code of the entry function and the barriers.
 
     Parameters
     ----------
@@ -96,7 +102,7 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
     """
     place: dict[int, str] = {}
     for at in teams:
-        place[at], place[at + 1] = '%worker', '%workers'
+        place[at], place[at + 1], place[at + 2] = '%worker', '%workers', '%ntid'
     values, loads = [], []
     for k, kind in enumerate(kinds):
         if k not in place:
@@ -105,9 +111,7 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
         values.append(f'{kind} {place.get(k, f"%v{k}")}')
     barrier = BARRIER.replace('$', '$$').replace('GATE', '$0').replace('\n', '\\0A')
     return '\n'.join([
-        f'define internal void @{MEET_ALL}(ptr %gate) alwaysinline convergent {{',
-        f'call void asm sideeffect "{barrier}", "l,~{{memory}}"(ptr %gate) convergent',
-        'ret void', '}',
+        *_barrier(MEET_ALL, barrier, 'l,', 'ptr %gate'), *_barrier(MEET_BLOCK, 'bar.sync 0;'),
         *(f'declare i32 @llvm.nvvm.read.ptx.sreg.{s}.x()' for s in REGISTERS),
         f'define ptx_kernel void @{ENTRY}(ptr byval([{len(kinds)} x i64]) align {SLOT} %all) {{',
         '%result = alloca ptr', '%error = alloca ptr', *_place(), *loads,

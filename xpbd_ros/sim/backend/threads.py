@@ -20,7 +20,7 @@ from numba import types
 from numba.extending import intrinsic
 import numpy as np
 
-from xpbd_ros.sim.backend.device_team import add_atomically, DeviceTeam, meet_all
+from xpbd_ros.sim.backend.device_team import add_atomically, DeviceTeam, meet_all, meet_block
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import place
 
@@ -53,6 +53,10 @@ class ThreadTeam(NamedTuple):
 
 def share(team, count):
     """Return where this thread's share of so many pieces begins and ends."""
+
+
+def chunk(team, count):
+    """Return where this thread's share begins and ends, on a GPU too."""
 
 
 def turns(team, count):
@@ -118,6 +122,22 @@ def wait_uneven(team):
     """Go on when all are here, where shares of the work may take long and not equally long."""
 
 
+def in_first_block(team):
+    """
+    Return whether this is the main thread, or on a GPU one of the first block.
+
+    A block's threads meet much sooner than all: for many small pieces, one after another.
+    """
+
+
+def in_block(team):
+    """Return this thread's number in its block, and the number of its threads; 0, 1 on a CPU."""
+
+
+def wait_in_block(team):
+    """Go on when all threads of this block are here."""
+
+
 def worker(team):
     """Return this thread's number."""
 
@@ -139,6 +159,11 @@ def is_on_device(team) -> bool:
 def _share(team, count):
     if is_on_device(team):    # right for any kernel, and slow: one thread does it all
         return lambda team, count: (0, count if team.worker == 0 else 0)
+    return lambda team, count: chunk(team, count)
+
+
+@inline(chunk)
+def _chunk(team, count):
     if _none(team):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,
@@ -221,6 +246,25 @@ def _wait_within(team):
 @inline(alone)
 def _alone(team):
     return (lambda team: True) if _none(team) else lambda team: team.worker == 0
+
+
+@inline(in_first_block)
+def _in_first_block(team):
+    if is_on_device(team):
+        return lambda team: team.worker < team.block
+    return lambda team: alone(team)
+
+
+@inline(in_block)
+def _in_block(team):
+    if is_on_device(team):
+        return lambda team: (team.worker % team.block, team.block)
+    return lambda team: (0, 1)
+
+
+@inline(wait_in_block)
+def _wait_in_block(team):
+    return (lambda team: meet_block(team.gate)) if is_on_device(team) else lambda team: None
 
 
 @inline(worker)

@@ -10,6 +10,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import in_block, wait_in_block
 from xpbd_ros.sim.contact.pads import meets_pad
 from xpbd_ros.sim.self_collision.backing import (
     BESIDE,
@@ -27,16 +28,20 @@ from xpbd_ros.sim.self_collision.pair_contacts import NEVER, project_pairs
 def project_again(backing, near, pairs, state):
     """Project the clamped pairs; in the first further turn, list them before."""
     if backing is not None:
-        turn, clamped = backing.turn[0], backing.clamped
-        backing.contacts.pads.again[0] = turn < TURNS
-        if turn == 1:
-            mark_particles(backing, near)
-            list_clamped(clamped, near, pairs)
-        for m in range(clamped.count[0]):
+        team, turn, clamped = state.team, backing.turn[0], backing.clamped
+        me, threads = in_block(team)
+        if me == 0:
+            backing.contacts.pads.again[0] = turn < TURNS
+            if turn == 1:
+                mark_particles(backing, near)
+                list_clamped(clamped, near, pairs)
+        wait_in_block(team)
+        for m in range(me, clamped.count[0], threads):
             load_axis(backing, near.slot, clamped.particles[m])
             load_move(near, state, clamped.particles[m])
-        project_pairs(near, pairs)
-        for m in range(clamped.count[0]):
+        wait_in_block(team)
+        project_pairs(team, near, pairs)
+        for m in range(me, clamped.count[0], threads):
             store_move(near, state, clamped.particles[m])
             store_pushes(backing, near, clamped.particles[m])
 

@@ -13,7 +13,7 @@ further apart, and keep pairs of edges whose closest points come to include an e
 
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import (
     any_lane,
     bits,
@@ -30,7 +30,15 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, share, turns, wait_uneven, worker, workers
+from xpbd_ros.sim.backend.threads import (
+    alone,
+    chunk,
+    is_on_device,
+    turns,
+    wait_uneven,
+    worker,
+    workers,
+)
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
 from xpbd_ros.sim.self_collision.neighbour_list import any_thread, EDGES, POINTS, TRIANGLES
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
@@ -147,7 +155,7 @@ def regroup(team, near, pairs):
 
 @jit
 def forget_touched(team, pairs):
-    """Zero this thread's row of ``touched``."""
+    """Zero this thread's row of ``touched``, which a GPU has not."""
     if worker(team) < len(pairs.touched):
         pairs.touched[worker(team)][:] = 0
 
@@ -163,7 +171,7 @@ def collect(team, near, pairs, kind, end):
 
     """
     begin, count, place, total = near.kind_begin[kind], 0, end, 0
-    first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
+    first, last = chunk(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
     for pack in range(begin // PACK + first, begin // PACK + last):
         count += count_bits(np.int64(near.hits[pack]))
     near.parts[worker(team)] = count
@@ -198,36 +206,71 @@ def copy_found(near, pairs, first, last, place):
 def group_pairs(team, near, pairs, kind, end, count):
     """Put ``count`` of those found, from ``end`` on, into groups: each has pairs of PACK parts."""
     groups = (count + PACK - 1) // PACK
-    first, last = share(team, groups)
-    for g in range(first, last):
+    first, last, step = turns(team, groups)
+    for g in range(first, last, step):
         place, rounds = end + PACK * g, 1
         for lane in range(PACK):
             m = g + lane * groups
             if m < count:
-                rounds = max(rounds, put_pair(near, pairs, pairs.touched[worker(team)], kind,
-                                              end + m, place, lane))
+                rounds = max(rounds, put_pair(team, near, pairs, kind, end + m, place, lane))
             else:
                 clear_place(pairs, place + lane, len(near.slot))
         pairs.kind[place // PACK], pairs.rounds[place // PACK] = kind, rounds
 
 
 @jit(inline=True)
-def put_pair(near, pairs, touched, kind, m, first, lane):
+def put_pair(team, near, pairs, kind, m, first, lane):
     """Copy pair m of those found to a lane of a group; return the number of its round, from 1."""
-    place, turn = first + lane, 0
-    found, particles, dummy = pairs.found, pairs.particles, len(near.slot)
+    place, found, particles = first + lane, pairs.found, pairs.particles
     for p in range(4):
-        i = found[m, p]
-        particles[p, place] = i
-        if i < dummy:
-            turn = max(turn, touched[i] - PACK * first)    # less than 0 in earlier groups
-    for p in range(4):
-        touched[found[m, p]] = PACK * first + turn + 1
+        particles[p, place] = found[m, p]
+    turn = turn_of(team, pairs, place, first, len(near.slot))
     pairs.turn[place] = turn
     pairs.keep[place] = pairs.found_keep[m]
     set_friction(pairs.friction, place, near.cloth[found[m, 0]],
                  near.cloth[found[m, 1 if kind == POINTS else 3]])
     return turn + 1
+
+
+def turn_of(team, pairs, place, first, dummy):
+    """Return the round of the pair at a place: after earlier ones of its group, from ``first`` on,
+    with a particle of its own.
+    """
+
+
+@inline(turn_of)
+def _turn_of(team, pairs, place, first, dummy):
+    if is_on_device(team):    # memory for all particles by thread would be too much
+        return lambda team, pairs, place, first, dummy: turn_by_comparison(pairs, place, first,
+                                                                           dummy)
+    return lambda team, pairs, place, first, dummy: turn_by_marks(
+        pairs.touched[worker(team)], pairs.particles, place, first, dummy)
+
+
+@jit(inline=True)
+def turn_by_marks(touched, particles, place, first, dummy):
+    """Return it by ``touched``, and mark the pair's particles there."""
+    turn = 0
+    for p in range(4):
+        i = particles[p, place]
+        if i < dummy:
+            turn = max(turn, touched[i] - PACK * first)    # less than 0 in earlier groups
+    for p in range(4):
+        touched[particles[p, place]] = PACK * first + turn + 1
+    return turn
+
+
+@jit(inline=True)
+def turn_by_comparison(pairs, place, first, dummy):
+    """Return it by comparing each particle with those of the earlier pairs."""
+    turn, particles = 0, pairs.particles
+    for k in range(first, place):
+        for p in range(4):
+            i = particles[p, k]
+            if i < dummy and (i == particles[0, place] or i == particles[1, place]
+                              or i == particles[2, place] or i == particles[3, place]):
+                turn = max(turn, int(pairs.turn[k]) + 1)
+    return turn
 
 
 @jit(inline=True)

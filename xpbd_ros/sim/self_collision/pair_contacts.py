@@ -35,6 +35,7 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
+from xpbd_ros.sim.backend.threads import in_block, wait_in_block
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.backing import (
     Backing,
@@ -99,10 +100,10 @@ class PairContacts(NamedTuple):
     touched: np.ndarray
     """
     scratch: PACK times the first place of the last group that has a particle, plus the number of
-    rounds up to it, by thread, shape (threads, particles + 1)
+    rounds up to it, by thread of a CPU, shape (threads, particles + 1)
     """
     impulse: np.ndarray
-    """scratch: impulse of a vector of pairs, shape (3, PACK)"""
+    """scratch: impulse of a vector of pairs, of one pair for each thread of a GPU; (3, PACK)"""
     friction: PairFriction | None
     """None in a scene without friction"""
     backing: Backing | None
@@ -110,7 +111,7 @@ class PairContacts(NamedTuple):
 
 
 def new_pair_contacts(room: int, particles: int, threads: int = 1) -> PairContacts:
-    """Return no pairs, with the capacity of ``room`` pairs; as many threads group them."""
+    """Return no pairs, with the capacity of ``room``; as many threads of a CPU group them."""
     room = (room + 4 * PACK - 1) // PACK * PACK    # the last group of each kind may not be full
 
     def rows(*shape):
@@ -183,7 +184,7 @@ def mobility_of(b, p, q, r, s):
 
 
 @jit(inline=True)
-def displace(near, pairs, q, active):
+def displace(near, pairs, q, active, me):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
     move, v, backing = near.precise_move, pairs.impulse, pairs.backing
     while active:
@@ -192,13 +193,15 @@ def displace(near, pairs, q, active):
         k, rest = q + lane, 0.0
         for p in range(3, -1, -1):
             i = pairs.particles[p, k]
+            if i == len(near.slot):
+                continue
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
-            held = prevented(backing, pairs.normal, k, i, share, v[0, lane], v[1, lane],
-                             v[2, lane])
+            held = prevented(backing, pairs.normal, k, i, share, v[0, me + lane], v[1, me + lane],
+                             v[2, me + lane])
             for a in range(3):
-                move[i, a] += share * v[a, lane] - held[a]
+                move[i, a] += share * v[a, me + lane] - held[a]
                 near.move[i, a] = move[i, a]
 
 
@@ -212,28 +215,35 @@ def store_weights(pairs, q, b):
 
 
 @jit
-def project_pairs(near, pairs):
-    """Project C ≥ 0 and the friction of all pairs once, by the formulas of the module."""
+def project_pairs(team, near, pairs):
+    """
+    Project C ≥ 0 and the friction of all pairs once, by the formulas of the module.
+
+    On a GPU the threads of the first block share the pairs of a round.
+    """
+    me, threads = in_block(team)
+    width = lanes(near.move)
     for group in range(0, pairs.end[0], PACK):
         if is_group_in_turn(pairs.backing, group // PACK):
             for turn in range(pairs.rounds[group // PACK]):
-                for q in range(group, group + PACK, lanes(near.move)):
-                    project_round(near, pairs, q, float(turn))
+                for q in range(group + me * width, group + PACK, threads * width):
+                    project_round(near, pairs, q, float(turn), me)
+                wait_in_block(team)
 
 
 @jit(inline=True)
-def project_round(near, pairs, q, turn):
+def project_round(near, pairs, q, turn, me):
     """Project those of a vector of pairs that are contacts, and that belong to a round."""
     now, deficit = load(pairs.turn, q), load(pairs.deficit, q)
     mine = in_turn(pairs.backing, q, both(deficit > NEVER, both(now >= turn, now <= turn)))
     if any_lane(mine):
         project_some(near, pairs, q, mine, load_corners(near.move, pairs.particles, q),
                      load_axes(pairs.backing, pairs.particles, q),
-                     load_vector(pairs.normal, q), load_weights(pairs, q), deficit)
+                     load_vector(pairs.normal, q), load_weights(pairs, q), deficit, me)
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit):
+def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit, me):
     """
     Project a vector of pairs.
 
@@ -244,6 +254,7 @@ def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit):
     moves : records of the displacements of their particles
     axes : records of the colliders behind them (``self_collision.backing``)
     n, weight, deficit : normals, weights and -C at the substep's start [m]
+    me : number of the thread in its block
 
     """
     p, r, s, t = moves
@@ -265,10 +276,10 @@ def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit):
                  (fma(-along, n[0], way[0]), fma(-along, n[1], way[1]),
                   fma(-along, n[2], way[2])))
     per = select(total > 0.0, 1.0 / select(total > 0.0, total, 1.0), 0.0)
-    store_vector(pairs.impulse, 0, (
+    store_vector(pairs.impulse, me, (
         per * fma(push, n[0], rub[0]), per * fma(push, n[1], rub[1]),
         per * fma(push, n[2], rub[2])))
-    displace(near, pairs, q, active)
+    displace(near, pairs, q, active, me)
 
 
 @jit(inline=True)

@@ -10,7 +10,7 @@ points of the candidates (``self_collision.pair_listing``).
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker, workers
+from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.box_tree import mark_items, update_boxes
 from xpbd_ros.sim.self_collision.near_pairs import kept_distance
 from xpbd_ros.sim.self_collision.neighbour_list import (
@@ -220,11 +220,12 @@ def list_pairs(team, near, surface, thickness, to_the_end):
 def begin_search(team, near, surface):
     """Load y and the margins, and compute the boxes; return a bound of rounding errors [m]."""
     start, y = near.start, near.seen
-    if alone(team):
-        for i in range(len(near.slot)):
-            for a in range(3):
-                start[i, a] = y[i, a] + near.drift[a] - near.origin[a]
-            start[i, MARGIN] = UP * near.margin[i]
+    wait_uneven(team)
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
+        for a in range(3):
+            start[i, a] = y[i, a] + near.drift[a] - near.origin[a]
+        start[i, MARGIN] = UP * near.margin[i]
     wait_uneven(team)
     if alone(team):
         update_boxes(near.points, start)

@@ -69,9 +69,7 @@ def prune(team, near, x, thickness):
     thickness : [m]
 
     """
-    if alone(team):
-        load_inner_margins(near, x, LEAST * thickness)
-    wait_uneven(team)
+    load_inner_margins(team, near, x, LEAST * thickness)
     find_front(team, near, POINTS, thickness)
     find_front(team, near, TRIANGLES, thickness)
     find_front(team, near, EDGES, thickness)
@@ -85,17 +83,20 @@ def prune(team, near, x, thickness):
 
 
 @jit
-def load_inner_margins(near, x, least):
+def load_inner_margins(team, near, x, least):
     """Set the inner margins, and load them with the positions at the substep's start."""
-    for i in range(len(near.slot)):
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
         moved = gone(x, near.x, near.step, near.slot[i], i)
         near.inner[i] = min(near.margin[i], near.x[i, TRAVEL] + max(SUBSTEPS * moved, least))
         for a in range(3):
             near.pruned[i, a] = near.x[i, a] - near.drift[a]
             near.start[i, a] = near.x[i, a] - near.origin[a]
+    wait_uneven(team)
     rounding = rounding_of(near)
-    for i in range(len(near.slot)):
+    for i in range(first, end, step):
         near.start[i, TRAVEL] = UP * near.inner[i] + rounding
+    wait_uneven(team)
 
 
 @jit(inline=True)

@@ -219,7 +219,7 @@ def launches_of(effects: Sequence[Any], state: State, method, frame_dt: float, s
     """Return the launches of one frame; parameters as of ``advance``."""
     recorder = Recorder(len(state.inv_mass), shared.turns)
     recorder.run(step.advance, tuple(effects),
-                 state._replace(team=DeviceTeam(0, 1, shared.gate)), method, frame_dt, substeps)
+                 state._replace(team=DeviceTeam(0, 1, 1, shared.gate)), method, frame_dt, substeps)
     return recorder.launches
 
 
