@@ -233,8 +233,10 @@ def put_pair(team, near, pairs, kind, m, first, lane):
 
 
 def turn_of(team, pairs, place, first, dummy):
-    """Return the round of the pair at a place: after earlier ones of its group, from ``first`` on,
-    with a particle of its own.
+    """
+    Return the round of the pair at a place, from 0.
+
+    It follows those of the earlier pairs of its group, from ``first`` on, that share a particle.
     """
 
 
