@@ -5,8 +5,9 @@ A card that is emulated: PTX thread by thread, in any order, with every race bet
 
 has the methods of ``backend.cuda.Card``. Between two barriers each word of memory remembers who
 wrote and who read it: two threads at one word, one of them writing, are a race, whatever the
-values. (compute-sanitizer's racecheck knows shared memory only.) Memory is consistent here;
-stale caches, the assembler and the occupancy of a card are not emulated.
+values. What a block's barrier separates is a race only for threads of different blocks.
+(compute-sanitizer's racecheck knows shared memory only.) Memory is consistent here; stale caches,
+the assembler and the occupancy of a card are not emulated.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +19,11 @@ import numpy as np
 
 from support.ptx_code import DONE, IN_BLOCK, MET, NUMBER, Translation
 
-RACE = ('memory', 'end', 'readers', 'writers', 'epoch', 'races', 'place', 'astray')
-"""fields of the record of races, 8 bytes each"""
+RACE = ('memory', 'end', 'readers', 'writers', 'epoch', 'races', 'place', 'astray', 'met')
+"""
+fields of the record of races, 8 bytes each: an epoch ends where all threads or those of a block
+meet; all have met at the beginning of ``met``
+"""
 FLUSH = 0x8040
 TOUCH = """
 define internal void @touch(ptr %p, i64 %size, i1 %writes, i64 %place, ptr %special, ptr %race) {
@@ -54,6 +58,12 @@ in:
   %me32 = load i32, ptr %me_p
   %me = zext i32 %me32 to i64
   %high = shl i64 %epoch, 32
+  %met_p = getelementptr i64, ptr %race, i64 8
+  %met = load i64, ptr %met_p
+  %size_p = getelementptr i32, ptr %special, i64 3
+  %size32 = load i32, ptr %size_p
+  %size_of_block = zext i32 %size32 to i64
+  %block = udiv i64 %me, %size_of_block
   %mine = or i64 %high, %me
   %many = or i64 %high, 4294967295
   br label %loop
@@ -65,12 +75,24 @@ loop:
   %w = load i64, ptr %wp
   %re = lshr i64 %r, 32
   %we = lshr i64 %w, 32
+  %r_who = and i64 %r, 4294967295
+  %r_block = udiv i64 %r_who, %size_of_block
+  %r_since = icmp uge i64 %re, %met
+  %r_else = icmp ne i64 %r_who, %me
+  %r_apart = icmp ne i64 %r_block, %block
   %r_now = icmp eq i64 %re, %epoch
+  %r_free = or i1 %r_apart, %r_now
+  %r_may = and i1 %r_since, %r_else
+  %r_other = and i1 %r_may, %r_free
+  %w_who = and i64 %w, 4294967295
+  %w_block = udiv i64 %w_who, %size_of_block
+  %w_since = icmp uge i64 %we, %met
+  %w_else = icmp ne i64 %w_who, %me
+  %w_apart = icmp ne i64 %w_block, %block
   %w_now = icmp eq i64 %we, %epoch
-  %r_not_me = icmp ne i64 %r, %mine
-  %w_not_me = icmp ne i64 %w, %mine
-  %r_other = and i1 %r_now, %r_not_me
-  %w_other = and i1 %w_now, %w_not_me
+  %w_free = or i1 %w_apart, %w_now
+  %w_may = and i1 %w_since, %w_else
+  %w_other = and i1 %w_may, %w_free
   %bad_r = and i1 %r_other, %writes
   %bad = or i1 %bad_r, %w_other
   br i1 %bad, label %race_found, label %fine
@@ -229,7 +251,7 @@ class EmulatedCard:
         registers = np.zeros((len(special), kernel.size), np.uint8)
         self._epoch += 1
         race = np.array([self._start, self._end, self._readers.ctypes.data,
-                         self._writers.ctypes.data, self._epoch, 0, 0, 0], np.int64)
+                         self._writers.ctypes.data, self._epoch, 0, 0, 0, self._epoch], np.int64)
         threads = [(registers.ctypes.data + k * kernel.size, parameters.ctypes.data,
                     special.ctypes.data + k * special.strides[0], race.ctypes.data)
                    for k in range(len(special))]
@@ -258,8 +280,10 @@ class EmulatedCard:
                 ready = here.pop(full.pop(0))
                 race[RACE.index('epoch')] += 1
             elif not ready:    # all that still run have come to the barrier
+                assert not here, 'threads of a block wait for one that has gone elsewhere'
                 ready, met = sorted(met), []
                 race[RACE.index('epoch')] += 1
+                race[RACE.index('met')] = race[RACE.index('epoch')]
                 self.barriers += 1
             todo, ready = self._next(ready)
             for k in todo:
@@ -275,6 +299,7 @@ class EmulatedCard:
                         full.append(k // size)
                 elif why != DONE:
                     ready.append(k)
+        assert not here, 'threads of a block wait for one that has ended'
 
     def _next(self, ready: list[int]) -> tuple[list[int], list[int]]:
         """Return the threads that go on now, in order, and those that do not."""

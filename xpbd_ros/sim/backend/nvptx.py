@@ -111,7 +111,8 @@ def entry(name: str, kinds: list[str], teams: list[int]) -> str:
         values.append(f'{kind} {place.get(k, f"%v{k}")}')
     barrier = BARRIER.replace('$', '$$').replace('GATE', '$0').replace('\n', '\\0A')
     return '\n'.join([
-        *_barrier(MEET_ALL, barrier, 'l,', 'ptr %gate'), *_barrier(MEET_BLOCK, 'bar.sync 0;'),
+        *_barrier(MEET_ALL, barrier, 'l,', 'ptr %gate'),
+        *_barrier(MEET_BLOCK, 'bar.sync 0; // meet_block'),
         *(f'declare i32 @llvm.nvvm.read.ptx.sreg.{s}.x()' for s in REGISTERS),
         f'define ptx_kernel void @{ENTRY}(ptr byval([{len(kinds)} x i64]) align {SLOT} %all) {{',
         '%result = alloca ptr', '%error = alloca ptr', *_place(), *loads,

@@ -55,10 +55,6 @@ def share(team, count):
     """Return where this thread's share of so many pieces begins and ends."""
 
 
-def chunk(team, count):
-    """Return where this thread's share begins and ends, on a GPU too."""
-
-
 def turns(team, count):
     """Return this thread's first piece of so many, the end, and the step to its next one."""
 
@@ -157,13 +153,6 @@ def is_on_device(team) -> bool:
 
 @inline(share)
 def _share(team, count):
-    if is_on_device(team):    # right for any kernel, and slow: one thread does it all
-        return lambda team, count: (0, count if team.worker == 0 else 0)
-    return lambda team, count: chunk(team, count)
-
-
-@inline(chunk)
-def _chunk(team, count):
     if _none(team):
         return lambda team, count: (0, count)
     return lambda team, count: (count * team.worker // team.workers,

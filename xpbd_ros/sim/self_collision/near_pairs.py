@@ -32,8 +32,8 @@ from xpbd_ros.sim.backend.simd import (
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import (
     alone,
-    chunk,
     is_on_device,
+    share,
     turns,
     wait_uneven,
     worker,
@@ -171,7 +171,7 @@ def collect(team, near, pairs, kind, end):
 
     """
     begin, count, place, total = near.kind_begin[kind], 0, end, 0
-    first, last = chunk(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
+    first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
     for pack in range(begin // PACK + first, begin // PACK + last):
         count += count_bits(np.int64(near.hits[pack]))
     near.parts[worker(team)] = count
