@@ -62,6 +62,35 @@ def test_the_same_bits_with_any_number_of_threads(method, options):
     assert len(set(one)) == len(one)
 
 
+def hung(threads: int, **solver) -> list:
+    """Return what each of some frames has of two taut sheets that hang by two corners each."""
+    sheet = {'grid': {'size': [0.5, 0.7], 'resolution': [19, 43]}, 'density': 0.5,
+             'effects': {'stretch': {'warp': 20.0, 'weft': 20.0},
+                         'strain_limit': {'max': 0.05}, 'tether': {}}}
+    simulation = compile_scene(scene_from_mapping({
+        'solver': {'substeps': 8, 'integrator': 'bdf2', 'threads': threads, **solver},
+        'cloths': {'c': sheet, 'd': {**sheet, 'pose': {'position': [0.0, 0.0, 0.5]}}},
+        'pins': {f'{cloth}{at}': {'cloth': cloth, 'at': at} for cloth in 'cd'
+                 for at in ('corner_00', 'corner_01')}}, where='x', name='x'))
+    found = []
+    for _ in range(8):
+        pins = simulation.step().pins
+        simulation._crew._rest = 0    # as in ``lying``
+        found.append((simulation.hash(), *(tuple(pin.force) for pin in pins.values())))
+    stats = simulation.stats()
+    assert min(stats['tethers_taut'], stats['strain_over_limit'] + 0.05) > 0.0
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('precision', ['float32', 'float64'])
+@pytest.mark.parametrize('method', ['line', 'gauss_seidel'])
+def test_limits_have_the_same_bits_with_any_number_of_threads(method, precision):
+    one = hung(1, method=method, precision=precision)
+    for threads in (2, 3, 5):
+        assert hung(threads, method=method, precision=precision) == one
+
+
 GROUND = {'floor': {'plane': {}},
           'ball': {'sphere': {'radius': 0.1}, 'position': [0.2, 0.3, -0.07]}}
 MANY = {**GROUND, 'bar': {'box': {'size': [0.1, 0.5, 0.05]}, 'position': [0.4, 0.3, 0.0],

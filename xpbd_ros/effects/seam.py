@@ -26,6 +26,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.constraints.projection import max_compliance
 from xpbd_ros.sim.effect import Built, Cloth, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
@@ -71,6 +72,9 @@ class Entry:
 class Seam(NamedTuple):
     """Data of the kernels: all pairs of all seams, in the scene's order."""
 
+    runs: np.ndarray
+    """first pair of each run of pairs without a common particle, and their number, (runs + 1,)"""
+
     first: np.ndarray
     """slot, shape (pairs,)"""
     second: np.ndarray
@@ -81,61 +85,103 @@ class Seam(NamedTuple):
     """f on the first of each pair [N], shape (pairs, 3)"""
 
 
-@stage(prepare, Seam)
+@stage(prepare, Seam, on_device=True)
 @jit
 def prepare_seams(seam, state, substep):
     """Zero the multipliers."""
-    seam.force[:] = 0.0
+    begin, end, turn = turns_on_device(state.team, len(seam.force))
+    for p in range(begin, end, turn):
+        seam.force[p, 0] = seam.force[p, 1] = seam.force[p, 2] = 0.0
 
 
-@stage(project_inequalities, Seam)
+@jit(inline=True)
+def pairs_of(seam, team, run):
+    """Return the pairs of a run as arguments of ``range``: on a GPU, this thread's."""
+    begin, end, turn = turns_on_device(team, seam.runs[run + 1] - seam.runs[run])
+    return seam.runs[run] + begin, seam.runs[run] + end, turn
+
+
+@stage(project_inequalities, Seam, on_device=True)
 @jit
 def sew(seam, state, substep):
     """Project each pair, one after the other."""
+    for run in range(len(seam.runs) - 1):
+        begin, end, turn = pairs_of(seam, state.team, run)
+        for p in range(begin, end, turn):
+            _close(seam, p, state, substep)
+        wait_on_device(state.team)
+
+
+@jit(inline=True)
+def _close(seam, p, state, substep):
+    """Project pair p."""
     x, before, f = state.x, state.x_prev, seam.force
-    for p in range(len(seam.first)):
-        i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
-        m, n = state.mobility[i], state.mobility[j]
-        if m + n == 0.0:
-            continue
-        dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
-        part = -1.0 / (m + n + alpha)
-        if alpha == 0.0:
-            gap = sqrt((before[0, i] - before[0, j])**2 + (before[1, i] - before[1, j])**2
-                       + (before[2, i] - before[2, j])**2) - CLOSING * substep.h
-            if gap > 0.0:
-                part *= max(0.0, 1.0 - gap / sqrt(dx * dx + dy * dy + dz * dz))
-        for a, d in enumerate((dx, dy, dz)):
-            df = part * (d + alpha * f[p, a])
-            f[p, a] += df
-            x[a, i] += m * df
-            x[a, j] -= n * df
+    i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
+    m, n = state.mobility[i], state.mobility[j]
+    if m + n == 0.0:
+        return
+    dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+    part = -1.0 / (m + n + alpha)
+    if alpha == 0.0:
+        gap = sqrt((before[0, i] - before[0, j])**2 + (before[1, i] - before[1, j])**2
+                   + (before[2, i] - before[2, j])**2) - CLOSING * substep.h
+        if gap > 0.0:
+            part *= max(0.0, 1.0 - gap / sqrt(dx * dx + dy * dy + dz * dz))
+    for a, d in enumerate((dx, dy, dz)):
+        df = part * (d + alpha * f[p, a])
+        f[p, a] += df
+        x[a, i] += m * df
+        x[a, j] -= n * df
 
 
-@stage(add_explicit_forces, Seam)
+@stage(add_explicit_forces, Seam, on_device=True)
 @jit
 def kick_seams(seam, state, substep):
     """H² w f, with the forces of the last substep."""
     move, m = state.apart.move, state.mobility
-    for p in range(len(seam.first)):
-        i, j = seam.first[p], seam.second[p]
-        for a in range(3):
-            move[a, i] += m[i] * seam.force[p, a]
-            move[a, j] -= m[j] * seam.force[p, a]
+    for run in range(len(seam.runs) - 1):
+        begin, end, turn = pairs_of(seam, state.team, run)
+        for p in range(begin, end, turn):
+            i, j = seam.first[p], seam.second[p]
+            for a in range(3):
+                move[a, i] += m[i] * seam.force[p, a]
+                move[a, j] -= m[j] * seam.force[p, a]
+        wait_on_device(state.team)
 
 
-@stage(react_to_half_kick, Seam)
-@stage(accumulate_reactions, Seam)
+@stage(react_to_half_kick, Seam, on_device=True)
+@stage(accumulate_reactions, Seam, on_device=True)
 @jit
 def react_seams(seam, state, substep):
     """Forces on pinned particles."""
     part, w = substep.end - substep.begin, state.inv_mass
-    for p in range(len(seam.first)):
-        i, j = seam.first[p], seam.second[p]
-        if w[i] == 0.0 or w[j] == 0.0:
-            for a in range(3):
-                state.reaction[a, i] += part * seam.force[p, a]
-                state.reaction[a, j] -= part * seam.force[p, a]
+    for run in range(len(seam.runs) - 1):
+        begin, end, turn = pairs_of(seam, state.team, run)
+        for p in range(begin, end, turn):
+            i, j = seam.first[p], seam.second[p]
+            if w[i] == 0.0 or w[j] == 0.0:
+                for a in range(3):
+                    state.reaction[a, i] += part * seam.force[p, a]
+                    state.reaction[a, j] -= part * seam.force[p, a]
+        wait_on_device(state.team)
+
+
+def runs_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """
+    Divide pairs of slots, in their order, into runs whose pairs have no particle in common.
+
+    Returns
+    -------
+    first pair of each run, and the number of pairs, shape (runs + 1,)
+
+    """
+    begins, seen = [0], set()
+    for p, ends in enumerate(zip(first.tolist(), second.tolist())):
+        if not seen.isdisjoint(ends):
+            begins.append(p)
+            seen.clear()
+        seen.update(ends)
+    return np.array([*begins, len(first)])
 
 
 class BuiltSeam(Built):
@@ -161,8 +207,9 @@ class BuiltSeam(Built):
         self.names = tuple(world.sections.get('seams', {}))
         self.data = None
         if first:
-            self.data = Seam(np.concatenate(first), np.concatenate(second),
-                             np.concatenate(compliance), np.zeros((sum(map(len, first)), 3)))
+            sides = np.concatenate(first), np.concatenate(second)
+            self.data = Seam(runs_of(*sides), *sides, np.concatenate(compliance),
+                             np.zeros((len(sides[0]), 3)))
             if 'strain_limit' in world.built:
                 world.built['strain_limit'].take_turns()
 

@@ -33,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, in_first_block, turns, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, alone_on_device, in_first_block, turns, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -175,7 +175,7 @@ def keep_apart(effect, state, substep):
 @jit
 def are_layers_unmet(effect, state, turn):
     """Tell whether pads press, so that pairs in front of them must be projected again."""
-    return begin_turn(effect.pairs.backing, turn)
+    return alone_on_device(state.team) and begin_turn(effect.pairs.backing, turn)
 
 
 @jit

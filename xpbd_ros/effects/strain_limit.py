@@ -27,6 +27,14 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import (
+    alone,
+    alone_on_device,
+    turns,
+    turns_on_device,
+    wait,
+    wait_on_device,
+)
 from xpbd_ros.sim.constraints import overextended_lines
 from xpbd_ros.sim.constraints.inextensible_edges import EASE, FEW, FINE, shorten
 from xpbd_ros.sim.constraints.inextensible_lines import tighten
@@ -92,7 +100,12 @@ class StrainLimit(NamedTuple):
     """with their largest lengths"""
     force: np.ndarray
     """f [N], negative in tension, shape (2 grids * slots,)"""
+    excess: np.ndarray
+    """scratch of ``tighten``, shape (threads + 1,)"""
     pulled: Pulled
+    """warp edges of the first grid, its weft edges, those of the next grid"""
+    families: np.ndarray
+    """first of each of these, and the number of edges; shape (2 grids + 1,)"""
     taut: overextended_lines.Taut | None
     """None in a scene without pins"""
     stops: EdgeStops | None
@@ -131,12 +144,14 @@ class MeshStrainLimit(NamedTuple):
     """as in ``StrainLimit``"""
 
 
-@stage(prepare, StrainLimit)
+@stage(prepare, StrainLimit, on_device=True)
 @jit
 def prepare_limit(limit, state, substep):
     """Zero the forces, except of overextended lines."""
-    zero_multipliers(None, limit.force, None)
-    overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
+    zero_multipliers(None, limit.force, state.team)
+    wait_on_device(state.team)
+    if alone_on_device(state.team):
+        overextended_lines.straighten(limit.taut, limit.lines, limit.force, state)
 
 
 @stage(prepare, MeshStrainLimit)
@@ -146,20 +161,22 @@ def prepare_edges(limit, state, substep):
     zero_multipliers(None, limit.force, None)
 
 
-@stage(project_inequalities, StrainLimit)
+@stage(project_inequalities, StrainLimit, shared=True)
 @jit
 def limit_lines(limit, state, substep):
     """Shorten lines until no edge is too long."""
     found = 0.0
     for k in range(most_passes(limit.trend)):
-        most = tighten(limit.lines, limit.force, limit.stops, state, substep,
+        most = tighten(limit.lines, limit.force, limit.stops, limit.excess, state, substep,
                        NEAR if k == 0 else 0.0)
         if k == 0:
             found = most
         if most <= (FINE if k < FEW else EASE):
             break
-    note_turn(limit.trend, found)
-    _stop(limit.pulled, limit.force, state)
+    if alone(state.team):
+        note_turn(limit.trend, found)
+    _stop_lines(limit, state)
+    wait(state.team)
 
 
 @stage(project_inequalities, MeshStrainLimit)
@@ -168,7 +185,9 @@ def limit_edges(limit, state, substep):
     """Shorten edges until none is too long."""
     found = shorten(limit, state, substep, most_passes(limit.trend))
     note_turn(limit.trend, found)
-    _stop(limit.pulled, limit.force, state)
+    for c in range(len(limit.pulled.index)):
+        for end in range(2):
+            _stop(limit.pulled, limit.force, state.history, c, end)
 
 
 @jit(inline=True)
@@ -213,7 +232,8 @@ def is_unmet(limit, state, turn):
     particles, longest = limit.pulled.particles, limit.pulled.longest
     if may_turn(limit.trend, turn):
         x, w = state.x, state.inv_mass
-        for c in range(len(longest)):
+        begin, end, step = turns_on_device(state.team, len(longest))
+        for c in range(begin, end, step):
             a, b, most = particles[c, 0], particles[c, 1], (1.0 + AGREED) * longest[c]
             square = (x[0, a] - x[0, b])**2 + (x[1, a] - x[1, b])**2 + (x[2, a] - x[2, b])**2
             if square > most**2 and w[a] + w[b] > 0.0:
@@ -230,13 +250,24 @@ def may_turn(trend, turn):
         return turn <= TURNS and trend[2] == 0.0
 
 
+@jit(inline=True)
+def _stop(pulled, force, history, c, end):
+    """Let one end of edge c, if that is taut, end the substep with backward Euler."""
+    if force[pulled.index[c]] < 0.0:
+        invalidate_history(history, pulled.particles[c, end])
+
+
 @jit
-def _stop(pulled, force, state):
-    """Let the particles of taut edges end the substep with backward Euler."""
-    for c in range(len(pulled.index)):
-        if force[pulled.index[c]] < 0.0:
-            invalidate_history(state.history, pulled.particles[c, 0])
-            invalidate_history(state.history, pulled.particles[c, 1])
+def _stop_lines(limit, state):
+    """Do so for all edges of lines; a particle is once at each end of those of a family."""
+    if state.history is not None:
+        for f in range(len(limit.families) - 1):
+            first, last = limit.families[f], limit.families[f + 1]
+            begin, past, turn = turns(state.team, last - first)
+            for end in range(2):
+                for c in range(first + begin, first + past, turn):
+                    _stop(limit.pulled, limit.force, state.history, c, end)
+                wait(state.team)
 
 
 @stage(accumulate_reactions, StrainLimit)
@@ -260,7 +291,7 @@ def _on_grids(cloths, world) -> StrainLimit:
     lines = grid_lines(
         blocks, [(1.0 + chosen.max) * np.array(cloth.mesh.spacing) for cloth, chosen in cloths],
         [(np.zeros(block.rows), np.zeros(block.columns)) for block in blocks],
-        slots=world.slots, dtype=world.state.x.dtype)
+        slots=world.slots, dtype=world.state.x.dtype, threads=world.threads)
     ends, index, longest = [], [], []
     for g, (block, (cloth, chosen))  in enumerate(zip(blocks, cloths)):
         slots = block.slots
@@ -269,7 +300,9 @@ def _on_grids(cloths, world) -> StrainLimit:
             index.append(lines.force[g, along] + a.ravel())
             longest.append(np.full(a.size, (1.0 + chosen.max) * cloth.mesh.spacing[along]))
     return StrainLimit(lines, zeros(2 * len(blocks) * world.slots, world.state.x.dtype),
+                       np.zeros(world.threads + 1),
                        Pulled(np.concatenate(ends), *map(np.concatenate, (index, longest))),
+                       np.cumsum([0, *map(len, index)]),
                        overextended_lines.room_for(blocks) if world.pins else None,
                        stops_of(sum(map(len, index))) if world.pins else None, None)
 

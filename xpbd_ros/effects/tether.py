@@ -27,6 +27,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.threads import turns, turns_on_device, wait
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.geodesics import shortest, straight_lines
 from xpbd_ros.sim.geometry.mesh import length
@@ -58,44 +59,74 @@ class Tether(NamedTuple):
     """slot of its pinned particle, shape (room,)"""
     longest: np.ndarray
     """r [m], shape (room,)"""
+    by_pinned: np.ndarray
+    """indices of the tethers in rising order of the pinned particle, shape (room,)"""
     force: np.ndarray
     """f [N], negative in tension, shape (room,)"""
+    pull: np.ndarray
+    """f n of the last projection, times the substep's part of the frame [N], shape (3, room)"""
 
 
-@stage(prepare, Tether)
+@stage(prepare, Tether, on_device=True)
 @jit
 def prepare_tethers(tether, state, substep):
     """Zero the forces."""
-    tether.force[:tether.count[0]] = 0.0
+    begin, end, turn = turns_on_device(state.team, tether.count[0])
+    for t in range(begin, end, turn):
+        tether.force[t] = 0.0
 
 
-@stage(project_inequalities, Tether)
+@stage(project_inequalities, Tether, shared=True)
 @jit
 def pull_back(tether, state, substep):
-    """Project each tether, particle after particle."""
-    x, part = state.x, substep.end - substep.begin
-    for t in range(tether.count[0]):
-        i, a, most = tether.particle[t], tether.pinned[t], tether.longest[t]
-        dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
-        square = dx * dx + dy * dy + dz * dz
-        if square > most * most and state.mobility[i] > 0.0:
-            l = np.sqrt(square)
-            back = (most - l) / l
-            x[0, i] += back * dx
-            x[1, i] += back * dy
-            x[2, i] += back * dz
-            f = (most - l) / state.mobility[i]
-            tether.force[t] += f
-            _pull_at(state.reaction, a, part * f / l, dx, dy, dz)
+    """Project the tethers of each particle, one after another; threads share the particles."""
+    count, particle, part = tether.count[0], tether.particle, substep.end - substep.begin
+    begin, end, turn = turns(state.team, count)
+    for first in range(begin, end, turn):
+        i = particle[first]
+        if first == 0 or particle[first - 1] != i:
+            t = first
+            while t < count and particle[t] == i:
+                _project(tether, t, state, part)
+                t += 1
+    wait(state.team)
+    _pull_at_pins(tether, state)
 
 
 @jit(inline=True)
-def _pull_at(reaction, a, f, dx, dy, dz):
-    """Add the force on the pinned particle: -f n."""
+def _project(tether, t, state, part):
+    """Project tether t."""
+    x, i, a, most = state.x, tether.particle[t], tether.pinned[t], tether.longest[t]
+    dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
+    square, pull = dx * dx + dy * dy + dz * dz, 0.0
+    if square > most * most and state.mobility[i] > 0.0:
+        l = np.sqrt(square)
+        back = (most - l) / l
+        x[0, i] += back * dx
+        x[1, i] += back * dy
+        x[2, i] += back * dz
+        f = (most - l) / state.mobility[i]
+        tether.force[t] += f
+        pull = part * f / l
+    tether.pull[0, t], tether.pull[1, t], tether.pull[2, t] = pull * dx, pull * dy, pull * dz
+
+
+@jit
+def _pull_at_pins(tether, state):
+    """Add the forces on pinned particles, -f n; threads share these."""
+    reaction, count = state.reaction, tether.count[0]
+    order, pinned = tether.by_pinned, tether.pinned
     if reaction is not None:
-        reaction[0, a] -= f * dx
-        reaction[1, a] -= f * dy
-        reaction[2, a] -= f * dz
+        begin, end, turn = turns(state.team, count)
+        for first in range(begin, end, turn):
+            a = pinned[order[first]]
+            if first == 0 or pinned[order[first - 1]] != a:
+                k = first
+                while k < count and pinned[order[k]] == a:
+                    for axis in range(3):
+                        reaction[axis, a] -= tether.pull[axis, order[k]]
+                    k += 1
+        wait(state.team)
 
 
 @dataclass
@@ -167,7 +198,8 @@ class BuiltTether(Built):
         self._ways = [Ways.of(cloth, chosen.slack) for cloth, chosen in parameters.items()]
         room = GROUPS * sum(len(ways.slots) for ways in self._ways) if world.pins else 0
         self.data = Tether(np.zeros(1, np.int64), np.zeros(room, np.int64),
-                           np.zeros(room, np.int64), np.zeros(room), np.zeros(room))
+                           np.zeros(room, np.int64), np.zeros(room), np.zeros(room, np.int64),
+                           np.zeros(room), np.zeros((3, room)))
 
     def hold(self, inv_mass):
         found = [np.concatenate(columns) for columns in zip(
@@ -176,6 +208,7 @@ class BuiltTether(Built):
         self.data.count[0] = len(order)
         for column, numbers in zip(self.data[1:4], found):
             column[:len(order)] = numbers[order]
+        self.data.by_pinned[:len(order)] = np.argsort(found[1][order], kind='stable')
 
     def read_by_stats(self):
         return self.data.force,

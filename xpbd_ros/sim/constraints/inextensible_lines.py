@@ -22,23 +22,29 @@ from xpbd_ros.sim.backend.simd import (
     splat,
     store,
 )
+from xpbd_ros.sim.backend.threads import alone, turns_of_few, wait, worker, workers
 from xpbd_ros.sim.constraints.line_solver import gather_rows, scatter_rows
 from xpbd_ros.sim.constraints.pinned_edges import gather_reaction, note
 from xpbd_ros.sim.particles.history import weights_at
 
 
 @jit
-def tighten(lines, force, stops, state, substep, near):
+def tighten(lines, force, stops, excess, state, substep, near):
     """
-    Solve every warp line, then every weft line; return the largest relative excess found.
+    Solve every warp line, then every weft line; threads share the lines of each.
 
     Parameters
     ----------
     lines : their ``rest_length`` is the limit of each edge's length [m]
     force : multipliers f [N]
     stops : edges at pinned particles, or None; their forces are added to ``state.reaction``
+    excess : scratch: the largest excess that each thread found, and of all; shape (threads + 1,)
     near : edges shorter than the limit by less than this fraction are active too, a first guess of
         the active set: without it the tension of a hanging line would grow by one edge per solve
+
+    Returns
+    -------
+    largest relative excess found, on all threads
 
     """
     most, part = 0.0, substep.end - substep.begin
@@ -49,7 +55,22 @@ def tighten(lines, force, stops, state, substep, near):
         _note(stops, lines.force[g, 1], state, force)
         most = max(most, _weft(lines, g, force, state, near))
         _gather(stops, lines.force[g, 1], state, force, part)
-    return most
+    return _largest(state.team, excess, most)
+
+
+@jit
+def _largest(team, excess, most):
+    """Return the largest of the threads' numbers, none negative, on all of them."""
+    threads = min(workers(team), len(excess) - 1)
+    if worker(team) < threads:    # others of a GPU have solved no line
+        excess[worker(team)] = most
+    wait(team)
+    if alone(team):
+        for k in range(threads):
+            most = max(most, excess[k])
+        excess[-1] = most
+    wait(team)
+    return excess[-1]
 
 
 @jit(inline=True)
@@ -69,18 +90,20 @@ def _note(stops, base, state, force):
     """Record the edges at pinned particles of one family; its multipliers begin at ``base``."""
     if stops is not None:
         held, x = stops.held, state.x
-        for k in range(held.count[0]):
-            if base <= held.index[k] < base + x.shape[1]:
-                note(stops, k, k + 1, x[0], x[1], x[2], None, force)
-                share = per_euler(state, held.particles[k, 0], held.particles[k, 1])
-                for a in range(3):
-                    stops.direction[k, a] *= share
+        if alone(state.team):
+            for k in range(held.count[0]):
+                if base <= held.index[k] < base + x.shape[1]:
+                    note(stops, k, k + 1, x[0], x[1], x[2], None, force)
+                    share = per_euler(state, held.particles[k, 0], held.particles[k, 1])
+                    for a in range(3):
+                        stops.direction[k, a] *= share
+        wait(state.team)
 
 
 @jit
 def _gather(stops, base, state, force, part):
-    """Add the forces that these edges exerted since ``_note``."""
-    if stops is not None:
+    """Add the forces that these edges exerted since ``_note``; the others need not wait."""
+    if stops is not None and alone(state.team):
         for k in range(stops.held.count[0]):
             if base <= stops.held.index[k] < base + state.x.shape[1]:
                 gather_reaction(stops, k, k + 1, state.mobility, force, part, state.reaction)
@@ -89,11 +112,14 @@ def _gather(stops, base, state, force, part):
 @jit
 def _warp(lines, g, force, state, near):
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
-    tile, count, most = lines.tile[0], lanes(x), splat(x, 0.0)
+    work, tile = lines.work[worker(state.team)], lines.tile[worker(state.team)]
+    count, most = lanes(x), splat(x, 0.0)
     start, rows, columns = lines.first[g], lines.rows[g], lines.columns[g]
     part, stride, parts = lines.part[g], lines.stride[g], lines.parts[g]
     if columns > 1:
-        for begin in range(0, rows, count):
+        tiles = max(1, rows // count)
+        one, other, over = turns_of_few(state.team, tiles, len(lines.work))
+        for begin in range(one * count, rows if other == tiles else other * count, over * count):
             row = max(0, min(begin, rows - count))    # the last tile overlaps the one before
             top, at = start + row * stride, lines.force[g, 0] + start + row * stride
             gather_rows(x, top, parts, part, stride, tile[0])
@@ -103,24 +129,29 @@ def _warp(lines, g, force, state, near):
             gather_rows(force, at, parts, part, stride, tile[4])
             most = larger(most, _solve(
                 tile[0], tile[1], tile[2], tile[3], tile[4], 0, 0, count, columns, begin - row,
-                lines.rest_length[g, 0], lines.work[0], lines.tiny, near))
+                lines.rest_length[g, 0], work, lines.tiny, near))
             scatter_rows(tile[0], x, top, parts, part, stride)
             scatter_rows(tile[1], y, top, parts, part, stride)
             scatter_rows(tile[2], z, top, parts, part, stride)
             scatter_rows(tile[4], force, at, parts, part, stride)
+        wait(state.team)
     return highest(most)
 
 
 @jit
 def _weft(lines, g, force, state, near):
     x, y, z, m = state.x[0], state.x[1], state.x[2], state.mobility
-    most = splat(x, 0.0)
+    work, most = lines.work[worker(state.team)], splat(x, 0.0)
+    count = lanes(x)
     if lines.rows[g] > 1:
-        for q in range(0, lines.parts[g] * lines.part[g], lanes(x)):
+        one, other, over = turns_of_few(state.team, lines.parts[g] * lines.part[g] // count,
+                                        len(lines.work))
+        for q in range(one * count, other * count, over * count):
             at = lines.first[g] + q
             most = larger(most, _solve(
                 x, y, z, m, force, at, lines.force[g, 1] + at, lines.stride[g], lines.rows[g], 0,
-                lines.rest_length[g, 1], lines.work[0], lines.tiny, near))
+                lines.rest_length[g, 1], work, lines.tiny, near))
+        wait(state.team)
     return highest(most)
 
 

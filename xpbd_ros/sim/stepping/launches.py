@@ -21,7 +21,7 @@ from xpbd_ros.sim.backend.device_kernel import Request
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.emit import WRITTEN
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, wait
+from xpbd_ros.sim.backend.threads import alone, count_up, wait
 from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.particles import explicit_updates, history, integration
 from xpbd_ros.sim.particles.state import State
@@ -63,14 +63,17 @@ class Shared(NamedTuple):
     gate: np.ndarray
     """state of the barrier, shape (1,)"""
     turns: np.ndarray
-    """number of the turn, and 1 if its inequalities are unmet; shape (2,)"""
+    """number of the turn, and of the threads that found inequalities unmet; shape (2,)"""
 
 
 @jit
 def ask(effects, state, turns, first):
     """Begin to count turns, or go on; note whether inequalities are unmet."""
-    turns[0] = 1 if first else turns[0] + 1
-    turns[1] = stages.are_inequalities_unmet(effects, state, turns[0])
+    if alone(state.team):
+        turns[0], turns[1] = 1 if first else turns[0] + 1, 0
+    wait(state.team)
+    if stages.are_inequalities_unmet(effects, state, turns[0]):
+        count_up(state.team, turns, 1, 1)
 
 
 def name_of(kernel: Callable) -> tuple:
@@ -155,8 +158,7 @@ class Recorder:
         """Record a turn of a loop, where the loop asks for the first and for the second one."""
         asked = tuple(effect for effect in effects if stages.kernel_of(
             stages.are_inequalities_unmet, numba.typeof(effect)) is not None)
-        with self.only_if(None):
-            self.call(ask, *map(self.typed, (asked, state, self._turns, turn == 1)))
+        self.call(ask, *map(self.typed, (asked, state, self._turns, turn == 1)))
         if turn == 1:
             self._before, self.launches = self.launches, []
         else:
@@ -185,7 +187,7 @@ def at_home(home: State, state: State) -> bool:
 
 def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
     """Return the number of threads that can share a kernel: constraints of a colour, or slots."""
-    solves_lines = (stages.name_of(kernel) or ('',))[0] == stages.solve_lines.__name__
+    solves_lines = (stages.name_of(kernel) or ('',))[0] in OF_LINES
     for each in arguments:
         slots = min(slots, getattr(each, 'most_threads', slots))
         if solves_lines and hasattr(each, 'lines'):
@@ -208,6 +210,8 @@ VALUES: dict[Callable, Callable] = {integration.turned: turned,
                                     **{each: each.py_func for each in (
                                         explicit_updates.at_start, explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""
+OF_LINES = stages.solve_lines.__name__, stages.project_inequalities.__name__
+"""stages in which a thread of a GPU solves whole lines, of effects that have them"""
 COMPOSITE = (methods._kick,)
 """kernels whose calls are launches of their own"""
 ANSWERS: dict[Callable, Callable] = {step.flush_denormals: lambda: 0,
