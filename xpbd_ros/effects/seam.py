@@ -175,7 +175,8 @@ def runs_of(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     first pair of each run, and the number of pairs, shape (runs + 1,)
 
     """
-    begins, seen = [0], set()
+    begins = [0]
+    seen: set[int] = set()
     for p, ends in enumerate(zip(first.tolist(), second.tolist())):
         if not seen.isdisjoint(ends):
             begins.append(p)
