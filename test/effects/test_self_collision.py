@@ -211,7 +211,7 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
             for kind, found in near_by_brute_force(near).items():
                 assert set(found) <= set(chosen[kind])
                 touching += len(found)
-            empty_groups(near)
+            empty_groups(None, near)
             choose_near(None, near, pairs, THICKNESS)
             chosen = all_near(near, pairs)
             for kind, found in near_by_brute_force(near, (1.0 + SPARE) * THICKNESS).items():

@@ -46,7 +46,7 @@ def test_a_query_finds_what_brute_force_finds(count):
     for _ in range(3):    # the tree is refitted
         spheres = random.uniform(-1.0, 1.0, (count + 1, 4)).astype(np.float32)
         spheres[:, 3] = 0.05 * np.abs(spheres[:, 3])
-        update_boxes(tree, spheres)
+        update_boxes(None, tree, spheres)
         centre, radius = spheres[items, :3], spheres[items, 3:]
         for low in random.uniform(-1.0, 1.0, (20, 3)):
             high = low + random.uniform(0.0, 0.5, 3)
@@ -65,7 +65,7 @@ def test_points_that_are_not_finite_hide_no_others():
     tree = new_box_tree(np.arange(100)[:, None], points[:, :3], np.zeros(100, np.int64))
     points[::7] = np.nan
     points[3::7] = np.inf
-    update_boxes(tree, points)
+    update_boxes(None, tree, points)
     found = items_in(tree, (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0))
     assert sorted(found) == [(i,) for i in range(100) if np.isfinite(points[i, 0])]
 

@@ -81,7 +81,7 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
 )
 from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
-from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_sides, Planes
+from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -250,7 +250,7 @@ def stop(effect, state, substep):
             find_planes(effect, state)
             if any_thread(team, near, strays(near, state)):    # no room for all pairs
                 break
-        if told(team, near, part_sides(planes, near, state) if alone(team) else 0) == 0:
+        if part_all(team, planes, near, state) == 0:
             return
         push_again(effect.contacts, state, turn >= ROUNDS // 2)
     give_way(team, effect, near, planes, effect.contacts, state, substep)
@@ -313,13 +313,14 @@ def mark_all(planes, near, contacts, state, again):
     mark(planes, near, state)
 
 
-@stage(finish, SelfCollision)
+@stage(finish, SelfCollision, on_device=True)
 @jit
 def settle(effect, state, substep):
     """Remove velocities from old overlaps, and advance the common motion."""
     near = effect.near
     remove_depenetration_velocity(effect.pairs, near, state, substep)
-    advance(near, state)
+    if alone_on_device(state.team):
+        advance(near, state)
 
 
 @stage(add_explicit_forces, SelfCollision)
@@ -336,7 +337,7 @@ def rest_on_cloth(effect, state, substep):
                         stay(state, near.slot[i], substep.h)
 
 
-@stage(accumulate_reactions, SelfCollision)
+@stage(accumulate_reactions, SelfCollision, on_device=True)
 @jit
 def press_on_pins(effect, state, substep):
     """Forces on pinned particles."""
@@ -361,7 +362,8 @@ class BuiltSelfCollision(Built):
         room = parameters.room * count
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
-                                  world.state.mass[slots].mean(), kin(world), world.threads)
+                                  world.state.mass[slots].mean(), kin(world), world.threads,
+                                  world.on_device)
         self.data = SelfCollision(
             np.array([parameters.thickness]), near,
             new_pair_contacts(NEAR * room, count, 0 if world.on_device else world.threads),

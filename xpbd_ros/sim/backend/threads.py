@@ -90,6 +90,14 @@ def turns_on_device(team, count):
     """Return ``turns`` on a GPU, and all pieces on a CPU, for what one of its threads does."""
 
 
+def assigned(team, k):
+    """
+    Return whether thread k of a CPU, modulo their number, is this one.
+
+    On a GPU it is True: all its threads share the piece of work (``turns_on_device``).
+    """
+
+
 def alone_on_device(team):
     """Return False for the other threads of a GPU, in what one thread of a CPU does."""
 
@@ -203,6 +211,13 @@ def _turns_on_device(team, count):
     if is_on_device(team):
         return lambda team, count: turns(team, count)
     return lambda team, count: (0, count, 1)
+
+
+@inline(assigned)
+def _assigned(team, k):
+    if _none(team) or is_on_device(team):
+        return lambda team, k: True
+    return lambda team, k: team.worker == k % team.workers
 
 
 @inline(alone_on_device)

@@ -24,6 +24,7 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
+from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 
 MORTON_BITS = 20
 """bits of each coordinate in a Morton code"""
@@ -87,11 +88,12 @@ def morton_codes(points: np.ndarray) -> np.ndarray:
 
 
 @jit
-def update_boxes(tree, spheres):
+def update_boxes(team, tree, spheres):
     """Compute all boxes so that they bound the particles' spheres: records x, y, z, radius [m]."""
-    corners, low, high = tree.corners, tree.low, tree.high
-    vectors = corners.shape[1] // lanes(spheres) * lanes(spheres)
-    for c in range(0, vectors, lanes(spheres)):
+    corners, low, high, count = tree.corners, tree.low, tree.high, lanes(spheres)
+    vectors = corners.shape[1] // count * count
+    begin, end, turn = turns_on_device(team, vectors // count)
+    for c in range(begin * count, end * count, turn * count):
         above, below = splat(spheres, np.inf), splat(spheres, -np.inf)
         least, most = (above, above, above), (below, below, below)
         for k in range(len(corners)):
@@ -103,7 +105,8 @@ def update_boxes(tree, spheres):
         for a in range(3):
             store(low[a], c, least[a])
             store(high[a], c, most[a])
-    for c in range(vectors, corners.shape[1]):
+    begin, end, turn = turns_on_device(team, corners.shape[1] - vectors)
+    for c in range(vectors + begin, vectors + end, turn):
         for a in range(3):
             least, most = np.inf, -np.inf
             for k in range(len(corners)):
@@ -112,8 +115,10 @@ def update_boxes(tree, spheres):
                 most = max(most, spheres[i, a] + spheres[i, 3])
             low[a, c], high[a, c] = least, most
     for level in range(1, len(tree.begin) - 1):
+        wait_on_device(team)
         first, below = tree.begin[level], tree.begin[level - 1]
-        for pack in range((first - below) // PACK):
+        begin, end, turn = turns_on_device(team, (first - below) // PACK)
+        for pack in range(begin, end, turn):
             for a in range(3):
                 least, most = np.inf, -np.inf
                 for k in range(below + pack * PACK, below + (pack + 1) * PACK):
@@ -122,15 +127,18 @@ def update_boxes(tree, spheres):
 
 
 @jit
-def mark_items(tree, marks):
+def mark_items(team, tree, marks):
     """Mark the items of which a particle is marked."""
     corners = tree.corners
-    tree.marked[:] = 0
-    for c in range(corners.shape[1]):
-        found = False
-        for p in range(len(corners)):
-            found |= marks[corners[p, c]]
-        tree.marked[c // PACK] |= found << (c % PACK)
+    begin, end, turn = turns_on_device(team, len(tree.marked))
+    for pack in range(begin, end, turn):
+        found = 0
+        for c in range(PACK * pack, min(PACK * (pack + 1), corners.shape[1])):
+            marked = False
+            for p in range(len(corners)):
+                marked |= marks[corners[p, c]]
+            found |= marked << (c - PACK * pack)
+        tree.marked[pack] = found
 
 
 @jit(inline=True)

@@ -21,6 +21,7 @@ from xpbd_ros.sim.backend.threads import alone, count_up, turns, wait_uneven, wo
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.self_collision.list_order import Moves, new_moves
 
 POINTS, TRIANGLES, EDGES = range(3)
 """kinds of pairs: two particles, particle and triangle, two edges"""
@@ -36,11 +37,11 @@ UNKNOWN = -1.0
 """distance to be kept that is not computed yet"""
 CANDIDATES = 1024
 """pairs whose distance the search computes at once, a multiple of PACK"""
-FULL, TOLD, SOME = 3, 4, 5
+FULL, TOLD, SUM = 3, 4, 5
 """
 places in ``NeighbourList.plan`` behind those of the kinds, the ends of their pairs that stay:
-how many threads have no room for what they find; a number that ``told`` passes on; how many
-threads tell ``any_thread`` True
+how many threads have no room for what they find; a number that ``told`` passes on; the sum of
+``sum_of``
 """
 
 
@@ -143,6 +144,8 @@ class NeighbourList(NamedTuple):
     scratch: pairs that each thread finds, as ``corners``, shape (threads, 4, room + CANDIDATES);
     None with one thread
     """
+    moves: Moves | None
+    """None but on a GPU"""
     points: BoxTree
     """tree of the particles that collide: all, or the corners of triangles"""
     surface: Surface | None
@@ -152,7 +155,8 @@ class NeighbourList(NamedTuple):
 
 
 def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
-                       kin: np.ndarray | None = None, threads: int = 1) -> NeighbourList:
+                       kin: np.ndarray | None = None, threads: int = 1,
+                       on_device: bool = False) -> NeighbourList:
     """
     Return an empty list.
 
@@ -164,6 +168,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     unit : mean mass of a particle [kg]
     kin : weld groups, shape (particles,), or None
     threads : that seek pairs at once
+    on_device : True for those of a GPU
 
     """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
@@ -200,7 +205,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros((2, -(-most // PACK)), np.int64),
         np.zeros((threads, 4, max(room // threads, CANDIDATES) + CANDIDATES), np.int32)
         if threads > 1 else None,
-        tree(points[:, None]), trees, kin)
+        new_moves(room) if on_device else None, tree(points[:, None]), trees, kin)
 
 
 @jit(inline=True)
@@ -224,27 +229,14 @@ def are_welded(kin, a, b):
         return kin[a] == kin[b]
 
 
-@jit(inline=True)
-def has_marked(marks, corners, k):
-    """Return True if pair k has a particle that is marked; unsigned, an index is not negative."""
-    return (marks[np.uint32(corners[0, k])] | marks[np.uint32(corners[1, k])]
-            | marks[np.uint32(corners[2, k])] | marks[np.uint32(corners[3, k])])
-
-
-@jit(inline=True)
-def exchange(near, k, l):
-    """Exchange two listed pairs."""
-    corners, keep = near.corners, near.keep
-    keep[k], keep[l] = keep[l], keep[k]
-    for p in range(4):
-        corners[p, k], corners[p, l] = corners[p, l], corners[p, k]
-
-
 @jit
-def empty_groups(near):
+def empty_groups(team, near):
     """Mark the groups as outdated after a change of the list."""
-    near.grouped[:] = 0
-    near.regroup[0] = True
+    first, end, step = turns(team, len(near.grouped))
+    for pack in range(first, end, step):
+        near.grouped[pack] = 0
+    if alone(team):
+        near.regroup[0] = True
 
 
 @jit(inline=True)
@@ -266,13 +258,19 @@ def told(team, near, value):
 @jit(inline=True)
 def any_thread(team, near, found):
     """Return True on all threads if ``found`` is True on one of them; all wait for one another."""
-    if found:
-        count_up(team, near.plan, SOME, 1)
+    return sum_of(team, near, 1 if found else 0) > 0
+
+
+@jit(inline=True)
+def sum_of(team, near, number):
+    """Return the sum of the threads' numbers on all of them; all wait for one another."""
+    if number:
+        count_up(team, near.plan, SUM, number)
     wait_uneven(team)
     if alone(team):
-        near.plan[TOLD], near.plan[SOME] = near.plan[SOME], 0
+        near.plan[TOLD], near.plan[SUM] = near.plan[SUM], 0
     wait_uneven(team)
-    return near.plan[TOLD] > 0
+    return near.plan[TOLD]
 
 
 @jit

@@ -35,7 +35,13 @@ from xpbd_ros.sim.backend.simd import (
     store,
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
-from xpbd_ros.sim.backend.threads import in_block, wait_in_block
+from xpbd_ros.sim.backend.threads import (
+    alone_on_device,
+    in_block,
+    turns_on_device,
+    wait_in_block,
+    wait_on_device,
+)
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.backing import (
     Backing,
@@ -326,11 +332,26 @@ def mobility_of_pair(pairs, k, near, state):
 @jit
 def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
-    for q in range(0, pairs.end[0], lanes(pairs.push)):
-        found = bits(both(load(pairs.overlap, q) > 0.0, load(pairs.push, q) > 0.0))
-        while found:
-            calm_pair(pairs, q + lowest_bit(found), near, state, substep)
-            found &= found - 1
+    mark_pushed(state.team, pairs, near, pairs.overlap)
+    if alone_on_device(state.team):
+        for pack in range(pairs.end[0] // PACK):
+            found = near.hits[pack]
+            while found:
+                calm_pair(pairs, PACK * pack + lowest_bit(found), near, state, substep)
+                found &= found - 1
+
+
+@jit
+def mark_pushed(team, pairs, near, numbers):
+    """Set ``hits`` for the pairs in groups that push and whose number is positive."""
+    begin, end, turn = turns_on_device(team, pairs.end[0] // PACK)
+    for pack in range(begin, end, turn):
+        found = 0
+        for q in range(PACK * pack, PACK * (pack + 1), lanes(pairs.push)):
+            found |= bits(both(load(numbers, q) > 0.0, load(pairs.push, q) > 0.0)) << (
+                q - PACK * pack)
+        near.hits[pack] = found
+    wait_on_device(team)
 
 
 @jit(inline=True)
@@ -366,17 +387,26 @@ def calm_pair(pairs, k, near, state, substep):
 def press(pairs, near, state, substep):
     """Add the forces on pinned particles, b (n d + s) / (W h²), to the mean over the frame."""
     part = (substep.end - substep.begin) / substep.h**2
-    for k in range(pairs.end[0]):
-        if pairs.push[k] == 0.0:
+    mark_pushed(state.team, pairs, near, pairs.push)
+    if alone_on_device(state.team):
+        for pack in range(pairs.end[0] // PACK):
+            found = near.hits[pack]
+            while found:
+                press_by_pair(pairs, PACK * pack + lowest_bit(found), near, state, part)
+                found &= found - 1
+
+
+@jit(inline=True)
+def press_by_pair(pairs, k, near, state, part):
+    """Add those of pair k."""
+    scale = part / mobility_of_pair(pairs, k, near, state)
+    for p in range(4):
+        i = pairs.particles[p, k]
+        if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
             continue
-        scale = part / mobility_of_pair(pairs, k, near, state)
-        for p in range(4):
-            i = pairs.particles[p, k]
-            if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
-                continue
-            for a in range(3):
-                along = pairs.normal[a, k] * pairs.push[k] + slip_of(pairs.friction, k, a)
-                state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
+        for a in range(3):
+            along = pairs.normal[a, k] * pairs.push[k] + slip_of(pairs.friction, k, a)
+            state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
 
 
 @jit(inline=True)

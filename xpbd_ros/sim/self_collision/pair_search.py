@@ -10,18 +10,18 @@ points of the candidates (``self_collision.pair_listing``).
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven, worker, workers
+from xpbd_ros.sim.backend.threads import alone, assigned, turns, wait_uneven
 from xpbd_ros.sim.geometry.box_tree import mark_items, update_boxes
+from xpbd_ros.sim.self_collision.list_order import bring_new_forward, drop_renewed
 from xpbd_ros.sim.self_collision.near_pairs import kept_distance
 from xpbd_ros.sim.self_collision.neighbour_list import (
     EDGES,
     empty_groups,
-    exchange,
     gone_since,
-    has_marked,
     POINTS,
     room_of,
     rounding_of,
+    sum_of,
     told,
     TRAVEL,
     TRIANGLES,
@@ -37,6 +37,8 @@ MORE = 0.25
 """room for further pairs of particle and triangle, relative to their number in a full search"""
 HALVINGS = 8
 """most halvings of margins that yield more pairs than the capacity"""
+WORD = 4
+"""flags in a word of memory"""
 MARGIN = TRAVEL
 """column of ``NeighbourList.start`` that holds the margins during a search"""
 
@@ -48,14 +50,12 @@ def seek(team, near, thickness, left):
 
     Where few particles are about to leave their margins, only the pairs of these are sought.
     """
-    some = False
     if alone(team):
         near.count[0] += 1
-        some = near.complete[0] and renew_some(near, left)
-    if not told(team, near, some) or not seek_some(team, near, near.surface, thickness):
+    some = near.complete[0] and renew_some(team, near, left)
+    if not some or not seek_some(team, near, near.surface, thickness):
         seek_all(team, near, thickness, left)
-    if alone(team):
-        empty_groups(near)
+    empty_groups(team, near)
     wait_uneven(team)
 
 
@@ -69,16 +69,19 @@ def set_margin(near, i, left):
 
 
 @jit
-def renew_some(near, left):
+def renew_some(team, near, left):
     """Renew particles about to leave their margins; return False and do nothing if too many."""
-    count, renewed = 0, near.renewed
-    for i in range(len(near.slot)):
-        travel, moved = near.x[i, TRAVEL], gone_since(near.x, near.seen, near.drift, i)
-        renewed[i] = moved > SOON * (near.margin[i] - travel)
-        count += renewed[i]
-    if count > FEW * len(near.slot):
+    count, renewed, particles = 0, near.renewed, len(near.slot)
+    first, end, step = turns(team, (particles + WORD - 1) // WORD)
+    for word in range(first, end, step):    # each has the flags of one thread
+        for i in range(WORD * word, min(WORD * (word + 1), particles)):
+            travel, moved = near.x[i, TRAVEL], gone_since(near.x, near.seen, near.drift, i)
+            renewed[i] = moved > SOON * (near.margin[i] - travel)
+            count += renewed[i]
+    if sum_of(team, near, count) > FEW * particles:
         return False
-    for i in range(len(near.slot)):
+    first, end, step = turns(team, particles)
+    for i in range(first, end, step):
         if renewed[i]:
             set_margin(near, i, left)
     return True
@@ -94,7 +97,9 @@ def seek_some(team, near, surface, thickness):
         points, end = near.points, near.plan[POINTS]
         end = list_pairs_of(team, near, POINTS, points, points, size, end, RENEWED, True)
         lost = end_points(team, near, near.plan[POINTS], end, thickness, rounding)
-        bring_new_forward(team, near, POINTS)
+        if assigned(team, 0):
+            bring_new_forward(team, near, POINTS)
+        wait_uneven(team)
         return lost == 0
     else:    # Numba prunes the branch that is not taken
         triangles, edges, points = surface.triangles, surface.edges, near.points
@@ -105,62 +110,29 @@ def seek_some(team, near, surface, thickness):
         end = near.plan[EDGES]
         end = list_pairs_of(team, near, EDGES, edges, edges, size, end, RENEWED, True)
         lost += end_kind(team, near, EDGES, end)
-        bring_new_forward(team, near, TRIANGLES)
-        bring_new_forward(team, near, EDGES)
+        if assigned(team, 0):
+            bring_new_forward(team, near, TRIANGLES)
+            bring_new_forward(team, near, EDGES)
+        wait_uneven(team)
         return lost == 0
-
-
-@jit
-def bring_new_forward(team, near, kind):
-    """Exchange the pairs that a search has found with the first ones behind those in front."""
-    if alone(team):
-        front = near.kind_front[kind]
-        for k in range(near.plan[kind], near.kind_end[kind]):
-            exchange(near, front, k)
-            front += 1
-        near.unpruned[0] += front - near.kind_front[kind]
-        near.kind_front[kind] = front
-    wait_uneven(team)
 
 
 @jit
 def drop_all_renewed(team, near, surface):
     """Drop the pairs of renewed particles, plan where the others end, and mark renewed items."""
-    if alone(team):
-        mark_items(near.points, near.renewed)
+    if assigned(team, 0):
+        mark_items(team, near.points, near.renewed)
     if surface is None:
-        if alone(team):
-            near.plan[POINTS] = drop_renewed(near, POINTS)
+        if assigned(team, 0):
+            drop_renewed(team, near, POINTS)
     else:    # Numba prunes the branch that is not taken
-        if alone(team):
-            near.plan[TRIANGLES] = drop_renewed(near, TRIANGLES)
-            mark_items(surface.triangles, near.renewed)
-        if worker(team) == workers(team) - 1:
-            near.plan[EDGES] = drop_renewed(near, EDGES)
-            mark_items(surface.edges, near.renewed)
+        if assigned(team, 0):
+            drop_renewed(team, near, TRIANGLES)
+            mark_items(team, surface.triangles, near.renewed)
+        if assigned(team, -1):
+            drop_renewed(team, near, EDGES)
+            mark_items(team, surface.edges, near.renewed)
     wait_uneven(team)
-
-
-@jit
-def drop_renewed(near, kind):
-    """Drop a kind's pairs of renewed particles from the list; return the end of the others."""
-    begin, front = near.kind_begin[kind], near.kind_front[kind]
-    near.kind_front[kind] = keep_others(near, begin, front, begin)
-    return keep_others(near, front, near.kind_end[kind], near.kind_front[kind])
-
-
-@jit
-def keep_others(near, first, last, end):
-    """Move the pairs first … last without renewed particles to ``end``; return their end."""
-    corners, renewed = near.corners, near.renewed
-    for k in range(first, last):
-        if not has_marked(renewed, corners, k):
-            if end < k:
-                near.keep[end] = near.keep[k]
-                for p in range(4):
-                    corners[p, end] = corners[p, k]
-            end += 1
-    return end
 
 
 @jit
@@ -171,16 +143,17 @@ def seek_all(team, near, thickness, left):
         near.drift[:] = 0.0
         for a in range(3):
             near.origin[a] = near.x[0, a]
-        for i in range(len(near.slot)):
-            set_margin(near, i, left)
+    wait_uneven(team)
+    first, last, step = turns(team, len(near.slot))
+    for i in range(first, last, step):
+        set_margin(near, i, left)
     lost = list_pairs(team, near, near.surface, thickness, False)
     for halving in range(HALVINGS):
         if lost == 0:
             break
-        if alone(team):
-            for i in range(len(near.slot)):
-                near.margin[i] *= 0.5
-                near.inner[i] = near.margin[i]
+        for i in range(first, last, step):
+            near.margin[i] *= 0.5
+            near.inner[i] = near.margin[i]
         lost = list_pairs(team, near, near.surface, thickness, halving == HALVINGS - 1)
     if alone(team):
         near.count[1] += lost
@@ -189,8 +162,8 @@ def seek_all(team, near, thickness, left):
             near.kind_front[kind] = near.kind_end[kind]
             near.unpruned[0] += near.kind_end[kind] - near.kind_begin[kind]
         near.complete[0] = lost == 0
-        for i in range(len(near.slot)):
-            near.x[i, TRAVEL] = min(near.x[i, TRAVEL], near.margin[i])
+    for i in range(first, last, step):
+        near.x[i, TRAVEL] = min(near.x[i, TRAVEL], near.margin[i])
 
 
 @jit
@@ -227,13 +200,13 @@ def begin_search(team, near, surface):
             start[i, a] = y[i, a] + near.drift[a] - near.origin[a]
         start[i, MARGIN] = UP * near.margin[i]
     wait_uneven(team)
-    if alone(team):
-        update_boxes(near.points, start)
+    if assigned(team, 0):
+        update_boxes(team, near.points, start)
     if surface is not None:    # Numba prunes the branch that is not taken
-        if alone(team):
-            update_boxes(surface.triangles, start)
-        if worker(team) == workers(team) - 1:
-            update_boxes(surface.edges, start)
+        if assigned(team, 0):
+            update_boxes(team, surface.triangles, start)
+        if assigned(team, -1):
+            update_boxes(team, surface.edges, start)
     wait_uneven(team)
     return rounding_of(near)
 

@@ -8,15 +8,15 @@ the dual lists of GROMACS).
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import bits, lanes, lowest_bit
+from xpbd_ros.sim.backend.simd import bits, lanes
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, assigned, turns, wait_uneven
+from xpbd_ros.sim.self_collision.list_order import bring_forward
 from xpbd_ros.sim.self_collision.near_pairs import packs_of, within
 from xpbd_ros.sim.self_collision.neighbour_list import (
     any_thread,
     EDGES,
     empty_groups,
-    exchange,
     gone,
     gone_since,
     POINTS,
@@ -74,11 +74,12 @@ def prune(team, near, x, thickness):
     find_front(team, near, TRIANGLES, thickness)
     find_front(team, near, EDGES, thickness)
     wait_uneven(team)
-    if alone(team):
+    if assigned(team, 0):
         for kind in range(3):
-            bring_forward(near, kind)
+            bring_forward(team, near, kind)
+    if alone(team):
         near.unpruned[0] = 0
-        empty_groups(near)
+    empty_groups(team, near)
     wait_uneven(team)
 
 
@@ -109,18 +110,3 @@ def find_front(team, near, kind, thickness):
         for q in range(pack, pack + PACK, lanes(near.start)):
             found |= bits(within(near, kind, q, thickness, 0.0)[0]) << (q - pack)
         near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
-
-
-@jit
-def bring_forward(near, kind):
-    """Exchange the pairs that ``hits`` tells of, in their order, with the first ones of a kind."""
-    front = near.kind_begin[kind]
-    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
-        hit = near.hits[pack // PACK]
-        while hit:
-            k = pack + lowest_bit(hit)
-            hit &= hit - 1
-            if front < k:
-                exchange(near, front, k)
-            front += 1
-    near.kind_front[kind] = front

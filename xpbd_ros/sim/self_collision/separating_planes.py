@@ -11,10 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
+from xpbd_ros.sim.backend.threads import alone, is_on_device, turns
 from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.self_collision.neighbour_list import any_thread, told
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 CLEAR = 0.1
@@ -137,6 +139,42 @@ def parts(planes, m, near, x):
     good, best = part(points, planes.shares[0], count, (n[m, 0], n[m, 1], n[m, 2]), planes.need[m])
     n[m, 0], n[m, 1], n[m, 2] = best
     return good
+
+
+def part_all(team, planes, near, state):
+    """
+    Do what ``part_sides`` does on the main thread, and return the same on all.
+
+    Those of a GPU look before whether a pair may cross.
+    """
+
+
+@inline(part_all)
+def _part_all(team, planes, near, state):
+    if not is_on_device(team):
+        return lambda team, planes, near, state: told(
+            team, near, part_sides(planes, near, state) if alone(team) else 0)
+
+    def part_where_needed(team, planes, near, state):
+        if not any_thread(team, near, may_cross(team, planes, near, state.x)):
+            return 0
+        return told(team, near, part_sides(planes, near, state) if alone(team) else 0)
+    return part_where_needed
+
+
+@jit
+def may_cross(team, planes, near, x):
+    """Return True if the direction of one of this thread's pairs does not separate its sides."""
+    if planes is not None:
+        begin, end, turn = turns(team, (planes.end[0] + PACK - 1) // PACK)
+        for pack in range(begin, end, turn):
+            found = np.int64(planes.found[pack])
+            while found:
+                m = PACK * pack + lowest_bit(found)
+                found &= found - 1
+                if not apart_now(planes, m, near, x) >= planes.need[m]:
+                    return True
+    return False
 
 
 @jit
