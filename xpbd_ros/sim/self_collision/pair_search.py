@@ -147,14 +147,15 @@ def seek_all(team, near, thickness, left):
     first, last, step = turns(team, len(near.slot))
     for i in range(first, last, step):
         set_margin(near, i, left)
-    lost = list_pairs(team, near, near.surface, thickness, False)
-    for halving in range(HALVINGS):
+    lost = 0
+    for halvings in range(HALVINGS + 1):
+        if halvings > 0:
+            for i in range(first, last, step):
+                near.margin[i] *= 0.5
+                near.inner[i] = near.margin[i]
+        lost = list_pairs(team, near, near.surface, thickness, halvings == HALVINGS)
         if lost == 0:
             break
-        for i in range(first, last, step):
-            near.margin[i] *= 0.5
-            near.inner[i] = near.margin[i]
-        lost = list_pairs(team, near, near.surface, thickness, halving == HALVINGS - 1)
     if alone(team):
         near.count[1] += lost
         near.unpruned[0] = 0
