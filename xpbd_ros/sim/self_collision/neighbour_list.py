@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, count_up, turns, wait_uneven, worker, workers
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
@@ -243,6 +244,17 @@ def empty_groups(team, near):
 def length(v):
     """Return |v|."""
     return sqrt(dot(v, v))
+
+
+@jit(inline=True)
+def next_marked(marks, k, end):
+    """Return the first place from k on that has its bit among PACK of a mark, or one behind."""
+    while k < end:
+        found = marks[k // PACK] >> k % PACK
+        if found:
+            return k + lowest_bit(np.int64(found))
+        k += PACK - k % PACK
+    return k
 
 
 @jit(inline=True)

@@ -51,7 +51,7 @@ from xpbd_ros.sim.self_collision.backing import (
     prevented,
     take_part,
 )
-from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, next_marked
 
 NEVER = -1e30
 """-C of pairs that are no contacts in a substep [m]"""
@@ -334,11 +334,10 @@ def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
     mark_pushed(state.team, pairs, near, pairs.overlap)
     if alone_on_device(state.team):
-        for pack in range(pairs.end[0] // PACK):
-            found = near.hits[pack]
-            while found:
-                calm_pair(pairs, PACK * pack + lowest_bit(found), near, state, substep)
-                found &= found - 1
+        k = next_marked(near.hits, 0, pairs.end[0])
+        while k < pairs.end[0]:
+            calm_pair(pairs, k, near, state, substep)
+            k = next_marked(near.hits, k + 1, pairs.end[0])
 
 
 @jit
@@ -389,11 +388,10 @@ def press(pairs, near, state, substep):
     part = (substep.end - substep.begin) / substep.h**2
     mark_pushed(state.team, pairs, near, pairs.push)
     if alone_on_device(state.team):
-        for pack in range(pairs.end[0] // PACK):
-            found = near.hits[pack]
-            while found:
-                press_by_pair(pairs, PACK * pack + lowest_bit(found), near, state, part)
-                found &= found - 1
+        k = next_marked(near.hits, 0, pairs.end[0])
+        while k < pairs.end[0]:
+            press_by_pair(pairs, k, near, state, part)
+            k = next_marked(near.hits, k + 1, pairs.end[0])
 
 
 @jit(inline=True)

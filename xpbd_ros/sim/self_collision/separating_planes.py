@@ -16,7 +16,7 @@ from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, is_on_device, turns
 from xpbd_ros.sim.particles.history import invalidate_history
-from xpbd_ros.sim.self_collision.neighbour_list import any_thread, told
+from xpbd_ros.sim.self_collision.neighbour_list import any_thread, next_marked, told
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
 CLEAR = 0.1
@@ -104,12 +104,7 @@ def set_plane(planes, m, side, i, j, k, l, normal, distance, keep):
 @jit(inline=True)
 def next_plane(planes, m):
     """Return the first place from m on that has a pair, or one behind the end."""
-    while m < planes.end[0]:
-        found = planes.found[m // PACK] >> m % PACK
-        if found:
-            return m + lowest_bit(np.int64(found))
-        m += PACK - m % PACK
-    return m
+    return next_marked(planes.found, m, planes.end[0])
 
 
 @jit(inline=True)
