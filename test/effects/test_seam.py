@@ -5,6 +5,7 @@ import pytest
 
 from support.meshes import disc, file_of
 from support.scenes import DOWN, GRAVITY, run, run_until_still, SETTINGS
+from xpbd_ros.effects.seam import runs_of
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -178,3 +179,17 @@ def test_what_cannot_be_sewn_is_refused(seams, message):
     with pytest.raises(InputError) as error:
         scene({'a': A, 'b': B}, seams)
     assert str(error.value).startswith(f'small.yaml: {message}')
+
+
+def test_runs_are_as_long_as_no_particle_comes_twice():
+    random = np.random.default_rng(2)
+    first, second = random.permutation(80).reshape(2, -1)
+    assert runs_of(first, second).tolist() == [0, 40]
+    first, second = random.integers(0, 30, (2, 200))
+    second[first == second] = 31
+    ends = runs_of(first, second)
+    assert ends[0] == 0 and ends[-1] == 200 and len(ends) > 20
+    for begin, end in zip(ends, ends[1:]):
+        there = {*first[begin:end], *second[begin:end]}
+        assert len(there) == 2 * (end - begin)
+        assert end == 200 or {first[end], second[end]} & there
