@@ -1,4 +1,4 @@
-"""Order of the neighbour list: threads that share it make the same as one that moves pairs."""
+"""Reordering of the neighbour list: in parallel as by one thread."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ ROOM, PARTICLES, THREADS = 30 * PACK, 40, 3
 
 
 class Stub(NamedTuple):
-    """What a neighbour list has of its order, and a state of its team."""
+    """The fields of a neighbour list that reordering uses."""
 
     corners: np.ndarray
     keep: np.ndarray
@@ -30,13 +30,13 @@ class Stub(NamedTuple):
 
 
 class State(NamedTuple):
-    """A state that knows of nothing but its team."""
+    """A state with a team and nothing else."""
 
     team: tuple | None = None
 
 
 def listed(random, begin: int, front: int, end: int, new: int, share: float) -> Stub:
-    """Return a list whose pairs differ, those hit and the particles renewed drawn at random."""
+    """Return a list of distinct pairs; marked pairs and renewed particles are random."""
     corners = random.integers(0, PARTICLES, (4, ROOM)).astype(np.int32)
     hits = np.zeros(ROOM // PACK, np.int32)
     for k in np.flatnonzero(random.random(end - begin) < share) + begin:
@@ -47,11 +47,11 @@ def listed(random, begin: int, front: int, end: int, new: int, share: float) -> 
                 np.zeros(1, np.int64), np.zeros(THREADS, np.int64), new_moves(ROOM))
 
 
-@pytest.mark.parametrize('alone, together', [
-    (list_order.one_by_one, list_order.together),
-    (list_order.new_one_by_one, list_order.new_together),
-    (list_order.drop_one_by_one, list_order.drop_together)])
-def test_threads_make_the_order_that_one_makes(alone, together):
+@pytest.mark.parametrize('serial, parallel', [
+    (list_order.bring_forward_serially, list_order.bring_forward_in_parallel),
+    (list_order.bring_new_forward_serially, list_order.bring_new_forward_in_parallel),
+    (list_order.drop_renewed_serially, list_order.drop_renewed_in_parallel)])
+def test_the_order_in_parallel_is_that_of_one_thread(serial, parallel):
     random, moved, pool = np.random.default_rng(4), 0, ThreadPool(THREADS)
     for share in (0.0, 0.05, 0.5, 0.95, 1.0):
         for _ in range(20):
@@ -60,13 +60,13 @@ def test_threads_make_the_order_that_one_makes(alone, together):
             front = random.integers(begin, end + 1)
             near = listed(random, begin, front, end, random.integers(front, end + 1), share)
             one, all_ = (Stub(*(each.copy() for each in near[:-1]), near.moves) for _ in range(2))
-            alone(one, 0)
+            serial(one, 0)
 
             def step(effects, state, all_=all_):
-                together(state.team, all_, 0)
+                parallel(state.team, all_, 0)
             pool._rest = 0    # where threads have no cores, the main one would go on alone
             pool.run(step, (), State())
-            last = one.plan[0] if alone is list_order.drop_one_by_one else ROOM
+            last = one.plan[0] if serial is list_order.drop_renewed_serially else ROOM
             for ours, theirs in zip(one, all_):
                 if ours is not one.hits and ours is not one.parts and ours is not one.moves:
                     np.testing.assert_array_equal(ours[..., :last], theirs[..., :last])

@@ -1,9 +1,9 @@
 """
-Order of the neighbour list: pairs that may be near stand in front, those sought anew are dropped.
+Reordering of the neighbour list: near pairs first, pairs of renewed particles removed.
 
-One thread of a CPU moves pairs in place, one after another. The threads of a GPU, each with a part
-of the list, tell by sums over the parts where each pair goes, and copy them there, to the same
-order.
+On a CPU one thread moves the pairs in place. On a GPU each thread takes a contiguous part of the
+list, computes the new positions by a prefix sum over all parts (stream compaction), and copies the
+pairs there. The order is the same.
 """
 
 from typing import NamedTuple
@@ -19,20 +19,21 @@ from xpbd_ros.sim.backend.threads import (
     share,
     turns,
     wait,
+    wait_uneven,
     worker,
     workers,
 )
 
 
 class Moves(NamedTuple):
-    """Scratch memory of a GPU: pairs on their way."""
+    """Scratch memory of a GPU: pairs between their old and new positions."""
 
     corners: np.ndarray
     """as in ``NeighbourList``, shape (4, capacity)"""
     keep: np.ndarray
     """the same, shape (capacity,)"""
     earlier: np.ndarray
-    """number of hits before each PACK pairs of the list, shape (capacity / PACK,)"""
+    """number of marked pairs before each PACK pairs of the list, shape (capacity / PACK,)"""
 
 
 def new_moves(room: int) -> Moves:
@@ -42,38 +43,41 @@ def new_moves(room: int) -> Moves:
 
 
 def bring_forward(team, near, kind):
-    """Exchange the pairs that ``hits`` tells of, in their order, with the first ones of a kind."""
+    """Swap the pairs marked in ``hits``, in their order, with the first ones of a kind."""
 
 
 def bring_new_forward(team, near, kind):
-    """Exchange the pairs that a search has found with the first ones behind those in front."""
+    """Swap the pairs that a search has found with the first ones behind those in front."""
 
 
 def drop_renewed(team, near, kind):
-    """Drop a kind's pairs of renewed particles from the list; plan where the others end."""
+    """Remove a kind's pairs of renewed particles; set ``plan`` to the end of the others."""
 
 
 @inline(bring_forward)
 def _bring_forward(team, near, kind):
-    return (lambda team, near, kind: together(team, near, kind)) if is_on_device(team) else (
-        lambda team, near, kind: one_by_one(near, kind))
+    if is_on_device(team):
+        return lambda team, near, kind: bring_forward_in_parallel(team, near, kind)
+    return lambda team, near, kind: bring_forward_serially(near, kind)
 
 
 @inline(bring_new_forward)
 def _bring_new_forward(team, near, kind):
-    return (lambda team, near, kind: new_together(team, near, kind)) if is_on_device(team) else (
-        lambda team, near, kind: new_one_by_one(near, kind))
+    if is_on_device(team):
+        return lambda team, near, kind: bring_new_forward_in_parallel(team, near, kind)
+    return lambda team, near, kind: bring_new_forward_serially(near, kind)
 
 
 @inline(drop_renewed)
 def _drop_renewed(team, near, kind):
-    return (lambda team, near, kind: drop_together(team, near, kind)) if is_on_device(team) else (
-        lambda team, near, kind: drop_one_by_one(near, kind))
+    if is_on_device(team):
+        return lambda team, near, kind: drop_renewed_in_parallel(team, near, kind)
+    return lambda team, near, kind: drop_renewed_serially(near, kind)
 
 
 @jit
-def one_by_one(near, kind):
-    """Do what ``bring_forward`` does on one thread."""
+def bring_forward_serially(near, kind):
+    """Do ``bring_forward`` on one thread."""
     front = near.kind_begin[kind]
     for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
         hit = near.hits[pack // PACK]
@@ -87,8 +91,8 @@ def one_by_one(near, kind):
 
 
 @jit
-def new_one_by_one(near, kind):
-    """Do what ``bring_new_forward`` does on one thread."""
+def bring_new_forward_serially(near, kind):
+    """Do ``bring_new_forward`` on one thread."""
     front = near.kind_front[kind]
     for k in range(near.plan[kind], near.kind_end[kind]):
         exchange(near, front, k)
@@ -98,8 +102,8 @@ def new_one_by_one(near, kind):
 
 
 @jit
-def drop_one_by_one(near, kind):
-    """Do what ``drop_renewed`` does on one thread."""
+def drop_renewed_serially(near, kind):
+    """Do ``drop_renewed`` on one thread."""
     begin, front = near.kind_begin[kind], near.kind_front[kind]
     near.kind_front[kind] = keep_others(near, begin, front, begin)
     near.plan[kind] = keep_others(near, front, near.kind_end[kind], near.kind_front[kind])
@@ -117,35 +121,36 @@ def keep_others(near, first, last, end):
 
 
 @jit
-def together(team, near, kind):
-    """Do what ``bring_forward`` does on all threads of a GPU."""
-    front = forward(team, near, near.kind_begin[kind], near.kind_end[kind])
+def bring_forward_in_parallel(team, near, kind):
+    """Do ``bring_forward`` on all threads of a GPU."""
+    front = move_to_front(team, near, near.kind_begin[kind], near.kind_end[kind])
     if alone(team):
         near.kind_front[kind] = front
 
 
 @jit
-def new_together(team, near, kind):
-    """Do what ``bring_new_forward`` does on all threads of a GPU."""
+def bring_new_forward_in_parallel(team, near, kind):
+    """Do ``bring_new_forward`` on all threads of a GPU."""
     front, new, end = near.kind_front[kind], near.plan[kind], near.kind_end[kind]
     first, last, step = turns(team, (end + PACK - 1) // PACK - front // PACK)
     for pack in range(front // PACK + first, front // PACK + last, step):
         before, there = max(0, new - PACK * pack), min(PACK, end - PACK * pack)
         near.hits[pack] = ((1 << there) - 1) & ~((1 << min(before, PACK)) - 1)
     wait(team)
-    found = forward(team, near, front, end)
+    found = move_to_front(team, near, front, end)
     if alone(team):
         near.unpruned[0] += found - front
         near.kind_front[kind] = found
 
 
 @jit
-def forward(team, near, front, end):
+def move_to_front(team, near, front, end):
     """
-    Exchange the pairs that ``hits`` tells of, none before ``front``, with those from there on.
+    Swap the pairs marked in ``hits``, none before ``front``, with those from ``front`` on.
 
-    The n-th one goes to place front + n. What stood there goes to where it came from, unless that
-    is in front too; if front + n was the place of an earlier one, another pair had come there.
+    The n-th marked pair moves to front + n. The pair displaced from there moves to the marked
+    pair's old position, unless that is in front too. If front + n was itself the old position of
+    an earlier marked pair, it holds what that one displaced (``displaced_by``).
 
     Returns
     -------
@@ -157,7 +162,7 @@ def forward(team, near, front, end):
     first, last, count = base + first, base + last, 0
     for pack in range(first, last):
         count += count_bits(np.int64(hits[pack]))
-    place, total = numbers_before(team, near, count)
+    place, total = prefix_sum(team, near, count)
     for pack in range(first, last):
         earlier[pack] = place
         hit = hits[pack]
@@ -171,7 +176,7 @@ def forward(team, near, front, end):
         while hit:
             k = PACK * pack + lowest_bit(hit)
             if k >= front + total:
-                copy(near, stood_at(near, front, front + n), near, k)
+                copy(near, displaced_by(near, front, n), near, k)
             hit &= hit - 1
             n += 1
     wait(team)
@@ -183,9 +188,9 @@ def forward(team, near, front, end):
 
 
 @jit(inline=True)
-def stood_at(near, front, k):
-    """Return the first place of what stood at place k when its hit came."""
-    hits = near.hits
+def displaced_by(near, front, n):
+    """Return the original position of the pair that the n-th marked one displaces."""
+    hits, k = near.hits, front + n
     while hits[k // PACK] >> k % PACK & 1:
         before = hits[k // PACK] & ((1 << k % PACK) - 1)
         k = front + near.moves.earlier[k // PACK] + count_bits(np.int64(before))
@@ -193,23 +198,23 @@ def stood_at(near, front, k):
 
 
 @jit
-def drop_together(team, near, kind):
-    """Do what ``drop_renewed`` does on all threads of a GPU."""
+def drop_renewed_in_parallel(team, near, kind):
+    """Do ``drop_renewed`` on all threads of a GPU."""
     begin, front = near.kind_begin[kind], near.kind_front[kind]
-    kept = drop(team, near, begin, front, begin)
-    end = drop(team, near, front, near.kind_end[kind], kept)
+    kept = compact(team, near, begin, front, begin)
+    end = compact(team, near, front, near.kind_end[kind], kept)
     if alone(team):
         near.kind_front[kind], near.plan[kind] = kept, end
 
 
 @jit
-def drop(team, near, first, last, end):
-    """Do what ``keep_others`` does on all threads of a GPU."""
+def compact(team, near, first, last, end):
+    """Do ``keep_others`` on all threads of a GPU."""
     one, past = share(team, last - first)
     count = 0
     for k in range(first + one, first + past):
         count += not has_marked(near.renewed, near.corners, k)
-    place, total = numbers_before(team, near, count)
+    place, total = prefix_sum(team, near, count)
     n = place
     for k in range(first + one, first + past):
         if not has_marked(near.renewed, near.corners, k):
@@ -223,10 +228,10 @@ def drop(team, near, first, last, end):
 
 
 @jit
-def numbers_before(team, near, count):
-    """Return the sum of the counts of the threads before this one, and of all; all wait first."""
+def prefix_sum(team, near, count):
+    """Return the sum of the counts of the threads before this one, and of all."""
     near.parts[worker(team)] = count
-    wait(team)
+    wait_uneven(team)
     before = total = 0
     for k in range(workers(team)):
         if k < worker(team):

@@ -37,9 +37,9 @@ from xpbd_ros.sim.backend.threads import (
     turns,
     wait_uneven,
     worker,
-    workers,
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
+from xpbd_ros.sim.self_collision.list_order import prefix_sum
 from xpbd_ros.sim.self_collision.neighbour_list import any_thread, EDGES, POINTS, TRIANGLES
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
@@ -170,17 +170,12 @@ def collect(team, near, pairs, kind, end):
     their number, those beyond the capacity included
 
     """
-    begin, count, place, total = near.kind_begin[kind], 0, end, 0
+    begin, count = near.kind_begin[kind], 0
     first, last = share(team, (near.kind_front[kind] - begin + PACK - 1) // PACK)
     for pack in range(begin // PACK + first, begin // PACK + last):
         count += count_bits(np.int64(near.hits[pack]))
-    near.parts[worker(team)] = count
-    wait_uneven(team)
-    for k in range(workers(team)):
-        if k < worker(team):
-            place += near.parts[k]
-        total += near.parts[k]
-    copy_found(near, pairs, begin + PACK * first, begin + PACK * last, place)
+    before, total = prefix_sum(team, near, count)
+    copy_found(near, pairs, begin + PACK * first, begin + PACK * last, end + before)
     wait_uneven(team)
     return total
 

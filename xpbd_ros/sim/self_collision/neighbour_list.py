@@ -248,7 +248,7 @@ def length(v):
 
 @jit(inline=True)
 def next_marked(marks, k, end):
-    """Return the first place from k on that has its bit among PACK of a mark, or one behind."""
+    """Return the first place from k on whose bit is set, PACK bits a mark; else one behind end."""
     while k < end:
         found = marks[k // PACK] >> k % PACK
         if found:
