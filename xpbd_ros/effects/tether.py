@@ -48,6 +48,15 @@ class Parameters:
                             doc='slack, relative to the length of the way')
 
 
+class Pulls(NamedTuple):
+    """Forces on pinned particles before they are added up, where threads share the tethers."""
+
+    order: np.ndarray
+    """indices of the tethers in rising order of the pinned particle, shape (room,)"""
+    force: np.ndarray
+    """f n of the last projection, times the substep's part of the frame [N], shape (3, room)"""
+
+
 class Tether(NamedTuple):
     """Data of the kernels."""
 
@@ -59,12 +68,10 @@ class Tether(NamedTuple):
     """slot of its pinned particle, shape (room,)"""
     longest: np.ndarray
     """r [m], shape (room,)"""
-    by_pinned: np.ndarray
-    """indices of the tethers in rising order of the pinned particle, shape (room,)"""
     force: np.ndarray
     """f [N], negative in tension, shape (room,)"""
-    pull: np.ndarray
-    """f n of the last projection, times the substep's part of the frame [N], shape (3, room)"""
+    pulls: Pulls | None
+    """None with one thread"""
 
 
 @stage(prepare, Tether, on_device=True)
@@ -90,7 +97,7 @@ def pull_back(tether, state, substep):
                 _project(tether, t, state, part)
                 t += 1
     wait(state.team)
-    _pull_at_pins(tether, state)
+    _add_up(tether.pulls, tether, state)
 
 
 @jit(inline=True)
@@ -98,7 +105,7 @@ def _project(tether, t, state, part):
     """Project tether t."""
     x, i, a, most = state.x, tether.particle[t], tether.pinned[t], tether.longest[t]
     dx, dy, dz = x[0, i] - x[0, a], x[1, i] - x[1, a], x[2, i] - x[2, a]
-    square, pull = dx * dx + dy * dy + dz * dz, 0.0
+    square = dx * dx + dy * dy + dz * dz
     if square > most * most and state.mobility[i] > 0.0:
         l = np.sqrt(square)
         back = (most - l) / l
@@ -108,23 +115,48 @@ def _project(tether, t, state, part):
         f = (most - l) / state.mobility[i]
         tether.force[t] += f
         pull = part * f / l
-    tether.pull[0, t], tether.pull[1, t], tether.pull[2, t] = pull * dx, pull * dy, pull * dz
+        _pull(tether.pulls, t, a, pull * dx, pull * dy, pull * dz, state.reaction)
+    else:
+        _store(tether.pulls, t, 0.0, 0.0, 0.0)
+
+
+@jit(inline=True)
+def _pull(pulls, t, a, fx, fy, fz, reaction):
+    """Add the force of tether t on its pinned particle, -f n, or store it."""
+    if pulls is None:
+        _pull_at(reaction, a, fx, fy, fz)
+    _store(pulls, t, fx, fy, fz)
+
+
+@jit(inline=True)
+def _store(pulls, t, fx, fy, fz):
+    """Store the force of tether t."""
+    if pulls is not None:
+        pulls.force[0, t], pulls.force[1, t], pulls.force[2, t] = fx, fy, fz
+
+
+@jit(inline=True)
+def _pull_at(reaction, a, fx, fy, fz):
+    """Add the force on a pinned particle."""
+    if reaction is not None:
+        reaction[0, a] -= fx
+        reaction[1, a] -= fy
+        reaction[2, a] -= fz
 
 
 @jit
-def _pull_at_pins(tether, state):
-    """Add the forces on pinned particles, -f n; threads share these."""
-    reaction, count = state.reaction, tether.count[0]
-    order, pinned = tether.by_pinned, tether.pinned
-    if reaction is not None:
+def _add_up(pulls, tether, state):
+    """Add the forces on pinned particles; threads share these."""
+    if pulls is not None:
+        count, order, pinned, force = tether.count[0], pulls.order, tether.pinned, pulls.force
         begin, end, turn = turns(state.team, count)
         for first in range(begin, end, turn):
             a = pinned[order[first]]
             if first == 0 or pinned[order[first - 1]] != a:
                 k = first
                 while k < count and pinned[order[k]] == a:
-                    for axis in range(3):
-                        reaction[axis, a] -= tether.pull[axis, order[k]]
+                    t = order[k]
+                    _pull_at(state.reaction, a, force[0, t], force[1, t], force[2, t])
                     k += 1
         wait(state.team)
 
@@ -198,8 +230,9 @@ class BuiltTether(Built):
         self._ways = [Ways.of(cloth, chosen.slack) for cloth, chosen in parameters.items()]
         room = GROUPS * sum(len(ways.slots) for ways in self._ways) if world.pins else 0
         self.data = Tether(np.zeros(1, np.int64), np.zeros(room, np.int64),
-                           np.zeros(room, np.int64), np.zeros(room), np.zeros(room, np.int64),
-                           np.zeros(room), np.zeros((3, room)))
+                           np.zeros(room, np.int64), np.zeros(room), np.zeros(room),
+                           Pulls(np.zeros(room, np.int64), np.zeros((3, room)))
+                           if world.threads > 1 else None)
 
     def hold(self, inv_mass):
         found = [np.concatenate(columns) for columns in zip(
@@ -208,7 +241,8 @@ class BuiltTether(Built):
         self.data.count[0] = len(order)
         for column, numbers in zip(self.data[1:4], found):
             column[:len(order)] = numbers[order]
-        self.data.by_pinned[:len(order)] = np.argsort(found[1][order], kind='stable')
+        if self.data.pulls is not None:
+            self.data.pulls.order[:len(order)] = np.argsort(found[1][order], kind='stable')
 
     def read_by_stats(self):
         return self.data.force,
