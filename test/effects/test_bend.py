@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from support.scenes import run, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.stepping.methods import SOFT
 
 B = 3e-4
 
@@ -162,3 +163,39 @@ def test_a_clamped_strip_swings_with_the_period_of_a_beam(integrator):
     period = 2.0 * np.pi / (3.516 * np.sqrt(rigidity / (density * length**4)))
     (first, *_) = np.flatnonzero(np.diff(np.sign(tip)))
     assert (first + 1.5) / 60.0 == pytest.approx(0.25 * period, rel=0.12)
+
+
+@pytest.mark.parametrize('mesh', [False, True])
+@pytest.mark.parametrize('excess, same', [(0.99, 'gauss_seidel'),
+                                          (1.01, 'gauss_seidel_symmetric')])
+def test_lines_sweep_bending_back_only_where_it_is_stiff(mesh, excess, same):
+    """Alone it has the bits of one pass, or of one forth and one back."""
+    h = 1.0 / 60.0
+    unit = simulate((6, 5), mesh=mesh, effects={'bend': {'stiffness': 1.0}})
+    rigidity = excess * SOFT / (h * h * unit.effects['bend'].rate)
+    found = []
+    for method in ('line', same):
+        simulation = simulate((6, 5), mesh=mesh, method=method,
+                              effects={'bend': {'stiffness': rigidity}})
+        noise = np.random.default_rng(0).normal(0.0, 0.02, simulation.state.x.shape)
+        simulation.state.x[:] += noise
+        found.append(run(simulation, 3).x)
+    np.testing.assert_array_equal(*found)
+
+
+def test_the_rate_bounds_the_highest_frequency_of_bending():
+    """Squared [1/s²]; and it is no more than twice as large."""
+    for mesh in (False, True):
+        simulation = simulate((6, 5), mesh=mesh, effects={'bend': {'stiffness': B}})
+        bends, mass = simulation.effects['bend'], simulation.state.mass
+        stiffness = np.zeros((len(mass), len(mass)))
+        for particles, weight, alpha in zip(bends.constraints.particles,
+                                            bends.constraints.weight,
+                                            bends.constraints.compliance):
+            np.add.at(stiffness, np.ix_(particles, particles),
+                      np.outer(weight, weight) / alpha)
+        there = mass > 0.0
+        scale = np.sqrt(mass[there])
+        highest = np.linalg.eigvalsh(stiffness[np.ix_(there, there)]
+                                     / np.outer(scale, scale)).max()
+        assert highest <= bends.rate <= 2.0 * highest

@@ -32,6 +32,7 @@ rigidities they give.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,6 +83,9 @@ class Curvature(NamedTuple):
     runs: Runs
     compliance: np.ndarray
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
+    rate: float
+    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
+    ``methods.SOFT``"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     stops: Stops | None
@@ -94,6 +98,9 @@ class Twist(NamedTuple):
     runs: Runs
     compliance: np.ndarray
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
+    rate: float
+    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
+    ``methods.SOFT``"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     stops: Stops | None
@@ -119,6 +126,9 @@ class MeshBend(NamedTuple):
     colours: np.ndarray | None
     """first constraint of each colour, and the number of places, shape (colours + 1,); None in
     sequential order"""
+    rate: float
+    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
+    ``methods.SOFT``"""
     weight: np.ndarray
     """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
     compliance: np.ndarray
@@ -202,9 +212,19 @@ class Linear(Constraints):
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return Σ |k_i| Σ |k_j| / α at each particle [N/m], shape (slots, 3, 3)."""
+        return isotropic(x, self.particles, self._stiffness())
+
+    def rate(self, mass: np.ndarray) -> float:
+        """Return the largest ``stiffness_bound`` over mass [1/s²]; inf if one is rigid."""
+        if (self.compliance == 0.0).any():
+            return inf
+        total = np.bincount(self.particles.ravel(), self._stiffness().ravel(), len(mass))
+        return float((total[mass > 0.0] / mass[mass > 0.0]).max(initial=0.0))
+
+    def _stiffness(self) -> np.ndarray:
+        """Return |k_i| Σ |k_j| / α [N/m], shape (constraints, particles of each)."""
         weight = np.abs(self.weight)
-        return isotropic(x, self.particles,
-                         weight * weight.sum(1, keepdims=True) / self.compliance[:, None])
+        return weight * weight.sum(1, keepdims=True) / self.compliance[:, None]
 
 
 def _on_grids(cloths, world) -> list[Curvature | Twist]:
@@ -215,7 +235,7 @@ def _on_grids(cloths, world) -> list[Curvature | Twist]:
         if len(listed(rows.runs)[1]):
             found.append(kind(**rows.common([
                 world.compliance_scale * compliance_of(cloth, *chosen.rigidity)
-                for cloth, chosen in cloths], (3,))))
+                for cloth, chosen in cloths], (3,)), rate=inf))
     return found
 
 
@@ -252,7 +272,7 @@ def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
     if not sum(map(len, particles)):
         return [], notes
     packing = Packing(particles, world)
-    return [MeshBend(**packing.common((3,)), weight=packing.column(weight),
+    return [MeshBend(**packing.common((3,)), rate=inf, weight=packing.column(weight),
                      compliance=packing.compliance(compliance))], notes
 
 
@@ -266,11 +286,12 @@ class BuiltBend(Built):
         if on_meshes:
             more, self.notes = _on_meshes(on_meshes, world)
             parts += more
-        self.data, *self.also = parts or [None]
         self.lists = [Linear.of(part) for part in parts]
         none = np.zeros(0, np.int64)
         self.constraints = Linear.joined([
             Linear(none.reshape(0, 4), none, none, none.reshape(0, 4)), *self.lists])
+        self.rate = self.constraints.rate(world.state.mass)
+        self.data, *self.also = [part._replace(rate=self.rate) for part in parts] or [None]
 
 
 EFFECT = Effect('bend', Parameters, BuiltBend)

@@ -102,9 +102,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
                          'jacobi')
-    table = table_of(keys)
-    per = cost(method, keys.iterations, effects, state, table)
-    affordable = _affordable(keys.budget_ms * 1e6 / per, method, state, frame_dt)
+    affordable = _affordable(keys, method, effects, state, frame_dt)
     costly = [name for name, built in effects.items()
               if method != 'explicit' and built.fewest_substeps > affordable]
     affordable = max([affordable, *(effects[name].fewest_substeps for name in costly)])
@@ -136,8 +134,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         chosen['rough_integrator'] = keys.rough_integrator or (
             'bdf2' if keys.rough_frames else 'backward_euler')
         chosen['rough_substeps'] = keys.rough_substeps or _bounded(
-            LINE['backward_euler'] * needed, max(1, int(
-                keys.budget_ms * 1e6 / cost('line', keys.iterations, effects, state, table))))
+            LINE['backward_euler'] * needed, _affordable(keys, 'line', effects, state, frame_dt))
     if keys.substeps is not None:
         reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
         if method == 'explicit' and keys.substeps < needed:
@@ -155,7 +152,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
                              'line, raise budget_ms or give substeps')
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
-    took = 1e-6 * substeps * per * compensation(method, state, frame_dt / substeps)
+    h = frame_dt / substeps
+    took = 1e-6 * substeps * compensation(method, state, h) * cost(
+        method, keys.iterations, effects, state, table_of(keys), h)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
     return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
                   f'{met}, about {took:.2g} ms per frame', **chosen)
@@ -253,16 +252,29 @@ def compensation(method: str, state, h: float) -> float:
     return COMPENSATED if compensated else 1.0
 
 
-def _affordable(uncompensated: float, method: str, state, frame_dt: float) -> int:
+def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float) -> int:
+    """Return the substeps that fit the budget."""
+    def per(h: float) -> float:
+        return cost(method, keys.iterations, effects, state, table_of(keys), h)
+
+    def fitting(ns: float) -> int:
+        return _compensated(keys.budget_ms * 1e6 / ns, method, state, frame_dt)
+
+    most = fitting(per(0.0))    # if they are short enough to sweep some constraints forth only
+    return most if per(frame_dt / most) == per(0.0) else fitting(per(inf))
+
+
+def _compensated(uncompensated: float, method: str, state, frame_dt: float) -> int:
     """Return the substeps that fit the budget, from their number without compensation."""
     count = max(1, int(uncompensated))
     factor = compensation(method, state, frame_dt / count)
     return count if factor == 1.0 else max(int(frame_dt / SHORT), int(uncompensated / factor))
 
 
-def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED) -> float:
-    """Return the time of one substep according to a table [ns]."""
-    return table.substep_ns(method, iterations, effects, state)
+def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED,
+         h: float = inf) -> float:
+    """Return the time of one substep of h [s] according to a table [ns]; inf: of a long one."""
+    return table.substep_ns(method, iterations, effects, state, h)
 
 
 def table_of(keys: SolverKeys) -> CostTable:

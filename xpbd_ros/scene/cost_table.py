@@ -8,15 +8,15 @@ A substep takes
 
 on one core, with the entries of the method. A constraint's kind is the name of its effect where
 the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
-``mesh_hinge``. ``xpbd_ros cost --calibrate`` writes the table of a machine, and
-``solver.cost_table`` reads it.
+``mesh_hinge``; one that ``line`` sweeps forth only counts ``FORTH_ONLY``. ``xpbd_ros cost
+--calibrate`` writes the table of a machine, and ``solver.cost_table`` reads it.
 """
 
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ import yaml
 
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.stepping.methods import is_soft
 
 VERSION = 1
 """of the file format"""
@@ -33,6 +34,8 @@ GRID = 'grid'
 """key of ``particles_per_thread`` for the constraints of a grid"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
+FORTH_ONLY = 0.5
+"""time of constraints that ``line`` sweeps forth only, over that with the sweep back"""
 LEAST = {'slot': 1e-3, 'single': 1e-3}
 """smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
@@ -60,18 +63,23 @@ class CostTable:
         built: Any = load(name).build
         return built.particles_per_thread
 
-    def substep_ns(self, method: str, iterations: int, effects, state) -> float:
-        """Return the time of a substep of a scene [ns]."""
+    def substep_ns(self, method: str, iterations: int, effects, state, h: float = inf) -> float:
+        """Return the time of a substep of h [s] of a scene [ns]."""
         found = own_ns(effects)
-        for (section, entry), count in self.counts(method, iterations, effects, state).items():
+        for (section, entry), count in self.counts(method, iterations, effects, state, h).items():
             found += count * (self.methods[method][entry] if section == method else
                               self.effects.get(entry, effects[entry].ns_per_particle))
         return found * (self.single if state.x.dtype == np.float32 else 1.0)
 
-    def counts(self, method: str, iterations: int, effects, state) -> Counter[tuple[str, str]]:
-        """Return how often entries count in a substep: (method, entry) and ('effects', name)."""
+    def counts(self, method: str, iterations: int, effects, state,
+               h: float = inf) -> Counter[tuple[str, str]]:
+        """
+        Return how often entries count in a substep of h [s]: (method, entry), ('effects', name).
+
+        Constraints that ``line`` sweeps forth only count ``FORTH_ONLY``.
+        """
         entries = self.methods[method]
-        found = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
+        found: Counter[Any] = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
         for name, built in effects.items():
             found['effects', name] = int(np.count_nonzero(state.mass))
             if built.constraints is not None:
@@ -80,8 +88,10 @@ class CostTable:
                 of_meshes = min(total, sum(part.particles.shape[1] for part in map(
                     _batch, built.parts) if hasattr(part, 'particles')))    # packs may have gaps
                 own = name if name in entries and name not in NEEDED else None
-                found[method, own or kind] += iterations * (total - of_meshes)
-                found[method, own or f'mesh_{kind}'] += iterations * of_meshes
+                often: Any = iterations * (
+                    FORTH_ONLY if method == 'line' and is_soft(built.rate, h) else 1)
+                found[method, own or kind] += often * (total - of_meshes)
+                found[method, own or f'mesh_{kind}'] += often * of_meshes
         return found
 
 

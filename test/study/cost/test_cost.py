@@ -233,7 +233,8 @@ def test_what_a_run_is_predicted_to_take_is_what_auto_reckons_with():
     run = calibrate.measure(load_scene('sheet'), 'line', 2)
     simulation = compile_scene(load_scene('sheet', {'solver.method': 'line'}))
     assert run.predicted_ns(SHIPPED) == pytest.approx(run.substeps * SHIPPED.substep_ns(
-        'line', 1, simulation.effects, simulation.state))
+        'line', 1, simulation.effects, simulation.state,
+        simulation.frame_dt / run.substeps))
     assert run.substeps == simulation.solver.substeps
     assert run.measured_ns > 0.0
 

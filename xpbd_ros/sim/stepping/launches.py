@@ -95,7 +95,7 @@ class Recorder:
         self.launches: list[Any] = []
         self._turns = turns
         self._slots = slots
-        self._alone = False
+        self._alone = self._skips = False
         self._types: dict[int, tuple] = {}
 
     def typed(self, value):
@@ -118,7 +118,7 @@ class Recorder:
             return self.typed(VALUES[function](*found))
         elif function is alone or function is integration.restore_buffers and at_home(*found):
             return None
-        elif function is not wait:    # a launch begins when the one before is done
+        elif not (function is wait or self._skips):    # a launch begins when the last one is done
             shared = not self._alone or function in stages.ON_DEVICE
             kinds = tuple(kind for kind, _ in values)
             threads = threads_for(function, found, self._slots) if shared else 1
@@ -131,10 +131,14 @@ class Recorder:
 
     @contextmanager
     def only_if(self, value):
-        """Record kernels that one thread runs: the only condition of a walk is ``alone``."""
-        self._alone = True
+        """Record kernels for one thread if the value is that of ``alone``, else if it is true."""
+        before = self._alone, self._skips
+        if value is None:
+            self._alone = True
+        else:
+            self._skips = not value[1]
         yield
-        self._alone = False
+        self._alone, self._skips = before
 
     def truth(self, value: bool):
         """Return a truth value."""
@@ -206,7 +210,13 @@ def turned(state: State) -> State:
     return state._replace(x=x, x_prev=x_prev, v=v, history=past)
 
 
+def needs_sweep_back(effect, substep) -> bool:
+    """Return what ``methods.needs_sweep_back`` tells."""
+    return not (hasattr(effect, 'rate') and methods.is_soft(effect.rate, substep.h))
+
+
 VALUES: dict[Callable, Callable] = {integration.turned: turned,
+                                    methods.needs_sweep_back: needs_sweep_back,
                                     **{each: each.py_func for each in (
                                         explicit_updates.at_start, explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""

@@ -4,8 +4,9 @@ Solver methods: each sweeps a substep's constraints in a few walks over the effe
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
 reverse order, which BDF2 needs to stay stable. ``line`` (doc/numerics.md 3.2) solves the effects
 that have lines, or paths along the edges of meshes, by whole lines, twice, sweeps the others forth
-before and back after, and closes with one Gauss-Seidel pass over the edges of the lines, with the
-same multipliers: it mends the single edges whose directions turned while the lines were solved.
+before and back after (soft bending forth only), and closes with one Gauss-Seidel pass over the
+edges of the lines, with the same multipliers: it mends the single edges whose directions turned
+while the lines were solved.
 ``jacobi`` moves all particles at once, by a part of what each constraint asks for. ``explicit`` is
 the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are
 those where the substep starts.
@@ -17,7 +18,7 @@ forces without a projection), which pins and colliders feel; that half is left o
 from typing import NamedTuple
 
 from xpbd_ros.sim.backend.emit import written_out
-from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.particles.explicit_updates import (
     add_moves,
     apply_leapfrog_kick,
@@ -73,16 +74,36 @@ METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'li
            'jacobi': Jacobi, 'explicit': Leapfrog}
 
 
+SOFT = 0.35
+"""largest stiffness over mass, times h², that needs no sweep back (doc/numerics.md 3.2)"""
+
+
 def forth(effects, state, substep):
     """Sweep forward: by whole lines where an effect has them."""
 
 
 def back(effects, state, substep):
-    """Sweep backward over effects without lines."""
+    """Sweep backward over effects without lines, unless they are soft."""
 
 
 def close(effects, state, substep):
     """Do one Gauss-Seidel pass over the edges of the lines."""
+
+
+def is_soft(rate: float, h: float) -> bool:
+    """Return True if substeps of h [s] need no sweep back, with stiffness over mass [1/s²]."""
+    return rate * h * h <= SOFT
+
+
+def needs_sweep_back(effect, substep):
+    """Tell whether an effect's data is to be swept back: always if it has no ``rate``."""
+
+
+@inline(needs_sweep_back)
+def _needs_sweep_back(effect, substep):
+    if 'rate' in effect.fields:
+        return lambda effect, substep: effect.rate * substep.h * substep.h > SOFT
+    return lambda effect, substep: True
 
 
 def _has_lines(effect) -> bool:
@@ -92,7 +113,7 @@ def _has_lines(effect) -> bool:
 walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect),
      opens=True)
 walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
-     backwards=True)
+     backwards=True, where=needs_sweep_back)
 walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
 
 

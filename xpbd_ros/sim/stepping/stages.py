@@ -175,13 +175,14 @@ def named(stage_: str, kind: type) -> Callable:
                 if each is kind and stub.__name__ == stage_)
 
 
-def walk(stub: Callable, choose: Callable, *, backwards: bool = False,
-         opens: bool = False) -> None:
+def walk(stub: Callable, choose: Callable, *, backwards: bool = False, opens: bool = False,
+         where: Callable | None = None) -> None:
     """
     Let Numba compile ``stub`` for a tuple of effects: one call after another, in their order.
 
     ``choose(effect, state)`` returns the kernel for an effect's type, or None. A walk that
-    ``opens`` is the first of an iteration.
+    ``opens`` is the first of an iteration. It calls the kernels ``where`` a stub of the effect and
+    the substep is true.
     """
     @written_out(stub)
     def write(writer, effects, state, substep):
@@ -195,8 +196,10 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False,
                 for k, kernel in group:
                     order = [writer.truth(backwards), writer.truth(
                         opens and kernel_of(prepare, effects[0][k]) is None)]
-                    writer.call(kernel, writer.item(effects, k), state, substep,
-                                *order * (kernel in _SWEEPS))
+                    effect = writer.item(effects, k)
+                    asked = where and writer.call(where, effect, substep)
+                    with writer.only_if(asked) if asked else nullcontext():
+                        writer.call(kernel, effect, state, substep, *order * (kernel in _SWEEPS))
                     write_lap(writer, state, k)
             if apart:
                 writer.call(wait, team)

@@ -128,10 +128,10 @@ def measure(scene: Scene, method: str, frames: int) -> Run | None:
         simulation.step()
         took.append(time.thread_time_ns() - begin)
     setting, state = simulation.solver, simulation.state
-    often = setting.substeps * compensation(
-        method, state, 1.0 / (scene.top.frame_rate * setting.substeps)) * (
-            SHIPPED.single if setting.precision == 'float32' else 1.0)
-    counts = SHIPPED.counts(method, setting.iterations, simulation.effects, state)
+    h = simulation.frame_dt / setting.substeps
+    often = setting.substeps * compensation(method, state, h) * (
+        SHIPPED.single if setting.precision == 'float32' else 1.0)
+    counts = SHIPPED.counts(method, setting.iterations, simulation.effects, state, h)
     return Run(scene.name, method, setting.substeps, int(np.count_nonzero(state.mass)),
                {entry: often * count for entry, count in counts.items()},
                often * own_ns(simulation.effects), float(np.mean(took)))

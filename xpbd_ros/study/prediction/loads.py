@@ -7,7 +7,8 @@ inflated instead. ``shear``: uniform shear. ``bend``: uniform curvature. ``hinge
 the same fold of each hinge, the same relative growth of each triangle.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from scipy import sparse
@@ -58,6 +59,8 @@ class ConstraintSet:
     """α of each constraint, shape (constraints, b, b)"""
     along: np.ndarray
     """0 if closer to warp, 1 if closer to weft, shape (constraints,)"""
+    rate: float = inf
+    """stiffness over mass, as in ``Built.rate``"""
 
     @property
     def compliance(self) -> sparse.csr_matrix:
@@ -99,8 +102,9 @@ def sheets(simulation: Simulation) -> list[Sheet]:
                 particles = number[listed.particles] - first
                 here = ((particles >= 0) & (particles < len(rest))).all(1)
                 if here.any():
-                    effects[name] = _part(rest, particles[here],
-                                          slopes(listed, places)[here], listed, here)
+                    effects[name] = replace(_part(
+                        rest, particles[here], slopes(listed, places)[here], listed, here),
+                        rate=simulation.effects[name].rate)
                     if name == 'stretch' and cloth.mesh.grid is None:
                         packs = simulation.effects[name].packs
                         packs = None if packs is None else packs[here]

@@ -95,7 +95,8 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
 def frame_ms(simulation: Simulation, solver: Solver, table: CostTable = SHIPPED) -> float:
     """Return the expected time of a frame according to a cost table [ms]."""
     return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
-                                         simulation.state, table)
+                                         simulation.state, table,
+                                         simulation.frame_dt / solver.substeps)
 
 
 def _count(simulation: Simulation) -> int:

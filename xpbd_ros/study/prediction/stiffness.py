@@ -7,6 +7,7 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.stepping.methods import is_soft
 from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.loads import (
     hanging_tensions,
@@ -92,19 +93,9 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
     sizes = np.cumsum([0, *(part.jacobian.shape[0] for part in parts)])
     rows = {name: np.arange(a, b) for name, a, b in zip(names, sizes[:-1], sizes[1:])}
     everything = np.arange(sizes[-1])
-    if solver.method == 'line' and (sheet.is_grid or sheet.packs is not None):
-        others = np.concatenate([rows[name] for name in names if name != 'stretch']
-                                or [np.zeros(0, int)])
-        passes = [(FORWARD, others)]
-        if 'stretch' in rows:
-            edges, along = rows['stretch'], sheet.effects['stretch'].along
-            lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
-                     if sheet.packs is None else
-                     [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
-            passes += [*lines, *lines, (BACKWARD, others), (FORWARD, edges)]
-        else:
-            passes.append((BACKWARD, others))
-    elif solver.method in ('line', 'gauss_seidel_symmetric'):
+    if solver.method == 'line':
+        passes = _passes_of_lines(sheet, rows, frame_dt / solver.substeps)
+    elif solver.method == 'gauss_seidel_symmetric':
         passes = [(FORWARD, everything), (BACKWARD, everything)]
     elif solver.method == 'jacobi':
         passes = [(JACOBI, everything)]
@@ -118,6 +109,20 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
         solver.iterations, 1.0 / sheet.most_constraints,
         np.concatenate([a + np.arange(b - a) // part.blocks.shape[1]
                         for part, a, b in zip(parts, sizes[:-1], sizes[1:])]))
+
+
+def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float) -> list[tuple]:
+    """Return the passes of ``line`` over the rows of each effect, in substeps of h [s]."""
+    edges, lines = np.zeros(0, int), []
+    if 'stretch' in rows and (sheet.is_grid or sheet.packs is not None):
+        edges, along = rows.pop('stretch'), sheet.effects['stretch'].along
+        lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
+                 if sheet.packs is None else
+                 [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
+    others, stiff = (np.concatenate([edges[:0], *(
+        rows[name] for name in rows if all_ or not is_soft(sheet.effects[name].rate, h))])
+        for all_ in (True, False))
+    return [(FORWARD, others), *lines, *lines, (BACKWARD, stiff), (FORWARD, edges)]
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:
