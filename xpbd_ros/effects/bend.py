@@ -26,6 +26,8 @@ force form, with mobilities m = w H², W = Σ m_i k_i² and a 3-vector f = λ / 
 
     Δf = -(C + α f) / (W + α),   x_i += m_i k_i Δf.
 
+Where it is soft in a substep, ``line`` sweeps it once, with W / 2 (doc/numerics.md 3.2).
+
 Limits: a flat rest shape, and deformations that keep lengths. Where warp and weft differ by much
 more than a factor of ten, the hinges of most meshes cannot represent both; a note says which
 rigidities they give.
@@ -84,8 +86,7 @@ class Curvature(NamedTuple):
     compliance: np.ndarray
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     rate: float
-    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
-    ``methods.SOFT``"""
+    """of all bending, as ``Built.rate``"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     stops: Stops | None
@@ -99,8 +100,7 @@ class Twist(NamedTuple):
     compliance: np.ndarray
     """[m/N], by shape and place in a row, ABSENT where there is none; shape (shapes, places)"""
     rate: float
-    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
-    ``methods.SOFT``"""
+    """of all bending, as ``Built.rate``"""
     force: np.ndarray | None
     """f [N], shape (3, families * slots); None if multipliers are not kept"""
     stops: Stops | None
@@ -127,8 +127,7 @@ class MeshBend(NamedTuple):
     """first constraint of each colour, and the number of places, shape (colours + 1,); None in
     sequential order"""
     rate: float
-    """largest stiffness of all bending over mass, at a particle [1/s²]: ``line`` sweeps back above
-    ``methods.SOFT``"""
+    """of all bending, as ``Built.rate``"""
     weight: np.ndarray
     """K_i / sqrt(A0 + A1) [1/m], shape (4, hinges)"""
     compliance: np.ndarray
@@ -212,19 +211,9 @@ class Linear(Constraints):
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """Return Σ |k_i| Σ |k_j| / α at each particle [N/m], shape (slots, 3, 3)."""
-        return isotropic(x, self.particles, self._stiffness())
-
-    def rate(self, mass: np.ndarray) -> float:
-        """Return the largest ``stiffness_bound`` over mass [1/s²]; inf if one is rigid."""
-        if (self.compliance == 0.0).any():
-            return inf
-        total = np.bincount(self.particles.ravel(), self._stiffness().ravel(), len(mass))
-        return float((total[mass > 0.0] / mass[mass > 0.0]).max(initial=0.0))
-
-    def _stiffness(self) -> np.ndarray:
-        """Return |k_i| Σ |k_j| / α [N/m], shape (constraints, particles of each)."""
         weight = np.abs(self.weight)
-        return weight * weight.sum(1, keepdims=True) / self.compliance[:, None]
+        return isotropic(x, self.particles,
+                         weight * weight.sum(1, keepdims=True) / self.compliance[:, None])
 
 
 def _on_grids(cloths, world) -> list[Curvature | Twist]:

@@ -9,6 +9,7 @@ from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.stepping.methods import SOFT
 from xpbd_ros.study.prediction.loads import sheets
 from xpbd_ros.study.prediction.static_response import JACOBI, StaticResponse
 from xpbd_ros.study.prediction.stiffness import response_of, SIGNIFICANT, stiffness
@@ -295,3 +296,19 @@ def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
             stretch = start + A @ force
         gives = stretch
     np.testing.assert_allclose(law.residuals(np.full(n, load)), gives, rtol=1e-8)
+
+
+def test_the_single_pass_of_lines_is_as_stiff_in_bending_as_asked():
+    """As a single pass of Gauss-Seidel, with all of W, is not."""
+    def strip(method, rigidity):
+        return scene((20, 12), (1.0, 0.6), effects={'bend': {'stiffness': rigidity}}, pins={},
+                     substeps=1, method=method)
+
+    rate = compile_scene(strip('line', 1.0)).effects['bend'].rate
+    errors = []
+    for method in ('line', 'gauss_seidel'):
+        soft = strip(method, 0.9 * SOFT * 60.0**2 / rate)
+        simulation = compile_scene(soft)
+        (row,) = stiffness(soft, simulation, simulation.solver)
+        errors.append(abs(row.error))
+    assert errors[0] < 3e-3 < 3e-2 < errors[1]

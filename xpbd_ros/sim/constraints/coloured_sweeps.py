@@ -26,11 +26,12 @@ def is_coloured(batch) -> bool:
     return not isinstance(batch[batch.fields.index('colours')], types.NoneType)
 
 
-def sweep_coloured_runs(batch, state, substep, reverse, fresh):
+def sweep_coloured_runs(batch, state, substep, reverse, fresh, share):
     """
     Project all constraints of grids once, the last colour first if ``reverse``.
 
-    With ``fresh``, each multiplier becomes 0 before.
+    With ``fresh``, each multiplier becomes 0 before. ``share`` is that of W with which multipliers
+    are solved for; None: all of it.
     """
     part, runs, held = substep.end - substep.begin, batch.runs, held_of(batch)
     mobility = state.mobility
@@ -62,7 +63,7 @@ def sweep_coloured_runs(batch, state, substep, reverse, fresh):
                         zero_multipliers_at(state.apart, batch.force, c)
                     project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
                                 c, number + q, shape, there, constants, held, stop, on, part,
-                                state.reaction)
+                                state.reaction, share)
                 b, p = b + down, p + over
                 if p >= columns:
                     b, p = b + 1, p - columns
@@ -71,11 +72,12 @@ def sweep_coloured_runs(batch, state, substep, reverse, fresh):
         wait(state.team)
 
 
-def sweep_coloured_packs(batch, state, substep, reverse, fresh):
+def sweep_coloured_packs(batch, state, substep, reverse, fresh, share):
     """
     Project all constraints of meshes once, the last colour first if ``reverse``.
 
-    With ``fresh``, each multiplier becomes 0 before.
+    With ``fresh``, each multiplier becomes 0 before. ``share`` is that of W with which multipliers
+    are solved for; None: all of it.
     """
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
@@ -96,7 +98,8 @@ def sweep_coloured_packs(batch, state, substep, reverse, fresh):
                     on = first_listed(held, stop, past, q + step)
                 if fresh:
                     zero_multipliers_at(state.apart, batch.force, q)
-                project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction)
+                project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction,
+                             share)
         wait(state.team)
     shared_from_records(state, records, begin, end)
 

@@ -1,6 +1,7 @@
 """Constraints one by one as NumPy arrays: the definitions that kernels are tested against."""
 
 from dataclasses import dataclass, fields
+from math import inf
 from typing import Any, TypeVar
 
 import numpy as np
@@ -52,6 +53,19 @@ class Constraints:
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return C from its definition, shape (constraints,), or (constraints, components)."""
         raise NotImplementedError
+
+    def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
+        """Return an upper bound of the stiffness K at each particle [N/m], shape (slots, 3, 3)."""
+        raise NotImplementedError
+
+    def rate(self, mass: np.ndarray) -> float:
+        """Return the largest of bounds that have no direction, over mass [1/s²]."""
+        if (self.compliance == 0.0).any():
+            return inf
+        there = mass > 0.0
+        with np.errstate(over='ignore'):
+            bound = self.stiffness_bound(np.zeros((3, len(mass))))[there, 0, 0]
+            return float((bound / mass[there]).max(initial=0.0))
 
     def energy(self, x: np.ndarray) -> float:
         """Return Σ |C|² / (2 α) [J]; a rigid constraint stores none."""

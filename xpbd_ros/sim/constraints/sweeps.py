@@ -109,11 +109,12 @@ def _held_of(batch):
     return (lambda batch: None) if none else (lambda batch: batch.stops.held)
 
 
-def sweep_packs(batch, state, substep, reverse, fresh):
+def sweep_packs(batch, state, substep, reverse, fresh, share):
     """
     Project all constraints of meshes once, pack by pack, in reverse order if ``reverse``.
 
-    With ``fresh``, each multiplier becomes 0 before: it is in the cache then.
+    With ``fresh``, each multiplier becomes 0 before: it is in the cache then. ``share`` is that of
+    W with which multipliers are solved for; None: all of it.
     """
     part, records, held = substep.end - substep.begin, batch.records, held_of(batch)
     begin, end = batch.slots[0], batch.slots[1]
@@ -128,17 +129,19 @@ def sweep_packs(batch, state, substep, reverse, fresh):
             stop, on = listed_between(held, next_, past, q, q + step, reverse)
         if fresh:
             zero_multipliers_at(state.apart, batch.force, q)
-        project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction)
+        project_pack(batch, state.apart, errors, q, held, stop, on, part, state.reaction,
+                     share)
         if stop < on:
             next_, past = (next_, stop) if reverse else (on, past)
     from_records(state, records, begin, end)
 
 
-def sweep_runs(batch, state, substep, reverse, fresh):
+def sweep_runs(batch, state, substep, reverse, fresh, share):
     """
     Project all constraints of grids once, run by run, in reverse order if ``reverse``.
 
-    With ``fresh``, each multiplier becomes 0 before: it is in the cache then.
+    With ``fresh``, each multiplier becomes 0 before: it is in the cache then. ``share`` is that of
+    W with which multipliers are solved for; None: all of it.
     """
     part, runs, held = substep.end - substep.begin, batch.runs, held_of(batch)
     mobility = state.mobility
@@ -167,7 +170,7 @@ def sweep_runs(batch, state, substep, reverse, fresh):
                         zero_multipliers_at(state.apart, batch.force, c)
                     project_run(batch, state.apart, x, to, errors, mobility, anchor + q, offsets,
                                 c, number + q, shape, first(mobility, runs.count[r] - q),
-                                constants, held, stop, on, part, state.reaction)
+                                constants, held, stop, on, part, state.reaction, share)
                     if stop < on:
                         next_, past = (next_, stop) if reverse else (on, past)
         wait(state.team)
@@ -199,7 +202,7 @@ def _constants_of(batch, shape):
     return lambda batch, shape: kernel(batch, shape)
 
 
-def project_pack(batch, apart, errors, q, held, stop, on, part, reaction):
+def project_pack(batch, apart, errors, q, held, stop, on, part, reaction, share):
     """
     Project the constraints of a pack from index q on, as many as a vector has lanes.
 
@@ -208,7 +211,7 @@ def project_pack(batch, apart, errors, q, held, stop, on, part, reaction):
 
 
 def project_run(batch, apart, x, to, errors, mobility, anchor, offsets, c, number, shape, there,
-                constants, held, stop, on, part, reaction):
+                constants, held, stop, on, part, reaction, share):
     """
     Project the constraints of a run from an anchor on, as many as a vector has lanes.
 
@@ -221,12 +224,13 @@ def project_run(batch, apart, x, to, errors, mobility, anchor, offsets, c, numbe
     c, number, shape, there, constants : as in ``At``
     held, stop, on : the list of constraints at pinned particles, and the range of those among them
     part, reaction : as in ``add_reactions``
+    share : as in ``sweep_runs``
 
     """
 
 
 @written_out(project_pack)
-def _project_pack(writer, batch, apart, errors, q, held, stop, on, part, reaction):
+def _project_pack(writer, batch, apart, errors, q, held, stop, on, part, reaction, share):
     kernel, width, _ = _PROJECTIONS[batch[0].instance_class]
     records, particles = writer.item(batch, 'records'), writer.item(batch, 'particles')
     index = [writer.call(operator.getitem, particles, writer.integer(k)) for k in range(width)]
@@ -235,7 +239,7 @@ def _project_pack(writer, batch, apart, errors, q, held, stop, on, part, reactio
         loaded = writer.call(load_records, records, each, q)
         x.append(writer.call(vector3, *(writer.item(loaded, k) for k in range(3))))
         m.append(writer.item(loaded, 3))
-    found = writer.call(kernel, batch, apart, q, writer.tuple(x), writer.tuple(m))
+    found = writer.call(kernel, batch, apart, q, writer.tuple(x), _shared_out(writer, share, m))
     changes = [[writer.item(writer.item(found, k), n) for n in range(2)] for k in range(width)]
     target = records if isinstance(apart[0], types.NoneType) else writer.item(apart, 'records')
     for (scale, way), each, xk, mk in zip(changes, index, x, m):
@@ -251,7 +255,7 @@ def _project_pack(writer, batch, apart, errors, q, held, stop, on, part, reactio
 
 @written_out(project_run)
 def _project_run(writer, batch, apart, x, to, errors, mobility, anchor, offsets, c, number, shape,
-                 there, constants, held, stop, on, part, reaction):
+                 there, constants, held, stop, on, part, reaction, share):
     kernel, width, _ = _PROJECTIONS[batch[0].instance_class]
     rows, targets, left = ([writer.item(each, k) for k in range(3)] for each in (x, to, errors))
     slots = [writer.call(operator.add, anchor, writer.item(offsets, k)) for k in range(width)]
@@ -259,7 +263,8 @@ def _project_run(writer, batch, apart, x, to, errors, mobility, anchor, offsets,
     places = [writer.call(vector3, *(writer.call(load, each, slot) for each in rows))
               for slot in slots]
     at = writer.named(At, c, number, shape, there, writer.tuple(slots), constants)
-    found = writer.call(kernel, batch, apart, at, writer.tuple(places), writer.tuple(m))
+    found = writer.call(kernel, batch, apart, at, writer.tuple(places),
+                        _shared_out(writer, share, m))
     changes = [[writer.item(writer.item(found, k), n) for n in range(2)] for k in range(width)]
     for (scale, way), slot, xk, mk in zip(changes, slots, places, m):
         if not isinstance(apart[0], types.NoneType):
@@ -270,6 +275,13 @@ def _project_run(writer, batch, apart, x, to, errors, mobility, anchor, offsets,
                                           _components(writer, way)):
             writer.call(store_moved, each, lost, slot, now, step, along)
     _react(writer, held, changes, c, stop, on, part, reaction)
+
+
+def _shared_out(writer, share, m):
+    """Return a tuple of the shares of mobilities."""
+    if isinstance(share[0], types.NoneType):
+        return writer.tuple(m)
+    return writer.tuple([writer.call(operator.mul, each, share) for each in m])
 
 
 def _components(writer, value):

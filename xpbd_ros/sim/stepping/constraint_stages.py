@@ -48,15 +48,39 @@ def _project(data, state, substep, reverse, zeroes):
 
     With ``zeroes``, the first iteration zeroes the multipliers.
     """
-    sweep(batch_of(data), state, substep, reverse, zeroes and substep.iteration == 0)
+    sweep(batch_of(data), state, substep, reverse, zeroes and substep.iteration == 0,
+          share_of_mobility(data, substep))
 
 
-def sweep(batch, state, substep, reverse, fresh):
+@jit(inline=True)
+def is_soft(data, substep):
+    """Return True if data that has a ``rate`` is swept forth only in a substep."""
+    return data.rate * substep.h * substep.h < substep.soft
+
+
+def share_of_mobility(data, substep):
+    """
+    Return the share of W with which multipliers are solved for; None: all of it, always.
+
+    In a single pass a multiplier sees what earlier ones have done, not the later ones: half of
+    its coupling. With half of the diagonal as well, smooth multipliers, whose coupling and
+    diagonal cancel, come out right (doc/numerics.md 3.2).
+    """
+
+
+@inline(share_of_mobility)
+def _share_of_mobility(data, substep):
+    if 'rate' not in data.fields:
+        return lambda data, substep: None
+    return lambda data, substep: 0.5 if is_soft(data, substep) else 1.0
+
+
+def sweep(batch, state, substep, reverse, fresh, share):
     """Project the constraints of a batch, on grids or meshes, in sequential or coloured order."""
 
 
 @inline(sweep)
-def _sweep(batch, state, substep, reverse, fresh):
+def _sweep(batch, state, substep, reverse, fresh, share):
     if 'runs' in batch.fields:
         return sweep_coloured_runs if is_coloured(batch) else sweep_runs
     return sweep_coloured_packs if is_coloured(batch) else sweep_packs

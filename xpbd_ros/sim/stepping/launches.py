@@ -218,7 +218,8 @@ def needs_sweep_back(effect, substep) -> bool:
 VALUES: dict[Callable, Callable] = {integration.turned: turned,
                                     methods.needs_sweep_back: needs_sweep_back,
                                     **{each: each.py_func for each in (
-                                        explicit_updates.at_start, explicit_updates.half_of)}}
+                                        methods.of_lines, explicit_updates.at_start,
+                                        explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""
 OF_LINES = stages.solve_lines.__name__, stages.project_inequalities.__name__
 """stages in which a thread of a GPU solves whole lines, of effects that have them"""

@@ -27,6 +27,8 @@ from xpbd_ros.sim.particles.explicit_updates import (
     half_of,
 )
 from xpbd_ros.sim.particles.integration import set_mobility
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import constraint_stages
 from xpbd_ros.sim.stepping.stages import (
     add_explicit_forces,
     kernel_of,
@@ -74,8 +76,8 @@ METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'li
            'jacobi': Jacobi, 'explicit': Leapfrog}
 
 
-SOFT = 0.35
-"""largest stiffness over mass, times h², that needs no sweep back (doc/numerics.md 3.2)"""
+SOFT = 1.0
+"""stiffness over mass, times h², that needs no sweep back if smaller (doc/numerics.md 3.2)"""
 
 
 def forth(effects, state, substep):
@@ -92,7 +94,13 @@ def close(effects, state, substep):
 
 def is_soft(rate: float, h: float) -> bool:
     """Return True if substeps of h [s] need no sweep back, with stiffness over mass [1/s²]."""
-    return rate * h * h <= SOFT
+    return rate * h * h < SOFT
+
+
+@jit
+def of_lines(substep):
+    """Return a substep of ``line``."""
+    return Substep(substep.h, substep.begin, substep.end, substep.iteration, SOFT)
 
 
 def needs_sweep_back(effect, substep):
@@ -102,7 +110,7 @@ def needs_sweep_back(effect, substep):
 @inline(needs_sweep_back)
 def _needs_sweep_back(effect, substep):
     if 'rate' in effect.fields:
-        return lambda effect, substep: effect.rate * substep.h * substep.h > SOFT
+        return lambda effect, substep: not constraint_stages.is_soft(effect, substep)
     return lambda effect, substep: True
 
 
@@ -138,8 +146,10 @@ def _sweep(writer, method, *values):
             writer.call(apply_leapfrog_kick, state, substep)
         write_lap(writer, state, len(effects[0]))
         return
+    if kind is Line:
+        substep = writer.call(of_lines, substep)
     for walk_ in WALKS[kind]:
-        writer.call(walk_, *values)
+        writer.call(walk_, effects, state, substep)
 
 
 def enter(method, effects, state, substep):

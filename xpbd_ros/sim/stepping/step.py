@@ -47,10 +47,10 @@ def advance(effects, state, method, frame_dt, substeps):
         return
     mode = flush_denormals()
     h = frame_dt / substeps
-    enter(method, effects, state, Substep(h, 0.5 / substeps, 0.0, 0))    # back by half a substep
+    enter(method, effects, state, Substep(h, 0.5 / substeps, 0.0, 0, 0.0))    # half a substep back
     now, begun = state, False
     for k in range(substeps):
-        substep = Substep(h, k / substeps, (k + 1) / substeps, 0)
+        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, 0.0)
         if not begun:
             now = turned(now)
             begin(now, substep)
@@ -61,7 +61,7 @@ def advance(effects, state, method, frame_dt, substeps):
             lap_integration(effects, now)
         prepare(effects, now, substep)
         for iteration in range(method.iterations):
-            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration))
+            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration, 0.0))
             project_inequalities(effects, now, substep)
             if may_repeat_inequalities(effects):
                 turn = 1
@@ -84,7 +84,7 @@ def advance(effects, state, method, frame_dt, substeps):
             finish(effects, now, substep)
     restore_buffers(state, now)
     lap_integration(effects, state)
-    leave(method, effects, state, Substep(h, 1.0 - 0.5 / substeps, 1.0, 0))
+    leave(method, effects, state, Substep(h, 1.0 - 0.5 / substeps, 1.0, 0, 0.0))
     restore_mode(mode)
 
 

@@ -26,9 +26,9 @@ from xpbd_ros.sim.constraints.line_solver import TINY
 from xpbd_ros.sim.constraints.mesh_paths import LEAST
 
 FORWARD, BACKWARD, JACOBI = 'forward', 'backward', 'jacobi'
-LINES, PATHS = 'lines', 'paths'
+LINES, PATHS, FORTH_ONLY = 'lines', 'paths', 'forth only'
 """kinds of passes: Gauss-Seidel in order or in reverse order, Jacobi, direct solution of lines of
-a grid or of paths of a mesh"""
+a grid or of paths of a mesh; Gauss-Seidel in order, with half of the diagonal of A"""
 SOFTEST = {LINES: TINY, PATHS: LEAST}
 """least α in the matrix of a direct solution, relative to the mobilities"""
 REFINEMENTS = 3
@@ -108,7 +108,10 @@ def _factor(kind: str, A, alpha, block: np.ndarray, relaxation: float):
     if kind in SOFTEST:
         split = A + sparse.diags(np.maximum(alpha.diagonal(), SOFTEST[kind] * A.diagonal()))
         return splu(split.tocsc())
-    split = _solved_part(A + alpha, block, kind)
+    if kind == FORTH_ONLY:
+        split = (_solved_part(A, block, FORWARD) - 0.5 * _solved_part(A, block, JACOBI) + alpha)
+    else:
+        split = _solved_part(A + alpha, block, kind)
     if kind == JACOBI:
         return splu((split / relaxation).tocsc())
     return splu(split.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,

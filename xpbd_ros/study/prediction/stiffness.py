@@ -18,6 +18,7 @@ from xpbd_ros.study.prediction.loads import (
 )
 from xpbd_ros.study.prediction.static_response import (
     BACKWARD,
+    FORTH_ONLY,
     FORWARD,
     JACOBI,
     LINES,
@@ -119,10 +120,11 @@ def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float) -> lis
         lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
                  if sheet.packs is None else
                  [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
-    others, stiff = (np.concatenate([edges[:0], *(
-        rows[name] for name in rows if all_ or not is_soft(sheet.effects[name].rate, h))])
-        for all_ in (True, False))
-    return [(FORWARD, others), *lines, *lines, (BACKWARD, stiff), (FORWARD, edges)]
+    soft = {name for name in rows if is_soft(sheet.effects[name].rate, h)}
+    return [*((FORTH_ONLY if name in soft else FORWARD, rows[name]) for name in rows),
+            *lines, *lines,
+            *((BACKWARD, rows[name]) for name in reversed(rows) if name not in soft),
+            (FORWARD, edges)]
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:
