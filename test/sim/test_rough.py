@@ -167,7 +167,7 @@ def advance_one_sweep(effects, state, frame_dt, substeps):
     """Do what the line method does without its second round and its closing pass."""
     h, now = frame_dt / substeps, state
     for k in range(substeps):
-        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, 0.0)
+        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, None)
         now = turned(now)
         begin(now, substep)
         prepare(effects, now, substep)

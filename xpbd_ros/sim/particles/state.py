@@ -62,8 +62,9 @@ class Substep(NamedTuple):
     """fraction of the frame at its end"""
     iteration: int = 0
     """number of the solver iteration; the first zeroes the multipliers"""
-    soft: float = 0.0
-    """stiffness over mass, times h², below which constraints are swept forth only; 0: none are"""
+    soft: float | None = None
+    """stiffness over mass, times h², below which ``line`` sweeps forth only; None in other methods
+    """
 
 
 def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,

@@ -30,6 +30,7 @@ from xpbd_ros.sim.constraints.sweeps import (
 )
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
+    is_none,
     react_to_half_kick,
     stage,
     stage_of_sweeps,
@@ -62,6 +63,8 @@ def share_of_mobility(data, substep):
     """
     Return the share of W with which multipliers are solved for; None: all of it, always.
 
+    That is so in methods other than ``line``, whose kernels then have no such factor.
+
     In a single pass a multiplier sees what earlier ones have done, not the later ones: half of
     its coupling. With half of the diagonal as well, smooth multipliers, whose coupling and
     diagonal cancel, come out right (doc/numerics.md 3.2).
@@ -70,7 +73,7 @@ def share_of_mobility(data, substep):
 
 @inline(share_of_mobility)
 def _share_of_mobility(data, substep):
-    if 'rate' not in data.fields:
+    if 'rate' not in data.fields or is_none(substep, 'soft'):
         return lambda data, substep: None
     return lambda data, substep: 0.5 if is_soft(data, substep) else 1.0
 

@@ -218,8 +218,8 @@ def _lap_integration(writer, effects, state):
     write_lap(writer, state, len(effects[0]))
 
 
-def _is_none(state, name: str) -> bool:
-    """Tell whether a state, as Numba types it, lacks a field."""
+def is_none(state, name: str) -> bool:
+    """Tell whether a state or a substep, as Numba types it, lacks a field."""
     return isinstance(state[state.fields.index(name)], types.NoneType)
 
 
@@ -259,5 +259,5 @@ for _stub in (force, prepare, project, project_inequalities, limit_motion, finis
          opens=_stub is project)
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
 for _stub in (accumulate_reactions, react_to_half_kick):
-    walk(_stub, lambda effect, state, stub=_stub: None if _is_none(state, 'reaction') else
+    walk(_stub, lambda effect, state, stub=_stub: None if is_none(state, 'reaction') else
          kernel_of(stub, effect), backwards=True)

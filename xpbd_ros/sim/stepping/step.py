@@ -47,10 +47,11 @@ def advance(effects, state, method, frame_dt, substeps):
         return
     mode = flush_denormals()
     h = frame_dt / substeps
-    enter(method, effects, state, Substep(h, 0.5 / substeps, 0.0, 0, 0.0))    # half a substep back
+    half = 0.5 / substeps
+    enter(method, effects, state, Substep(h, half, 0.0, 0, None))    # back by half a substep
     now, begun = state, False
     for k in range(substeps):
-        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, 0.0)
+        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, None)
         if not begun:
             now = turned(now)
             begin(now, substep)
@@ -61,7 +62,7 @@ def advance(effects, state, method, frame_dt, substeps):
             lap_integration(effects, now)
         prepare(effects, now, substep)
         for iteration in range(method.iterations):
-            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration, 0.0))
+            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration, None))
             project_inequalities(effects, now, substep)
             if may_repeat_inequalities(effects):
                 turn = 1
@@ -84,7 +85,7 @@ def advance(effects, state, method, frame_dt, substeps):
             finish(effects, now, substep)
     restore_buffers(state, now)
     lap_integration(effects, state)
-    leave(method, effects, state, Substep(h, 1.0 - 0.5 / substeps, 1.0, 0, 0.0))
+    leave(method, effects, state, Substep(h, 1.0 - half, 1.0, 0, None))
     restore_mode(mode)
 
 
