@@ -163,7 +163,7 @@ def solve_densely(lines, number, edges, alpha, state, force):
 @pytest.mark.parametrize('pinned', [[], [0], [0, 7, 8, 19]])
 @pytest.mark.parametrize('grid', [(5, 7), (9, 4), (17, 3), (3, 17), (8, 8), (1, 20), (20, 1)])
 def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
-    """Warp, weft, warp, weft, twice over, whether or not lines fill whole vectors."""
+    """Warp, then weft, twice over, whether or not lines fill whole vectors."""
     simulation = simulate(grid, (0.8, 0.6), effects={'stretch': stretch}, density=0.2,
                           method='line')
     state, data = simulation.state, simulation.effects['stretch'].data
@@ -179,7 +179,7 @@ def test_a_line_is_solved_as_a_dense_matrix_is(grid, pinned, stretch):
     run_stage(stages.prepare, data, state, Substep(0.004, 0.0, 1.0))
     for _ in range(2):
         run_stage(stages.solve_lines, data, state, Substep(0.004, 0.0, 1.0))
-        for lines in (slots, slots.T, slots, slots.T):
+        for lines in (slots, slots.T):
             solve_densely(lines, number, edges, edges.compliance, expected, force)
         moved = np.abs(expected.x - before).max()
         assert moved > 1e-4
@@ -216,7 +216,7 @@ def test_a_rigid_straight_line_between_two_pins_stays_finite(grid, far, span, pr
 
 @pytest.mark.parametrize('axis, grid', [(0, (2, 1)), (1, (1, 2))])
 @pytest.mark.parametrize('stage, share', [(stages.project, 1.0), (stages.project_back, 1.0),
-                                          (stages.solve_lines, 1.0 - (TINY / (1.0 + TINY))**2)])
+                                          (stages.solve_lines, 1.0 / (1.0 + TINY))])
 def test_particles_that_coincide_part_and_keep_their_momentum(stage, share, grid, axis):
     simulation = simulate(grid, effects={'stretch': {'compliance': 0.0}}, method='line')
     state, data = simulation.state, simulation.effects['stretch'].data

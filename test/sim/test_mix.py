@@ -157,7 +157,9 @@ def test_a_sheet_falls_through_air_at_its_last_speed_with_either_method(monkeypa
 
 
 def test_pins_carry_the_weight_in_the_frames_of_a_switch(monkeypatch):
-    mixed = sheet(scene_effects={**AT_REST, 'damping': {'rate': 10.0}})
+    """In a sheet so soft in shear that it rests alike with either method."""
+    mixed = sheet(effects={**EFFECTS, 'shear': {'stiffness': 1.0}},
+                  scene_effects={**AT_REST, 'damping': {'rate': 10.0}})
     run_until_still(mixed, speed=1e-7)
     rough_in(monkeypatch, {2})
     for _ in range(4 + CALM_FRAMES):

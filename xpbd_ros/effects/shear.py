@@ -17,6 +17,7 @@ oblong ones. Meshes have no diagonals; their edges resist shear as they stretch.
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -44,6 +45,8 @@ class Shear(NamedTuple):
     """Data of the kernels for square cells."""
 
     edges: distance.GridEdges
+    rate: float
+    """of all shear, as ``Built.rate``"""
 
 
 constraint(Slant, particles=4)(shear_cells.solve_slants)
@@ -72,7 +75,7 @@ def _on_square_cells(cloths, world) -> Shear:
         alpha.append(np.full((2, 1), world.compliance_scale * 2.0 * dx * dy
                              / (chosen.stiffness * square)))
     return Shear(distance.grid_edges([cloth.block for cloth, _ in cloths], diagonals, rest, alpha,
-                                     world=world, time=distance.times(cloths, world)))
+                                     world=world, time=distance.times(cloths, world)), inf)
 
 
 def _on_oblong_cells(cloths, world) -> Slant:
@@ -100,9 +103,11 @@ class BuiltShear(Built):
         parts: list[Any] = [make(cloths, world) for make, cloths in zip(
             (_on_square_cells, _on_oblong_cells),
             by_kind(parameters, has_square_cells)) if cloths]
-        self.data, *self.also = parts
         self.lists = [shear_cells.Slants.of(part) if isinstance(part, Slant)
                       else distance.Edges.of(part.edges) for part in parts]
+        # A diagonal acts along one of the two directions in the plane: the mean over these.
+        self.rate = 0.5 * max(these.rate(world.state.mass) for these in self.lists)
+        self.data, *self.also = [part._replace(rate=self.rate) for part in parts]
         self.constraints = shear_cells.Slants.joined(self.lists)
         self.cells = [these for these in self.lists if isinstance(these, shear_cells.Slants)]
 

@@ -98,14 +98,14 @@ def prepare_path_stretch(stretch, state, substep):
 @stage(solve_lines, Stretch, shared=True)
 @jit
 def solve_stretch(stretch, state, substep):
-    """Solve every line, twice."""
+    """Solve every line."""
     line_solver.solve_edges(stretch.lines, stretch.edges, state, substep)
 
 
 @stage(solve_lines, PathStretch)
 @jit
 def solve_path_stretch(stretch, state, substep):
-    """Solve every path, twice."""
+    """Solve every path."""
     mesh_paths.solve_paths(stretch.paths, stretch.edges, state, substep)
 
 

@@ -253,15 +253,15 @@ def compensation(method: str, state, h: float) -> float:
 
 
 def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float) -> int:
-    """Return the substeps that fit the budget."""
-    def per(h: float) -> float:
-        return cost(method, keys.iterations, effects, state, table_of(keys), h)
+    """Return the most substeps that fit the budget; short ones take less time (``SOFT``)."""
+    def fitting(h: float) -> int:
+        per = cost(method, keys.iterations, effects, state, table_of(keys), h)
+        return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt)
 
-    def fitting(ns: float) -> int:
-        return _compensated(keys.budget_ms * 1e6 / ns, method, state, frame_dt)
-
-    most = fitting(per(0.0))    # if they are short enough to sweep some constraints forth only
-    return most if per(frame_dt / most) == per(0.0) else fitting(per(inf))
+    most, found = fitting(0.0), 0
+    while found != most:    # fewer are longer, so that the number only falls
+        found, most = most, min(most, fitting(frame_dt / most))
+    return most
 
 
 def _compensated(uncompensated: float, method: str, state, frame_dt: float) -> int:

@@ -8,7 +8,7 @@ A substep takes
 
 on one core, with the entries of the method. A constraint's kind is the name of its effect where
 the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
-``mesh_hinge``; one that ``line`` sweeps forth only counts ``FORTH_ONLY``. ``xpbd_ros cost
+``mesh_hinge``; one that ``line`` sweeps once counts ``SWEPT_ONCE``. ``xpbd_ros cost
 --calibrate`` writes the table of a machine, and ``solver.cost_table`` reads it.
 """
 
@@ -34,8 +34,8 @@ GRID = 'grid'
 """key of ``particles_per_thread`` for the constraints of a grid"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
-FORTH_ONLY = 0.5
-"""time of constraints that ``line`` sweeps forth only, over that with the sweep back"""
+SWEPT_ONCE = 0.5
+"""time of constraints that ``line`` sweeps once, over that of a sweep forth and one back"""
 LEAST = {'slot': 1e-3, 'single': 1e-3}
 """smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
@@ -76,7 +76,7 @@ class CostTable:
         """
         Return how often entries count in a substep of h [s]: (method, entry), ('effects', name).
 
-        Constraints that ``line`` sweeps forth only count ``FORTH_ONLY``.
+        Constraints that ``line`` sweeps once count ``SWEPT_ONCE``.
         """
         entries = self.methods[method]
         found: Counter[Any] = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
@@ -89,7 +89,7 @@ class CostTable:
                     _batch, built.parts) if hasattr(part, 'particles')))    # packs may have gaps
                 own = name if name in entries and name not in NEEDED else None
                 often: Any = iterations * (
-                    FORTH_ONLY if method == 'line' and is_soft(built.rate, h) else 1)
+                    SWEPT_ONCE if method == 'line' and is_soft(built.rate, h) else 1)
                 found[method, own or kind] += often * (total - of_meshes)
                 found[method, own or f'mesh_{kind}'] += often * of_meshes
         return found

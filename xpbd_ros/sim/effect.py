@@ -169,8 +169,8 @@ class Built:
     threads_pay_on_meshes: bool = False
     """True if that also holds for meshes, whose constraints threads do not share"""
     rate: float = inf
-    """largest stiffness over mass, at a particle [1/s²], of what ``line`` sweeps forth only in
-    substeps so short that it is soft (``stepping.methods.SOFT``); inf for all else"""
+    """largest stiffness over mass, at a particle [1/s²], of what ``line`` sweeps once in substeps
+    so short that it is soft (``stepping.methods.SOFT``); inf for all else"""
     fewest_substeps: int = 1
     """substeps of a frame below which it takes no less time"""
     explicit_velocity_lags: bool = False

@@ -298,16 +298,16 @@ def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
     np.testing.assert_allclose(law.residuals(np.full(n, load)), gives, rtol=1e-8)
 
 
-def test_the_single_pass_of_lines_is_as_stiff_in_bending_as_asked():
-    """As a single pass of Gauss-Seidel, with all of W, is not."""
+def test_single_passes_of_lines_are_as_stiff_in_bending_as_asked():
+    """As those of Gauss-Seidel, with all of W, are not."""
     def strip(method, rigidity):
         return scene((20, 12), (1.0, 0.6), effects={'bend': {'stiffness': rigidity}}, pins={},
-                     substeps=1, method=method)
+                     substeps=2, method=method)
 
     rate = compile_scene(strip('line', 1.0)).effects['bend'].rate
     errors = []
     for method in ('line', 'gauss_seidel'):
-        soft = strip(method, 0.9 * SOFT * 60.0**2 / rate)
+        soft = strip(method, 0.9 * SOFT * 120.0**2 / rate)
         simulation = compile_scene(soft)
         (row,) = stiffness(soft, simulation, simulation.solver)
         errors.append(abs(row.error))

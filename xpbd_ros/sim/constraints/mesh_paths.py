@@ -290,22 +290,20 @@ def hold(paths: Paths) -> None:
 
 @jit
 def solve_paths(paths, edges, state, substep):
-    """Solve every path, in order, and all once more (as ``line_solver.solve_edges`` does)."""
+    """Solve every path, in order; called twice, as ``line_solver.solve_edges`` is."""
     records, begin, stops = edges.records, paths.begin, paths.stops
     errors = record_moves(state.rounding)
     part, (one, other) = substep.end - substep.begin, (edges.slots[0], edges.slots[1])
     to_records(state, records, one, other)
-    for _ in range(2):
-        for p in range(len(begin) - 1):
-            first, last = listed_range_of(stops, p)
-            if first < last:
-                note(stops, first, last, records[:, 0], records[:, 1], records[:, 2],
-                     state.apart, edges.force)
-            for q in range(0, PACK, lanes(records)):
-                _solve_pack(paths, edges, errors, begin[p], begin[p + 1], q)
-            if first < last:
-                gather_reaction(stops, first, last, state.mobility, edges.force, part,
-                                state.reaction)
+    for p in range(len(begin) - 1):
+        first, last = listed_range_of(stops, p)
+        if first < last:
+            note(stops, first, last, records[:, 0], records[:, 1], records[:, 2], state.apart,
+                 edges.force)
+        for q in range(0, PACK, lanes(records)):
+            _solve_pack(paths, edges, errors, begin[p], begin[p + 1], q)
+        if first < last:
+            gather_reaction(stops, first, last, state.mobility, edges.force, part, state.reaction)
     from_records(state, records, one, other)
 
 

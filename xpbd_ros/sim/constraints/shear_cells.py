@@ -17,6 +17,7 @@ along a fixed axis, as those of edges do (``constraints.distance``).
 """
 
 from dataclasses import dataclass
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -50,6 +51,8 @@ class Slant(NamedTuple):
     """direction of coincident ends, of each diagonal, shape (2, 3)"""
     damping: Damping | None
     """None in a scene without ``rayleigh``"""
+    rate: float
+    """of all shear, as ``Built.rate``"""
 
 
 @dataclass(eq=False)
@@ -130,7 +133,7 @@ def slants(blocks: list[Block], compliance: list, *, world, time: list | None = 
     dtype, rows = world.state.x.dtype, Rows(blocks, cells, world)
     return Slant(**rows.common(compliance, stops=lambda runs: stops_for(runs, room)),
                  axis=np.array(AXES[:2], dtype),
-                 damping=damping(world, time, np.zeros(len(blocks), bool), dtype))
+                 damping=damping(world, time, np.zeros(len(blocks), bool), dtype), rate=inf)
 
 
 @jit(inline=True)

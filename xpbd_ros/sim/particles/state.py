@@ -63,8 +63,9 @@ class Substep(NamedTuple):
     iteration: int = 0
     """number of the solver iteration; the first zeroes the multipliers"""
     soft: float | None = None
-    """stiffness over mass, times h², below which ``line`` sweeps forth only; None in other methods
-    """
+    """stiffness over mass, times h², below which ``line`` sweeps once; None in other methods"""
+    direction: int = 0
+    """of what ``line`` sweeps once: 1 forward, -1 backward, 0 in neither, but both ways"""
 
 
 def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots: int, *,

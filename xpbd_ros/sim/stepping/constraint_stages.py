@@ -55,7 +55,7 @@ def _project(data, state, substep, reverse, zeroes):
 
 @jit(inline=True)
 def is_soft(data, substep):
-    """Return True if data that has a ``rate`` is swept forth only in a substep."""
+    """Return True if data that has a ``rate`` is swept once in a substep."""
     return data.rate * substep.h * substep.h < substep.soft
 
 

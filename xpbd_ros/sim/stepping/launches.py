@@ -25,7 +25,7 @@ from xpbd_ros.sim.backend.threads import alone, count_up, wait
 from xpbd_ros.sim.constraints.coloured_batches import ColouredRuns
 from xpbd_ros.sim.particles import explicit_updates, history, integration
 from xpbd_ros.sim.particles.state import State
-from xpbd_ros.sim.stepping import methods, stages, step
+from xpbd_ros.sim.stepping import constraint_stages, methods, stages, step
 
 
 class Launch(NamedTuple):
@@ -210,15 +210,16 @@ def turned(state: State) -> State:
     return state._replace(x=x, x_prev=x_prev, v=v, history=past)
 
 
-def needs_sweep_back(effect, substep) -> bool:
-    """Return what ``methods.needs_sweep_back`` tells."""
-    return not (hasattr(effect, 'rate') and methods.is_soft(effect.rate, substep.h))
+def goes_both_ways(effect, substep) -> bool:
+    """Return what ``methods.goes_both_ways`` tells."""
+    return not (hasattr(effect, 'rate') and constraint_stages.is_soft.py_func(effect, substep))
 
 
 VALUES: dict[Callable, Callable] = {integration.turned: turned,
-                                    methods.needs_sweep_back: needs_sweep_back,
+                                    methods.goes_both_ways: goes_both_ways,
                                     **{each: each.py_func for each in (
-                                        methods.of_lines, explicit_updates.at_start,
+                                        methods.direction, methods.of_lines, methods.goes_forth,
+                                        methods.goes_back, explicit_updates.at_start,
                                         explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""
 OF_LINES = stages.solve_lines.__name__, stages.project_inequalities.__name__

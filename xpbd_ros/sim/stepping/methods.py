@@ -4,9 +4,9 @@ Solver methods: each sweeps a substep's constraints in a few walks over the effe
 ``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
 reverse order, which BDF2 needs to stay stable. ``line`` (doc/numerics.md 3.2) solves the effects
 that have lines, or paths along the edges of meshes, by whole lines, twice, sweeps the others forth
-before and back after (soft bending forth only), and closes with one Gauss-Seidel pass over the
-edges of the lines, with the same multipliers: it mends the single edges whose directions turned
-while the lines were solved.
+before and back after, or once in between if they are soft, and closes with one Gauss-Seidel pass
+over the edges of the lines, with the same multipliers: it mends the single edges whose directions
+turned while the lines were solved.
 ``jacobi`` moves all particles at once, by a part of what each constraint asks for. ``explicit`` is
 the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are
 those where the substep starts.
@@ -77,15 +77,27 @@ METHODS = {'gauss_seidel': GaussSeidel, 'gauss_seidel_symmetric': Symmetric, 'li
 
 
 SOFT = 1.0
-"""stiffness over mass, times h², that needs no sweep back if smaller (doc/numerics.md 3.2)"""
+"""stiffness over mass, times h², for which one pass suffices if smaller (doc/numerics.md 3.2)"""
 
 
 def forth(effects, state, substep):
-    """Sweep forward: by whole lines where an effect has them."""
+    """Sweep forward, but not what is soft: by whole lines where an effect has them."""
+
+
+def once_forth(effects, state, substep):
+    """Sweep soft effects forward, in every other substep."""
+
+
+def once_back(effects, state, substep):
+    """Sweep soft effects backward, in the others."""
+
+
+def lines_again(effects, state, substep):
+    """Solve the lines a second time."""
 
 
 def back(effects, state, substep):
-    """Sweep backward over effects without lines, unless they are soft."""
+    """Sweep backward over effects without lines, but not over soft ones."""
 
 
 def close(effects, state, substep):
@@ -93,25 +105,55 @@ def close(effects, state, substep):
 
 
 def is_soft(rate: float, h: float) -> bool:
-    """Return True if substeps of h [s] need no sweep back, with stiffness over mass [1/s²]."""
+    """Return True if substeps of h [s] need a single pass, with stiffness over mass [1/s²]."""
     return rate * h * h < SOFT
+
+
+@jit
+def direction(k, substeps):
+    """
+    Return ``Substep.direction`` of substep k: forward and backward in turn.
+
+    The last of an odd number has no partner, and sweeps soft effects both ways.
+    """
+    if k % 2 == 0 and k + 1 == substeps:
+        return 0
+    return 1 - 2 * (k % 2)
 
 
 @jit
 def of_lines(substep):
     """Return a substep of ``line``."""
-    return Substep(substep.h, substep.begin, substep.end, substep.iteration, SOFT)
+    return Substep(substep.h, substep.begin, substep.end, substep.iteration,
+                   0.0 if substep.direction == 0 else SOFT, substep.direction)
 
 
-def needs_sweep_back(effect, substep):
-    """Tell whether an effect's data is to be swept back: always if it has no ``rate``."""
+def goes_both_ways(effect, substep):
+    """Tell whether an effect's data is swept forth and back: always if it has no ``rate``."""
 
 
-@inline(needs_sweep_back)
-def _needs_sweep_back(effect, substep):
+@inline(goes_both_ways)
+def _goes_both_ways(effect, substep):
     if 'rate' in effect.fields:
         return lambda effect, substep: not constraint_stages.is_soft(effect, substep)
     return lambda effect, substep: True
+
+
+@jit(inline=True)
+def goes_forth(effect, substep):
+    """Return True if an effect's data is swept once, forward."""
+    return constraint_stages.is_soft(effect, substep) and substep.direction > 0
+
+
+@jit(inline=True)
+def goes_back(effect, substep):
+    """Return True if an effect's data is swept once, backward."""
+    return constraint_stages.is_soft(effect, substep) and substep.direction < 0
+
+
+def _once(stub, effect):
+    """Return the kernel of an effect that may be soft."""
+    return kernel_of(stub, effect) if 'rate' in getattr(effect, 'fields', ()) else None
 
 
 def _has_lines(effect) -> bool:
@@ -119,13 +161,18 @@ def _has_lines(effect) -> bool:
 
 
 walk(forth, lambda effect, state: kernel_of(solve_lines, effect) or kernel_of(project, effect),
-     opens=True)
+     opens=True, where=goes_both_ways)
+walk(once_forth, lambda effect, state: _once(project, effect), opens=True, where=goes_forth)
+walk(once_back, lambda effect, state: _once(project_back, effect), opens=True, backwards=True,
+     where=goes_back)
+walk(lines_again, lambda effect, state: kernel_of(solve_lines, effect))
 walk(back, lambda effect, state: None if _has_lines(effect) else kernel_of(project_back, effect),
-     backwards=True, where=needs_sweep_back)
+     backwards=True, where=goes_both_ways)
 walk(close, lambda effect, state: kernel_of(project, effect) if _has_lines(effect) else None)
 
 
-WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back), Line: (forth, back, close)}
+WALKS = {GaussSeidel: (project,), Symmetric: (project, project_back),
+         Line: (forth, once_forth, once_back, lines_again, back, close)}
 """walks of the methods that update positions in place"""
 
 

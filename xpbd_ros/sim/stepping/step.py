@@ -19,7 +19,7 @@ from xpbd_ros.sim.particles.integration import (
     update_velocity_and_begin,
 )
 from xpbd_ros.sim.particles.state import Substep
-from xpbd_ros.sim.stepping.methods import enter, leave, sweep
+from xpbd_ros.sim.stepping.methods import direction, enter, leave, sweep
 from xpbd_ros.sim.stepping.stages import (
     accumulate_impulses,
     accumulate_reactions,
@@ -48,10 +48,10 @@ def advance(effects, state, method, frame_dt, substeps):
     mode = flush_denormals()
     h = frame_dt / substeps
     half = 0.5 / substeps
-    enter(method, effects, state, Substep(h, half, 0.0, 0, None))    # back by half a substep
+    enter(method, effects, state, Substep(h, half, 0.0, 0, None, 0))    # back by half a substep
     now, begun = state, False
     for k in range(substeps):
-        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, None)
+        substep = Substep(h, k / substeps, (k + 1) / substeps, 0, None, direction(k, substeps))
         if not begun:
             now = turned(now)
             begin(now, substep)
@@ -62,7 +62,8 @@ def advance(effects, state, method, frame_dt, substeps):
             lap_integration(effects, now)
         prepare(effects, now, substep)
         for iteration in range(method.iterations):
-            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration, None))
+            sweep(method, effects, now, Substep(h, substep.begin, substep.end, iteration, None,
+                                                substep.direction))
             project_inequalities(effects, now, substep)
             if may_repeat_inequalities(effects):
                 turn = 1
@@ -85,7 +86,7 @@ def advance(effects, state, method, frame_dt, substeps):
             finish(effects, now, substep)
     restore_buffers(state, now)
     lap_integration(effects, state)
-    leave(method, effects, state, Substep(h, 1.0 - half, 1.0, 0, None))
+    leave(method, effects, state, Substep(h, 1.0 - half, 1.0, 0, None, 0))
     restore_mode(mode)
 
 

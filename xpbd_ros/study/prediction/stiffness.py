@@ -18,10 +18,11 @@ from xpbd_ros.study.prediction.loads import (
 )
 from xpbd_ros.study.prediction.static_response import (
     BACKWARD,
-    FORTH_ONLY,
     FORWARD,
     JACOBI,
     LINES,
+    ONCE_BACKWARD,
+    ONCE_FORWARD,
     PATHS,
     StaticResponse,
 )
@@ -94,8 +95,10 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
     sizes = np.cumsum([0, *(part.jacobian.shape[0] for part in parts)])
     rows = {name: np.arange(a, b) for name, a, b in zip(names, sizes[:-1], sizes[1:])}
     everything = np.arange(sizes[-1])
+    turned = None
     if solver.method == 'line':
-        passes = _passes_of_lines(sheet, rows, frame_dt / solver.substeps)
+        passes, turned = _passes_of_lines(sheet, rows, frame_dt / solver.substeps,
+                                          alternate=solver.substeps > 1)
     elif solver.method == 'gauss_seidel_symmetric':
         passes = [(FORWARD, everything), (BACKWARD, everything)]
     elif solver.method == 'jacobi':
@@ -109,22 +112,32 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
         sparse.block_diag([part.compliance for part in parts]).tocsr(), mobility, tuple(passes),
         solver.iterations, 1.0 / sheet.most_constraints,
         np.concatenate([a + np.arange(b - a) // part.blocks.shape[1]
-                        for part, a, b in zip(parts, sizes[:-1], sizes[1:])]))
+                        for part, a, b in zip(parts, sizes[:-1], sizes[1:])]),
+        turned_passes=turned)
 
 
-def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float) -> list[tuple]:
-    """Return the passes of ``line`` over the rows of each effect, in substeps of h [s]."""
+def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float, *,
+                     alternate: bool) -> tuple[tuple, tuple | None]:
+    """
+    Return the passes of ``line`` over the rows of each effect, in substeps of h [s].
+
+    And those of every other substep, or None if they are the same. Soft effects are swept once
+    where substeps ``alternate``.
+    """
     edges, lines = np.zeros(0, int), []
     if 'stretch' in rows and (sheet.is_grid or sheet.packs is not None):
         edges, along = rows.pop('stretch'), sheet.effects['stretch'].along
         lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
                  if sheet.packs is None else
                  [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
-    soft = {name for name in rows if is_soft(sheet.effects[name].rate, h)}
-    return [*((FORTH_ONLY if name in soft else FORWARD, rows[name]) for name in rows),
-            *lines, *lines,
-            *((BACKWARD, rows[name]) for name in reversed(rows) if name not in soft),
-            (FORWARD, edges)]
+    soft = [name for name in rows if alternate and is_soft(sheet.effects[name].rate, h)]
+    stiff = [name for name in rows if name not in soft]
+
+    def passes(once):
+        return (*((FORWARD, rows[name]) for name in stiff), *lines, *once, *lines,
+                *((BACKWARD, rows[name]) for name in reversed(stiff)), (FORWARD, edges))
+    turned = passes((ONCE_BACKWARD, rows[name]) for name in reversed(soft)) if soft else None
+    return passes((ONCE_FORWARD, rows[name]) for name in soft), turned
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:
