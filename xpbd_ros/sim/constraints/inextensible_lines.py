@@ -164,7 +164,7 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, longest, work, t
     at edge + k stride.
     """
     n = lanes(x)
-    ex, ey, ez, long, ratio, step = work[0], work[1], work[2], work[3], work[4], work[5]
+    long, ratio, step = work[0], work[1], work[2]
     zero, there, most = splat(x, 0.0), after(x, done), splat(x, 0.0)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
@@ -184,9 +184,6 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, longest, work, t
         pulls = both(moves, both(either(over > -near * longest, f < 0.0), bottom > 0.0))
         pivot = 1.0 / select(pulls, bottom, 1.0)
         right = select(pulls, (-over * l - off * right) * pivot, 0.0)
-        store(ex, o, dx)
-        store(ey, o, dy)
-        store(ez, o, dz)
         store(long, o, select(moves, l, 1.0))
         store(ratio, o, link)
         store(step, o, right)
@@ -196,19 +193,21 @@ def _solve(x, y, z, m, force, start, edge, stride, nodes, done, longest, work, t
     s, above, wx, wy, wz = zero, zero, zero, zero, zero
     for k in range(nodes - 2, -1, -1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
-        mb, l, f = load(m, i), load(long, o), load(force, c)
+        xb, yb, zb, mb = xa, ya, za, load(m, i)
+        xa, ya, za = load(x, i - stride), load(y, i - stride), load(z, i - stride)
+        l, f = load(long, o), load(force, c)
         s = load(step, o) - above * s
         pulled = fma(s, l, f)
         s = select(pulled < 0.0, s, -f / l)
         store(force, c, select(pulled < 0.0, pulled, 0.0))
-        gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
-        store(x, i, fma(mb, gx - wx, load(x, i)))
-        store(y, i, fma(mb, gy - wy, load(y, i)))
-        store(z, i, fma(mb, gz - wz, load(z, i)))
+        gx, gy, gz = s * (xb - xa), s * (yb - ya), s * (zb - za)
+        store(x, i, fma(mb, gx - wx, xb))
+        store(y, i, fma(mb, gy - wy, yb))
+        store(z, i, fma(mb, gz - wz, zb))
         above = load(ratio, o)
         wx, wy, wz = gx, gy, gz
     mb = load(m, start)
-    store(x, start, load(x, start) - mb * wx)
-    store(y, start, load(y, start) - mb * wy)
-    store(z, start, load(z, start) - mb * wz)
+    store(x, start, xa - mb * wx)
+    store(y, start, ya - mb * wy)
+    store(z, start, za - mb * wz)
     return most

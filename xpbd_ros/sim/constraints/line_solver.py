@@ -88,8 +88,7 @@ class Lines(NamedTuple):
     errors: np.ndarray
     """scratch: transposed rows of rounding errors, shape (threads, 3, columns * lanes)"""
     work: np.ndarray
-    """scratch of the elimination: d (3 rows), l, off-diagonal / pivot, s; shape
-    (threads, 6, edges * lanes)"""
+    """scratch of the elimination: l, off-diagonal / pivot, s; shape (threads, 3, edges * lanes)"""
 
 
 def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
@@ -125,7 +124,7 @@ def grid_lines(blocks: list[Block], spacing, compliance, *, slots: int, dtype,
                  np.array([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], dtype), TINY,
                  zeros((threads, 5, longest * lanes_), dtype),
                  zeros((threads, 3, longest * lanes_), dtype),
-                 zeros((threads, 6, longest * lanes_), dtype))
+                 zeros((threads, 3, longest * lanes_), dtype))
 
 
 @jit
@@ -272,7 +271,7 @@ def _solve(x, y, z, errors, m, force, start, edge, stride, nodes, done, rest, al
     at edge + k stride.
     """
     n = lanes(x)
-    ex, ey, ez, long, ratio, step = work[0], work[1], work[2], work[3], work[4], work[5]
+    long, ratio, step = work[0], work[1], work[2]
     zero, there = splat(x, 0.0), after(x, done)
     xa, ya, za, ma = load(x, start), load(y, start), load(z, start), load(m, start)
     vx, vy, vz, pivot, right = zero, zero, zero, zero, zero
@@ -288,9 +287,6 @@ def _solve(x, y, z, errors, m, force, start, edge, stride, nodes, done, rest, al
         solvable = both(bottom > 0.0, there)
         pivot = 1.0 / select(solvable, bottom, 1.0)
         right = select(solvable, (-fma(alpha, f, l - rest) * l_or_1 - off * right) * pivot, 0.0)
-        store(ex, o, dx)
-        store(ey, o, dy)
-        store(ez, o, dz)
         store(long, o, l_or_1)
         store(ratio, o, link)
         store(step, o, right)
@@ -300,16 +296,18 @@ def _solve(x, y, z, errors, m, force, start, edge, stride, nodes, done, rest, al
     s, above, wx, wy, wz = zero, zero, zero, zero, zero
     for k in range(nodes - 2, -1, -1):
         i, c, o = start + (k + 1) * stride, edge + k * stride, k * n
-        mb = load(m, i)
+        xb, yb, zb, mb = xa, ya, za, load(m, i)
+        xa, ya, za = load(x, i - stride), load(y, i - stride), load(z, i - stride)
+        (dx, dy, dz), _, _, _ = edge_vector(xb - xa, yb - ya, zb - za, axis)    # as before
         s = load(step, o) - above * s
         store(force, c, fma(s, load(long, o), load(force, c)))
-        gx, gy, gz = s * load(ex, o), s * load(ey, o), s * load(ez, o)
-        store_moved(x, row(errors, 0), i, load(x, i), mb, gx - wx)
-        store_moved(y, row(errors, 1), i, load(y, i), mb, gy - wy)
-        store_moved(z, row(errors, 2), i, load(z, i), mb, gz - wz)
+        gx, gy, gz = s * dx, s * dy, s * dz
+        store_moved(x, row(errors, 0), i, xb, mb, gx - wx)
+        store_moved(y, row(errors, 1), i, yb, mb, gy - wy)
+        store_moved(z, row(errors, 2), i, zb, mb, gz - wz)
         above = load(ratio, o)
         wx, wy, wz = gx, gy, gz
     mb = load(m, start)
-    store_sum(x, row(errors, 0), start, load(x, start), -(mb * wx))
-    store_sum(y, row(errors, 1), start, load(y, start), -(mb * wy))
-    store_sum(z, row(errors, 2), start, load(z, start), -(mb * wz))
+    store_sum(x, row(errors, 0), start, xa, -(mb * wx))
+    store_sum(y, row(errors, 1), start, ya, -(mb * wy))
+    store_sum(z, row(errors, 2), start, za, -(mb * wz))
