@@ -156,6 +156,24 @@ def test_parts_belong_to_their_kernel_under_names_of_its_own(monkeypatch):
             if name.startswith('_ZN') and 'thirds' in name} == {'external', 'linkonce_odr'}
 
 
+def picked(values, places):
+    """Return the value at the first of some places, and the last one."""
+    return values[places[0]], values[-1]
+
+
+def test_kernels_alone_do_not_ask_whether_an_index_is_negative(monkeypatch):
+    """They count from the end by constants only."""
+    written = []
+    optimise = codegen.CPUCodeLibrary._optimize_final_module
+    monkeypatch.setattr(codegen.CPUCodeLibrary, '_optimize_final_module', lambda self: (
+        written.append(str(self._final_module)) or optimise(self)))
+    values = np.arange(3.0)
+    assert njit(**jit.FLAGS)(picked)(values, np.array([1])) == (1.0, 2.0)
+    assert not any('icmp slt' in code for code in written)
+    assert njit(picked)(values, np.array([-3])) == (0.0, 2.0)
+    assert any('icmp slt' in code for code in written)
+
+
 def test_parts_are_kept_for_other_kernels(tmp_path, monkeypatch, recwarn):
     monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
     counts = []

@@ -3,16 +3,17 @@ Parts of a kernel: linked nearly as they are, optimised and made machine code wh
 
 Numba optimises every function that compiled code calls, and makes machine code of it, before it
 does so again wherever that one is linked in: some ten times for a kernel deep in a step. Arguments
-are those of ``arguments``.
+are those of ``arguments``. An index is not asked whether it is negative: only constants may be.
 """
 
-from llvmlite import binding
+from llvmlite import binding, ir
 from numba import types
 from numba.core import codegen, compiler
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.datamodel import register_default
 from numba.core.imputils import lower_getattr_generic
 from numba.extending import lower_builtin, unbox
+from numba.np import arrayobj
 
 from xpbd_ros.sim.backend.arguments import field, made, tuple_model, unboxed
 from xpbd_ros.sim.backend.locked_cache import LockedCache
@@ -34,7 +35,27 @@ for _count in range(2, MOST_FIELDS + 1):    # Numba's own takes any number, whic
     lower_builtin(types.NamedTupleClass, *[types.Any] * _count)(made)
 
 
-class Library(codegen.JITCodeLibrary):
+def _index(context, builder, kind, index, size, wrapped=arrayobj.fix_integer_index):
+    """Return an index; in the code of kernels one from the start, unless it is a constant."""
+    if isinstance(index, ir.Constant) or not getattr(builder.module, 'is_kernel', False):
+        return wrapped(context, builder, kind, index, size)
+    return context.cast(builder, index, kind, types.intp)
+
+
+arrayobj.fix_integer_index = _index
+
+
+class KernelLibrary(codegen.JITCodeLibrary):
+    """Code of kernels."""
+
+    def create_ir_module(self, name):
+        """Return a module that says so."""
+        module = super().create_ir_module(name)
+        module.is_kernel = True
+        return module
+
+
+class Library(KernelLibrary):
     """The code of one part, and of all that it calls."""
 
     def add_llvm_module(self, module):
@@ -106,7 +127,7 @@ class Library(codegen.JITCodeLibrary):
         return library
 
 
-class WholeLibrary(codegen.JITCodeLibrary):
+class WholeLibrary(KernelLibrary):
     """The code of a kernel that Python calls, with all parts linked in."""
 
     def _optimize_final_module(self):
