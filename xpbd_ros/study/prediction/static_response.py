@@ -13,8 +13,7 @@ for each constraint and any sweep, linearised about the present positions. For a
 Gauss-Seidel pass this is C_j = α_j T_j - Σ A_jk T_k over the constraints k that are swept after j
 (doc/numerics.md 4.1): later constraints displace the particles of earlier ones. The edges of a
 line, solved directly, do not disturb one another. The three constraints of a triangle are solved
-as one block: there T and C are vectors, and α is a matrix. Where sweeps alternate from substep to
-substep, C is the mean of what both would have.
+as one block: there T and C are vectors, and α is a matrix.
 """
 
 from dataclasses import dataclass, field
@@ -27,11 +26,9 @@ from xpbd_ros.sim.constraints.line_solver import TINY
 from xpbd_ros.sim.constraints.mesh_paths import LEAST
 
 FORWARD, BACKWARD, JACOBI = 'forward', 'backward', 'jacobi'
-LINES, PATHS = 'lines', 'paths'
-ONCE_FORWARD, ONCE_BACKWARD = 'once forward', 'once backward'
+LINES, PATHS, ONCE = 'lines', 'paths', 'once'
 """kinds of passes: Gauss-Seidel in order or in reverse order, Jacobi, direct solution of lines of
-a grid or of paths of a mesh; Gauss-Seidel in either order, with half of the diagonal of A"""
-DIRECTION = {ONCE_FORWARD: FORWARD, ONCE_BACKWARD: BACKWARD}
+a grid or of paths of a mesh; Gauss-Seidel in order, with half of the diagonal of A"""
 SOFTEST = {LINES: TINY, PATHS: LEAST}
 """least α in the matrix of a direct solution, relative to the mobilities"""
 REFINEMENTS = 3
@@ -57,8 +54,6 @@ class StaticResponse:
     """ω of JACOBI"""
     block: np.ndarray | None = None
     """block in which each row is solved, ascending; None: each row in its own"""
-    turned_passes: tuple[tuple[str, np.ndarray], ...] | None = None
-    """passes of every other substep; None: the same"""
     coupling: sparse.csr_matrix = field(init=False)
     """A [m/N], shape (constraints, constraints)"""
 
@@ -74,22 +69,16 @@ class StaticResponse:
 
     def residuals(self, tension: np.ndarray) -> np.ndarray:
         """Return C [m] under tensions [N], both of shape (constraints,)."""
-        found = self._residuals(tension, self.passes)
-        if self.turned_passes is None:
-            return found
-        return 0.5 * (found + self._residuals(tension, self.turned_passes))
-
-    def _residuals(self, tension, passes):
         alpha, A = self.compliance, self.coupling
-        if not passes:
+        if not self.passes:
             return alpha @ tension
         assert self.block is not None
-        if self.iterations == 1 and len(passes) == 1 and passes[0][0] == FORWARD:
+        if self.iterations == 1 and len(self.passes) == 1 and self.passes[0][0] == FORWARD:
             return alpha @ tension - (A - _solved_part(A, self.block, FORWARD)) @ tension
         system = (A + alpha).tocsr()
         factors = [(rows, system[rows], _factor(kind, A[rows][:, rows], alpha[rows][:, rows],
                                                 self.block[rows], self.relaxation))
-                   for kind, rows in passes if len(rows)]
+                   for kind, rows in self.passes if len(rows)]
 
         def remaining(e):    # G^K e
             e = e.copy()
@@ -119,9 +108,8 @@ def _factor(kind: str, A, alpha, block: np.ndarray, relaxation: float):
     if kind in SOFTEST:
         split = A + sparse.diags(np.maximum(alpha.diagonal(), SOFTEST[kind] * A.diagonal()))
         return splu(split.tocsc())
-    if kind in DIRECTION:
-        split = _solved_part(A, block, DIRECTION[kind]) - 0.5 * _solved_part(A, block, JACOBI) + (
-            alpha)
+    if kind == ONCE:
+        split = (_solved_part(A, block, FORWARD) - 0.5 * _solved_part(A, block, JACOBI) + alpha)
     else:
         split = _solved_part(A + alpha, block, kind)
     if kind == JACOBI:

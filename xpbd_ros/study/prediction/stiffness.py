@@ -21,8 +21,7 @@ from xpbd_ros.study.prediction.static_response import (
     FORWARD,
     JACOBI,
     LINES,
-    ONCE_BACKWARD,
-    ONCE_FORWARD,
+    ONCE,
     PATHS,
     StaticResponse,
 )
@@ -95,10 +94,9 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
     sizes = np.cumsum([0, *(part.jacobian.shape[0] for part in parts)])
     rows = {name: np.arange(a, b) for name, a, b in zip(names, sizes[:-1], sizes[1:])}
     everything = np.arange(sizes[-1])
-    turned = None
     if solver.method == 'line':
-        passes, turned = _passes_of_lines(sheet, rows, frame_dt / solver.substeps,
-                                          alternate=solver.substeps > 1)
+        passes = _passes_of_lines(sheet, rows, frame_dt / solver.substeps,
+                                  alternate=solver.substeps > 1)
     elif solver.method == 'gauss_seidel_symmetric':
         passes = [(FORWARD, everything), (BACKWARD, everything)]
     elif solver.method == 'jacobi':
@@ -112,17 +110,16 @@ def response_of(sheet: Sheet, names: list[str], solver: Solver, frame_dt: float,
         sparse.block_diag([part.compliance for part in parts]).tocsr(), mobility, tuple(passes),
         solver.iterations, 1.0 / sheet.most_constraints,
         np.concatenate([a + np.arange(b - a) // part.blocks.shape[1]
-                        for part, a, b in zip(parts, sizes[:-1], sizes[1:])]),
-        turned_passes=turned)
+                        for part, a, b in zip(parts, sizes[:-1], sizes[1:])]))
 
 
 def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float, *,
-                     alternate: bool) -> tuple[tuple, tuple | None]:
+                     alternate: bool) -> list[tuple]:
     """
     Return the passes of ``line`` over the rows of each effect, in substeps of h [s].
 
-    And those of every other substep, or None if they are the same. Soft effects are swept once
-    where substeps ``alternate``.
+    Soft effects are swept once where substeps ``alternate``, here always forward: backward yields
+    the same stiffness.
     """
     edges, lines = np.zeros(0, int), []
     if 'stretch' in rows and (sheet.is_grid or sheet.packs is not None):
@@ -132,12 +129,9 @@ def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float, *,
                  [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
     soft = [name for name in rows if alternate and is_soft(sheet.effects[name].rate, h)]
     stiff = [name for name in rows if name not in soft]
-
-    def passes(once):
-        return (*((FORWARD, rows[name]) for name in stiff), *lines, *once, *lines,
-                *((BACKWARD, rows[name]) for name in reversed(stiff)), (FORWARD, edges))
-    turned = passes((ONCE_BACKWARD, rows[name]) for name in reversed(soft)) if soft else None
-    return passes((ONCE_FORWARD, rows[name]) for name in soft), turned
+    return [*((FORWARD, rows[name]) for name in stiff), *lines,
+            *((ONCE, rows[name]) for name in soft), *lines,
+            *((BACKWARD, rows[name]) for name in reversed(stiff)), (FORWARD, edges)]
 
 
 def stiffness(scene: Scene, simulation: Simulation, solver: Solver) -> list[Row]:
