@@ -2,6 +2,7 @@
 
 from math import ceil, sqrt
 
+import numpy as np
 import pytest
 
 from xpbd_ros.errors import InputError
@@ -27,9 +28,10 @@ def lines(solver):
     return solver.rough if solver.method == 'explicit' else solver
 
 
-def cost(simulation):
-    """Return the cost of a frame by the table [ns]."""
+def cost(simulation, substeps=None):
+    """Return the cost of a frame by the table [ns], of its own or other substeps."""
     solver = simulation.solver
+    substeps = substeps or solver.substeps
     table = SHIPPED.methods[solver.method]
     projected = besides = 0.0
     particles = len(simulation.slot)
@@ -37,11 +39,11 @@ def cost(simulation):
         besides += built.ns_per_substep + built.ns_per_particle * particles
         if built.constraints is not None:
             count, size = built.constraints.particles.shape
-            if solver.method == 'line' and is_soft(built.rate, 1.0 / (60.0 * solver.substeps)):
+            if solver.method == 'line' and is_soft(built.rate, 1.0 / (60.0 * substeps)):
                 count *= 0.5
             projected += count * table.get(name, table['edge' if size == 2 else 'hinge'])
     moved = table['substep'] + table['slot'] * simulation.state.x.shape[1]
-    return solver.substeps * (moved + besides + solver.iterations * projected)
+    return substeps * (moved + besides + solver.iterations * projected)
 
 
 def test_it_is_a_function_of_the_scene_alone():
@@ -145,6 +147,17 @@ def test_a_filled_budget_has_no_room_for_one_more_substep(compliance, method, it
         'cloths.sheet.effects.stretch': {'compliance': compliance}}))
     substeps, used = simulation.solver.substeps, cost(simulation)
     assert used <= 3.0e6 < used / substeps * (substeps + 1)
+
+
+@pytest.mark.parametrize('budget_ms', np.linspace(0.4, 2.0, 9))
+def test_a_budget_buys_the_most_substeps_though_short_ones_take_less_time(budget_ms):
+    """Bending is soft in 5 substeps or more, shear in 19: one more may take less time."""
+    simulation = compile_scene(load_scene('swing', {
+        'solver.method': 'line', 'solver.budget_ms': float(budget_ms),
+        'cloths.sheet.effects': {'stretch': {'compliance': 1e-7}, 'shear': {'stiffness': 40.0},
+                                 'bend': {'stiffness': 1e-4}}}))
+    fitting = [n for n in range(1, 100) if cost(simulation, n) <= 1e6 * budget_ms]
+    assert simulation.solver.substeps == max(fitting)
 
 
 def test_cloth_that_touches_itself_gets_four_substeps_whatever_the_budget():
