@@ -122,15 +122,15 @@ def coincident():
     """
     Coincident particles part, in the same way in every run, and the sheet recovers.
 
-    From one point it opens crumpled. With ``line`` and many substeps it recovers its shape; with
-    settings that are far softer than asked, folds keep some edges compressed.
+    From one point it opens crumpled: in most runs its folds keep some edges compressed, by 6 to
+    12 % in the limit of short steps too (``explicit`` stays where ``line`` has come to rest).
     """
     for setting in USUAL:
-        resolved = setting.method == 'line' and setting.substeps >= 32
         yield Trial(setting, sheet(FIRM, pins={}, gravity=0.0), 3.0, start=one,
-                    recovery_strain=0.01 if resolved else 0.6, label='all of them')
+                    recovery_strain=0.6, label='all of them')
         for place, label in ((patch, 'a patch'), (rows, 'three rows')):
-            yield Trial(setting, sheet(), 3.0, start=place, recovery_strain=0.01, label=label)
+            yield Trial(setting, sheet(FIRM), 3.0, start=place, recovery_strain=0.01,
+                        label=label)
 
 
 @hard('H10', 'both ends of an edge pinned, three lengths apart')
