@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from support.meshes import file_of
 from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
@@ -349,6 +350,30 @@ def test_an_edge_between_two_pins_pulls_both_at_rest():
     np.testing.assert_allclose(frame.x, [[0, 0, 0], [3, 0, 0]], atol=1e-14)
     np.testing.assert_allclose(frame.pins['a'].force, [200.0, 0.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(frame.pins['b'].force, [-200.0, 0.0, 0.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(('name', 'stiffness', 'mesh'), [
+    ('bend', 1.0, False), ('bend', 1.0, True), ('hinge', 1.0, False), ('area', 100.0, False)])
+def test_pins_that_hold_all_of_an_element_feel_the_slope_of_its_energy(name, stiffness, mesh):
+    """Nothing moves, and yet each constraint has the multiplier -C / α."""
+    places = 0.1 * np.array([[i % 3, i // 3, 0] for i in range(6)])
+    strip = file_of(places, [[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]])
+    simulation = simulate(
+        (3, 2), (0.2, 0.1), mesh=strip if mesh else False, gravity=(0, 0, 0),
+        effects={name: {'stiffness': stiffness}}, scene_effects={'damping': {'rate': 0.0}},
+        pins={'a': {'cloth': 'c', 'at': [0, 1, 3, 4]}, 'b': {'cloth': 'c', 'at': [2, 5]}})
+    home = np.array(simulation.frame().pins['b'].pose.position)
+    simulation.step([MovePin('b', Pose(tuple(home + [0.02, 0.01, 0.05])))])
+    frame = run(simulation, 20)
+    constraints, held = simulation.effects[name].constraints, simulation.slot[[2, 5]]
+    slope = np.zeros(3)
+    for axis in range(3):
+        for step in (1e-6, -1e-6):
+            moved = simulation.state.x.copy()
+            moved[axis, held] += step
+            slope[axis] += constraints.energy(moved) / (2.0 * step)
+    assert np.linalg.norm(slope) > 0.5
+    np.testing.assert_allclose(frame.pins['b'].force, -slope, rtol=1e-5, atol=1e-6)
 
 
 def test_a_target_10_m_away_is_reached_late_and_reported():

@@ -138,7 +138,7 @@ class MeshBend(NamedTuple):
 def solve(apart, force, c, residual, total, alpha, there):
     """Return Δf = -(C + α f) / (W + α) of a vector of constraints, where ``there``; keep f."""
     f = recall3(apart, force, c)
-    per = select(both(total > 0.0, there), -1.0 / denominator(apart, total, alpha), 0.0)
+    per = select(both(total + alpha > 0.0, there), -1.0 / denominator(apart, total, alpha), 0.0)
     df = per * xpbd_residual(residual, alpha, f)
     keep3(force, c, f, df)
     return df
@@ -173,7 +173,7 @@ def solve_hinges(bend, apart, c, x, m):
     k2, k3 = load(bend.weight, 2 * count + c), load(bend.weight, 3 * count + c)
     total = fma(k0, k0 * m[0], fma(k1, k1 * m[1], fma(k2, k2 * m[2], k3 * (k3 * m[3]))))
     residual = fma3(k0, x[0], fma3(k1, x[1], fma3(k2, x[2], k3 * x[3])))
-    df = solve(apart, bend.force, c, residual, total, alpha, total > 0.0)
+    df = solve(apart, bend.force, c, residual, total, alpha, alpha >= 0.0)
     return (k0, df), (k1, df), (k2, df), (k3, df)
 
 

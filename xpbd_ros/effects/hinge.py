@@ -116,7 +116,8 @@ def solve_hinge(hinge, apart, c, x, m):
     total = fma(m[0], w0, fma(m[1], w1, square * fma(m[2], r1, m[3] * r2)))
     alpha, f = load(hinge.compliance, c), recall(apart, hinge.force, c)
     residual = xpbd_residual(now - load(hinge.rest_angle, c), alpha, f)
-    df = select(both(open_, total > 0.0), -residual / denominator(apart, total, alpha), 0.0)
+    df = select(both(open_, total + alpha > 0.0),
+                -residual / denominator(apart, total, alpha), 0.0)
     keep(hinge.force, c, f, df)
     u, v, dl = r1 * n1, r2 * n2, -(l * df)
     return (df, fma3(s1, u, s2 * v)), (df, fma3(t1, u, t2 * v)), (dl, u), (dl, v)

@@ -93,6 +93,8 @@ class Pressure(NamedTuple):
     """of 6 V, by lane, shape (PACK,)"""
     before: np.ndarray
     """positions before the constraints moved the particles [m], shape (3, slots)"""
+    turned: np.ndarray
+    """True if the rotation that they made in this iteration is undone, shape (1,)"""
 
 
 @stage(prepare, Pressure)
@@ -100,23 +102,35 @@ class Pressure(NamedTuple):
 def prepare_pressure(pressure, state, substep):
     """Zero the multiplier."""
     pressure.force[:] = 0.0
+    begin_iteration(pressure, state)
+
+
+@jit
+def begin_iteration(pressure, state):
+    """Note the positions before the constraints move the particles."""
     keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
+    pressure.turned[0] = False
 
 
 @stage(project_inequalities, Pressure)
 @jit
 def turn_surface_back(pressure, state, substep):
-    """Undo the rotation that the constraints made."""
-    if at_the_end(state.apart):
+    """
+    Undo the rotation that the constraints made.
+
+    In further turns of the inequalities there is none of theirs: what contacts turn stays.
+    """
+    if at_the_end(state.apart) and not pressure.turned[0]:
         turn_back(state.x, state.mobility, state.mass, pressure.slots[0], pressure.slots[1],
                   pressure.before)
+        pressure.turned[0] = True
 
 
 @stage(limit_motion, Pressure)
 @jit
-def begin_iteration(pressure, state, substep):
+def begin_next_iteration(pressure, state, substep):
     """Note the positions at the start of the next iteration."""
-    keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
+    begin_iteration(pressure, state)
 
 
 @jit
@@ -295,7 +309,8 @@ class BuiltPressure(Built):
                 np.array([first, first + cloth.block.size]), triangles[0, :1].copy(),
                 padded(triangles, pack(triangles), slots - 1, np.int32).T.copy(),
                 np.array([volume], dtype), np.array([alpha], dtype), zeros(PACK, dtype),
-                here, slope, gradient, zeros(PACK, dtype), before))
+                here, slope, gradient, zeros(PACK, dtype), before,
+                np.zeros(1, np.bool_)))
             listed.append(triangles)
             volumes.append(volume)
             compliance.append(alpha)
