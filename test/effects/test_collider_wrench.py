@@ -13,9 +13,11 @@ from xpbd_ros.sim.commands import (
     Grasp,
     MoveCollider,
     MovePin,
+    PlaceCollider,
     Pose,
     Release,
     RemoveCollider,
+    SetKey,
     Twist,
 )
 from xpbd_ros.sim.stepping import explicit_guard
@@ -161,6 +163,26 @@ def test_a_collider_that_goes_takes_no_part_of_the_weight():
     assert found.largest[:10].min() > 0.1
     assert found.worst() < EXACT
     assert found.largest[12:].max() == 0.0
+
+
+@pytest.mark.parametrize(('method', 'integrator'), [
+    ('line', 'bdf2'), slow('line', 'ndf2'), slow('gauss_seidel', 'backward_euler')])
+def test_impulses_add_up_where_pins_and_colliders_come_and_go(method, integrator):
+    """All begin without a history then: neighbours of those touched or held do not lag."""
+    simulation = cloth(pose={'position': [-0.2, -0.175, 0.152]}, method=method,
+                       integrator=integrator, colliders={'body': BALL})
+    changes = {14: PlaceCollider('other', 'sphere', (0.1,), Pose((9.0, 0.0, 0.0))),
+               18: SetKey('effects.contact.thickness', 0.006), 22: RemoveCollider('other'),
+               28: Release('hand'), 34: RemoveCollider('body')}
+
+    def change(frame):
+        if frame.index == 8:
+            return [Grasp('hand', Pose(tuple(frame.x[-1])), 0.03)]
+        return [changes[frame.index]] if frame.index in changes else []
+
+    found = balance(simulation, [change] * 40)
+    assert found.largest[:34].max() > 0.5
+    assert found.worst() < EXACT
 
 
 SLOW = [(setting, name) for setting in SETTINGS for name in STORIES

@@ -60,7 +60,7 @@ from xpbd_ros.sim.contact.device_search import new_marks
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
 from xpbd_ros.sim.contact.last_iteration import begin_waiting, waits
-from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, forget_multistep
+from xpbd_ros.sim.contact.multistep_impulses import begin_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
 from xpbd_ros.sim.contact.shape_data import shape_data
@@ -267,7 +267,7 @@ class BuiltContact(Built):
         colliders.count[0] = len(self.placed)
         self.contacts.count[0] = 0    # those found have numbers of colliders
         self.contacts.near.valid[0] = 0
-        forget_multistep(self.contacts.wrenches.multistep)
+        self.restarts = True    # those marked have numbers of colliders too
         self.changes += 1
 
     def _write_twist(self, c: int, placed: Placed) -> None:

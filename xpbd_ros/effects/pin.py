@@ -44,7 +44,7 @@ from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.geometry.quaternion import conjugate, rotate
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
-from xpbd_ros.sim.particles.state import forget, places
+from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.pins.entry import Entry
 from xpbd_ros.sim.pins.held_places import place_of
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
@@ -254,9 +254,7 @@ class BuiltPin(Built):
                     compliance, slip)
         if not compliance:
             state.inv_mass[particles] = 0.0
-        forget(state, particles)
-        for pin in self._lists:
-            pin.last[particles] = pin.older[particles] = 0.0
+        self.restarts = True
         self.held[name] = held
         self.open.pop(name, None)
         self.data.start[held.slot] = self.data.goal[held.slot] = (*pose.position,
@@ -338,7 +336,7 @@ class BuiltPin(Built):
             self.open[name] = held.motion
         self.free_slots.insert(0, held.slot)
         state.inv_mass[held.particles] = 1.0 / state.mass[held.particles]
-        forget(state, held.particles)
+        self.restarts = True
         self._changed()
 
     def move(self, command, clock, state) -> None:

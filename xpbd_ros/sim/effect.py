@@ -199,6 +199,9 @@ class Built:
     """external force on each particle [N], shape (3, slots), for ``explicit_guard``"""
     pinned_changed: bool = False
     """True if this effect has changed the set of pinned particles since ``hold``"""
+    restarts: bool = False
+    """True if this effect has changed what holds or stops particles: all begin without a history,
+    or forces between those with and without one would differ"""
 
     def __init__(self):
         self.notes: list[str] = []

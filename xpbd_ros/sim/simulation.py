@@ -94,6 +94,19 @@ class Simulation:
             built.hold(self.state.inv_mass)
             built.pinned_changed = False
 
+    def _restart(self) -> None:
+        """Begin without a history if an effect asks for it."""
+        if any(built.restarts for built in self.effects.values()):
+            self.fetch()
+            self._forget()
+
+    def _forget(self) -> None:
+        """Leave no particle a history."""
+        forget(self.state)
+        for built in self.effects.values():
+            built.forget()
+            built.restarts = False
+
     def compile(self) -> None:
         """Compile all kernels of a frame, or load them from the cache; the state is unchanged."""
         self._crew.compile(*self._arguments())
@@ -121,6 +134,7 @@ class Simulation:
             self.fetch()
         for built in self.effects.values():
             built.begin(clock, self.state)
+        self._restart()
         if any(built.pinned_changed for built in self.effects.values()):
             self._hold()
             self._crew.host_changed()
@@ -133,6 +147,7 @@ class Simulation:
         self._last.look()
         for built in self.effects.values():
             built.end(clock, self.state)
+        self._restart()
         self.index += 1
         return self.frame(applied, tuple(refused), tuple(
             text for built in self.effects.values() for text in built.news()))
@@ -156,6 +171,7 @@ class Simulation:
             except InputError as error:
                 reason = str(error)
             if reason is None:
+                self._restart()
                 self._pending += group
             else:
                 refused.append((group[0], reason))
@@ -282,7 +298,7 @@ class Simulation:
         for key, value in changed.items():
             self._set(SetKey(key, value))
         if changed:
-            forget(self.state)
+            self._forget()
         return None
 
     def _set_state(self, command: SetState) -> str | None:
@@ -312,9 +328,7 @@ class Simulation:
             return str(error)
         self.effects.update(change.effects)
         if change.solver is not None and change.solver.lengths != self.solver.lengths:
-            forget(self.state)    # a history in steps of another length
-            for built in self.effects.values():
-                built.forget()
+            self._forget()    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity

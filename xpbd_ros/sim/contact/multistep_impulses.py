@@ -84,16 +84,11 @@ def new_multistep(capacity: int, slots: int, threads: int, *, on_device: bool) -
                      np.zeros((CHAINS, USUAL)))
 
 
-def forget_multistep(multistep: Multistep) -> None:
-    """Unmark all particles."""
+def begin_multistep(multistep: Multistep) -> None:
+    """Begin without a history of any particle, and without marks."""
     multistep.owner[:] = FREE
     multistep.marked[:] = 0
     multistep.last[:] = multistep.older[:] = 0.0
-
-
-def begin_multistep(multistep: Multistep) -> None:
-    """Begin without a history of any particle."""
-    forget_multistep(multistep)
     multistep.fresh[0] = NONE
 
 
