@@ -76,7 +76,8 @@ def solve_area(area, apart, c, x, m):
     alpha, f = load(area.compliance, c), recall(apart, area.force, c)
     residual = xpbd_residual(0.5 * twice - load(area.rest_area, c), alpha, f)
     total = fma(m[0], dot(g0, g0), fma(m[1], dot(g1, g1), m[2] * dot(g2, g2)))
-    df = select(both(there, total + alpha > 0.0), -residual / denominator(apart, total, alpha), 0.0)
+    df = select(both(there, total + alpha > 0.0),
+                -residual / denominator(apart, total, alpha), 0.0)
     keep(area.force, c, f, df)
     return (df, g0), (df, g1), (df, g2)
 

@@ -249,6 +249,9 @@ class BuiltContact(Built):
                 placed.entry = self.entries[name]
         self.placed, self.changes = old.placed, old.changes
         self._changed()
+        self.restarts = old.restarts    # the colliders have their old numbers
+        for mine, its in zip(self.contacts.wrenches.multistep, old.contacts.wrenches.multistep):
+            mine[...] = its
 
     def _changed(self) -> None:
         """Write the colliders into the kernels' arrays."""
