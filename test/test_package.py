@@ -148,7 +148,7 @@ def test_every_console_script_resolves(setup_arguments):
 
 ROOMS = ('commands', 'command_check', 'parameters', 'backend', 'particles', 'geometry',
          'target_stream', 'target_motion', 'constraints', 'contact', 'self_collision', 'stepping',
-         'effect', 'pins', 'measure', 'frame', 'simulation', 'checkpoint')
+         'effect', 'pins', 'measure', 'frame', 'live_keys', 'simulation', 'checkpoint')
 """of the simulation, from the bottom up"""
 
 

@@ -19,10 +19,11 @@ from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
 from xpbd_ros.sim.geometry.quaternion import rotate
+from xpbd_ros.sim.live_keys import Change
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.memory_layout import blocks
 from xpbd_ros.sim.particles.state import new_state, State, with_solver_storage
-from xpbd_ros.sim.simulation import Change, Simulation
+from xpbd_ros.sim.simulation import Simulation
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""

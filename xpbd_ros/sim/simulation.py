@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Sequence
 import copy
-from dataclasses import dataclass
 from fractions import Fraction
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.frame import Frame
+from xpbd_ros.sim.live_keys import Retune
 from xpbd_ros.sim.particles.state import forget, full_history, gather, places, State
 from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
@@ -35,7 +35,7 @@ class Simulation:
 
     def __init__(self, cloths: Sequence[Cloth], state: State, effects: dict[str, Built], *,
                  slot: np.ndarray, frame_rate: Fraction, solver: Solver,
-                 retune: 'Retune | None' = None, card: Any = None,
+                 retune: Retune | None = None, card: Any = None,
                  notes: Sequence[str] = ()):
         self.cloths = tuple(cloths)
         self.state = state
@@ -432,25 +432,3 @@ class SavedState:
     def simulation(self) -> Simulation:
         """Return a new simulation that continues from here."""
         return copy.deepcopy(self._simulation)
-
-
-@dataclass(frozen=True)
-class Change:
-    """What a live key changes."""
-
-    effects: dict[str, Built]
-    solver: Solver | None = None
-    gravity: tuple[float, float, float] | None = None
-
-
-class Retune(Protocol):
-    """Compute what a new value of a live key changes, as ``scene.compile.Retune`` does."""
-
-    def __call__(self, key: str, value: Any) -> Change:
-        """Return the change; raise InputError for a bad value."""
-
-    def check(self, changes: dict[str, Any]) -> object:
-        """Raise InputError for bad keys or values; change nothing."""
-
-    def rebind(self, state: State, effects: dict[str, Built]) -> None:
-        """Continue with another state and effects of the same scene."""
