@@ -118,7 +118,7 @@ def test_the_angle_goes_on_beyond_half_a_turn_without_a_kick(fold):
     steps = np.abs(np.diff(pushes))
     assert steps.max() < 2.0 * np.median(steps[steps > 0.0])
     project(simulation)
-    simulation.effects['hinge'].reset(simulation.state, 0)
+    simulation.effects['hinge'].reset(simulation.state)
     assert (data.angle == data.rest_angle).all()
 
 

@@ -23,7 +23,7 @@ def follow(motion, frames, aims=lambda frame: ()):
     for frame in range(frames):
         for pose, twist, stamp_ns in aims(frame):
             motion.aim(pose, twist, stamp_ns, nanoseconds(frame))
-        motion.advance(nanoseconds(frame + 1), DT)
+        motion.advance(nanoseconds(frame + 1), DT, nanoseconds(frame + 1))
         assert motion.start is poses[-1]
         poses.append(motion.pose)
     return poses

@@ -223,17 +223,17 @@ class BuiltContact(Built):
     def work(self, state, dt):
         return work_of_colliders(self.contacts.wrenches.impulse, self.colliders, dt)
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.again()
         self.placed = {}
         for name in self.entries:
-            self._put(name, now_ns)
+            self._put(name)
         self._changed()
 
-    def _put(self, name: str, now_ns: int) -> None:
+    def _put(self, name: str) -> None:
         """Place a collider of the scene at its initial pose."""
         entry, shape = self.entries[name], self.shapes.get(name)
-        self.placed[name] = placed = Placed(entry, motion_of(entry, now_ns * 1e-9))
+        self.placed[name] = placed = Placed(entry, motion_of(entry))
         placed.field = shape if isinstance(shape, Field) else None
         placed.heights = shape if isinstance(shape, np.ndarray) else None
         placed.motion.lever = max(placed.reach, 0.0) or 1.0
@@ -326,7 +326,7 @@ class BuiltContact(Built):
     def move(self, command, clock, state) -> None:
         """Set a collider's target, and the velocity of its surface if given."""
         if command.collider not in self.placed:
-            self._put(command.collider, clock.begin_ns)
+            self._put(command.collider)
             self._changed()
         placed, twist = self.placed[command.collider], command.twist
         placed.renew(clock.begin_ns)
@@ -342,7 +342,7 @@ class BuiltContact(Built):
         if placed is None:
             entry = Entry(position=command.pose.position, orientation=command.pose.orientation,
                           **{command.shape: shape})
-            self.placed[name] = placed = Placed(entry, motion_of(entry, 0.0))
+            self.placed[name] = placed = Placed(entry, motion_of(entry))
         else:
             placed.motion.aim(command.pose, None, 0, clock.begin_ns)
         placed.lifetime_ns = command.lifetime_ns
@@ -414,7 +414,7 @@ class BuiltContact(Built):
         self.contacts.wrenches.impulse[:] = 0.0
         for c, placed in enumerate(self.placed.values()):
             motion = placed.motion
-            motion.advance(clock.end_ns, clock.dt)
+            motion.advance(clock.end_ns, clock.dt, clock.end_age_ns)
             start, pose = motion.start, motion.pose
             self.colliders.start[c] = (*start.position, *start.orientation)
             self.colliders.goal[c] = (*pose.position, *pose.orientation)

@@ -196,7 +196,7 @@ class BuiltHinge(Built):
     def moved(self):
         self.data.angle[:] = self.data.rest_angle
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.moved()
 
     def adopt(self, old):

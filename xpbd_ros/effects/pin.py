@@ -209,7 +209,7 @@ class BuiltPin(Built):
         self._v_before = np.zeros((3, 0))
         self._news: list[str] = []
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.release_all(None, None, state)
         self.open.clear()
         self.slipped = 0
@@ -222,8 +222,8 @@ class BuiltPin(Built):
             point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
             keyframes = None
             if entry.motion is not None:
-                keyframes = MonotoneCubic(entry.motion, now_ns * 1e-9)
-                point = keyframes(now_ns * 1e-9)
+                keyframes = MonotoneCubic(entry.motion)
+                point = keyframes(0.0)
             held = self._hold(name, particles, Pose(point), state, keyframes)
             held.axes_open = entry.frame is not None
             if entry.target is not None:
@@ -374,7 +374,7 @@ class BuiltPin(Built):
             self._let_go(name, state)
         motions = [held.motion for held in self.held.values()]
         for motion in (*motions, *self.open.values()):
-            motion.advance(clock.end_ns, clock.dt)
+            motion.advance(clock.end_ns, clock.dt, clock.end_age_ns)
         if motions:
             slots = [held.slot for held in self.held.values()]
             self.data.start[slots] = rows(motion.start for motion in motions)

@@ -218,7 +218,7 @@ class BuiltSeam(Built):
         for seam in self.parts:
             seam.force[:] = 0.0
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.again()
 
 

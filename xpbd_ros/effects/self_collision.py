@@ -388,7 +388,7 @@ class BuiltSelfCollision(Built):
         self.data.pairs.count[0] = NOT_SOUGHT
         self.data.near.margin[:] = 0.0
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.again()
 
     def read_by_stats(self):

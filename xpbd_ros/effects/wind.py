@@ -80,7 +80,6 @@ class BuiltWind(Built):
         self.velocity = np.array(parameters.velocity)
         """mean velocity of the scene or of the last command [m/s]"""
         self.data = Wind(*(np.zeros(3) for _ in range(3)))
-        self._start_ns = 0
 
     def refusal(self, commands, state):
         return next((f'wind: {list(command.velocity)} is faster than {FASTEST:g} m/s'
@@ -93,18 +92,16 @@ class BuiltWind(Built):
     commands = {SetWind: change}
 
     def begin(self, clock, state):
-        for velocity, now_ns in ((self.data.start, clock.begin_ns), (self.data.goal,
-                                                                     clock.end_ns)):
-            turns = (now_ns - self._start_ns) * 1e-9 / self.parameters.period
+        for velocity, age_ns in ((self.data.start, clock.begin_age_ns),
+                                 (self.data.goal, clock.end_age_ns)):
+            turns = age_ns * 1e-9 / self.parameters.period
             velocity[:] = self.velocity + np.multiply(self.parameters.gust,
                                                       sin(2.0 * pi * (turns % 1.0)))
 
-    def reset(self, state, now_ns):
+    def reset(self, state):
         self.velocity = np.array(self.parameters.velocity)
-        self._start_ns = now_ns
 
     def adopt(self, old):
-        self._start_ns = old._start_ns
         if self.parameters.velocity == old.parameters.velocity:
             self.velocity = old.velocity
 

@@ -66,6 +66,10 @@ class Clock:
     """simulation time at its start [ns]"""
     end_ns: int
     """simulation time at its end [ns]"""
+    begin_age_ns: int
+    """simulation time from the scene's start, or the last reset, to the frame's start [ns]"""
+    end_age_ns: int
+    """likewise, to its end [ns]"""
     dt: float
     """its length [s]"""
     substeps: int
@@ -285,8 +289,8 @@ class Built:
         """Yield the kernels' output that ``stats`` reads; each is copied before the next."""
         return ()
 
-    def reset(self, state: State, now_ns: int) -> None:
-        """Go to the scene's start, at this simulation time [ns]."""
+    def reset(self, state: State) -> None:
+        """Go to the scene's start."""
 
     def adopt(self, old: 'Built') -> None:
         """Go on from where the same effect was before a live key changed."""

@@ -61,6 +61,7 @@ class Simulation:
         self._pending: list[Command] = []    # applied since the last frame
         self._saved: SavedState | None = None
         self._lag = 0    # frames by which a loaded state is older than the index
+        self._first = 0    # frame of the last reset, less the lag then
         self._keys: dict[str, Any] = {}    # live keys that were set
         self._start = state.x.copy()
         self._step = step.compiled(tuple(effects))
@@ -69,7 +70,7 @@ class Simulation:
         self._guard = None if solver.rough_frames is None else ExplicitGuard(self)
         self._last = FrameRollback(self)
         for built in effects.values():
-            built.reset(state, 0)
+            built.reset(state)
         self._collect()
 
     def time_ns(self, index: int) -> int:
@@ -185,8 +186,14 @@ class Simulation:
     def _clock(self) -> Clock:
         """Return the next frame as the effects see it: after a load, at the time of the save."""
         index = self.index - self._lag
-        return Clock(index + 1, self.time_ns(index), self.time_ns(index + 1), self.frame_dt,
-                     self.setting.substeps)
+        age = self.age
+        return Clock(index + 1, self.time_ns(index), self.time_ns(index + 1), self.time_ns(age),
+                     self.time_ns(age + 1), self.frame_dt, self.setting.substeps)
+
+    @property
+    def age(self) -> int:
+        """Frames from the scene's start, or the last reset; those of the save after a load."""
+        return self.index - self._lag - self._first
 
     @property
     def setting(self) -> Solver:
@@ -272,6 +279,7 @@ class Simulation:
         return None
 
     def _reset(self, command: Reset) -> None:
+        self._first += self.age
         self.state.x[:] = self._start
         self.state.x_prev[:] = self._start
         self.state.v[:] = 0.0
@@ -280,7 +288,7 @@ class Simulation:
         if self._guard is not None:
             self._guard.reset()
         for built in self.effects.values():
-            built.reset(self.state, self._clock().begin_ns)
+            built.reset(self.state)
 
     def _keep_state(self, command: SaveState) -> None:
         self._saved = None    # a state holds no other

@@ -26,7 +26,8 @@ class Motion:
     ----------
     pose : initial pose
     max_speed : bound of the speed [m/s]
-    keyframes : function from time [s] to a position [m], followed until the first target; or None
+    keyframes : function from the time since the scene's start, or the last reset, [s] to a
+        position [m], followed until the first target; or None
     lever : distance from the pose at which rotation too must keep to max_speed [m]
     begins_at_target : True if the first target is taken at once, at any distance
 
@@ -92,11 +93,15 @@ class Motion:
         self.target, self._left = self.pose, 0.0
         self.keyframes = self.stream = None
 
-    def advance(self, end_ns: int, dt: float) -> None:
-        """Advance ``pose`` by a frame of dt [s] that ends at ``end_ns`` [ns]."""
+    def advance(self, end_ns: int, dt: float, age_ns: int = 0) -> None:
+        """
+        Advance ``pose`` by a frame of dt [s] that ends at ``end_ns`` [ns].
+
+        ``age_ns`` is that time since the scene's start, or the last reset, which keyframes take.
+        """
         self.start = self.pose
         if self.keyframes is not None:
-            self.target = Pose(self.keyframes(end_ns * 1e-9), self.pose.orientation)
+            self.target = Pose(self.keyframes(age_ns * 1e-9), self.pose.orientation)
             self._left = 0.0
         elif self.stream is not None:
             self.target, self._left = self.stream.at(end_ns, round(dt * 1e9)), 0.0
@@ -162,24 +167,23 @@ class MonotoneCubic:
     """
     The monotone cubic interpolant of points (t, x, y, z) [s, m]: from time [s] to position [m].
 
-    It is constant before the first point and after the last. The time 0 of the points is the time
-    ``begin`` of the function.
+    It is constant before the first point and after the last.
     """
 
-    def __init__(self, points, begin: float = 0.0):
+    def __init__(self, points):
         from scipy.interpolate import PchipInterpolator
 
-        self._points, self._begin = points, begin
+        self._points = points
         self._table = table = np.array(points, float)
         self._curve = PchipInterpolator(table[:, 0], table[:, 1:]) if len(table) > 1 else None
 
     def __reduce__(self):
         """Pickle the points: the interpolator follows from them."""
-        return MonotoneCubic, (self._points, self._begin)
+        return MonotoneCubic, (self._points,)
 
     def __call__(self, t: float) -> tuple[float, float, float]:
         """Return the position [m] at a time [s]."""
         if self._curve is None:
             return tuple(self._table[0, 1:].tolist())
         first, last = self._table[0, 0], self._table[-1, 0]
-        return tuple(self._curve(min(max(t - self._begin, first), last)).tolist())
+        return tuple(self._curve(min(max(t, first), last)).tolist())

@@ -130,12 +130,12 @@ class ColliderStates(Mapping[str, ColliderState]):
         return len(self.names)
 
 
-def motion_of(entry: Entry, now: float) -> Motion:
-    """Return a collider's initial motion, at the simulation time ``now`` [s]."""
+def motion_of(entry: Entry) -> Motion:
+    """Return a collider's initial motion."""
     keyframes, pose = None, entry.pose
     if entry.motion is not None:
-        keyframes = MonotoneCubic(entry.motion, now)
-        pose = Pose(keyframes(now), pose.orientation)
+        keyframes = MonotoneCubic(entry.motion)
+        pose = Pose(keyframes(0.0), pose.orientation)
     return Motion(pose, entry.max_speed, keyframes=keyframes, begins_at_target=bool(entry.frame))
 
 

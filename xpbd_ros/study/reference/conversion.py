@@ -151,7 +151,7 @@ class _Path:
     def __init__(self, simulation: Any, x: Array, moving: list):
         self._knots = [x]
         self._moving = moving
-        self._index = simulation.index
+        self._index, self._age = simulation.index, simulation.age
         self._dt = simulation.frame_dt
         self._time_ns = simulation.time_ns
 
@@ -166,6 +166,7 @@ class _Path:
     def _advance(self) -> None:
         knot = self._knots[-1].copy()
         for rows, motion in self._moving:
-            motion.advance(self._time_ns(self._index + len(self._knots)), self._dt)
+            motion.advance(self._time_ns(self._index + len(self._knots)), self._dt,
+                           self._time_ns(self._age + len(self._knots)))
             knot[rows] += np.subtract(motion.pose.position, motion.start.position)
         self._knots.append(knot)
