@@ -200,6 +200,20 @@ def test_a_fold_opens_with_the_energy_that_it_stores(name):
     assert min(left) < 0.02 * stored
 
 
+def test_a_fold_keeps_its_turns_where_another_cloth_is_set():
+    grid = {'grid': {'size': [1.0, 0.5], 'resolution': [3, 2]}, 'density': 0.2,
+            'effects': {'hinge': {'stiffness': B}}}
+    simulation = compile_scene(scene_from_mapping(
+        {'cloths': {'a': grid, 'b': {**grid, 'pose': {'position': [0.0, 2.0, 0.0]}}}},
+        where='two.yaml', name='two'))
+    hinges, data = simulation.effects['hinge'].constraints, simulation.effects['hinge'].data
+    mine = np.isin(hinges.particles, simulation.cloths[0].slots).all(1)
+    data.angle[hinges.index] = 4.0
+    x = simulation.frame().x[simulation.cloths[1].particles]
+    assert not simulation.apply([SetState('b', tuple(x.ravel().tolist()))])
+    assert (data.angle[hinges.index] == np.where(mine, 4.0, 0.0)).all()
+
+
 def test_a_fold_that_is_set_is_no_turn_of_the_one_before():
     """From 170° up to 170° down is not 20° further."""
     def folded(degrees):

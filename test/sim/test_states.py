@@ -5,8 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
-from support.scenes import run, simulate, with_effects
+from support.scenes import GRAVITY, run, simulate, with_effects
+from support.tiers import slow
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import (
     Click,
     Grasp,
@@ -148,6 +151,55 @@ def test_states_that_fit_no_cloth_are_refused():
     assert not simulation.pending
 
 
+SHEETS = pytest.mark.parametrize('integrator', ['bdf2', slow('ndf2'), slow('backward_euler')])
+
+
+def sheets(integrator):
+    """Return sheets a and b, each pinned at a corner, a ball under each, where they have swung."""
+    simulation = compile_scene(scene_from_mapping({
+        'solver': {'method': 'line', 'integrator': integrator, 'substeps': 5},
+        'cloths': {name: {'grid': {'size': [1.0, 0.8], 'resolution': [5, 4]}, 'density': 1.0,
+                          'pose': {'position': [x, 0.0, 0.0]}, 'effects': FALLING}
+                   for name, x in (('a', 0.0), ('b', 3.0))},
+        'pins': {name: {'cloth': name, 'at': 'corner_00'} for name in 'ab'},
+        'colliders': {name: {'sphere': {'radius': 0.3}, 'position': [x, 0.4, -0.4]}
+                      for name, x in (('a', 0.5), ('b', 3.5))},
+        'effects': {'pin': {}, 'contact': {'thickness': 0.005}}},
+        where='small.yaml', name='small'))
+    frame = run(simulation, 30)
+    assert all(np.linalg.norm(frame.colliders[name].force) > 0.1 for name in 'ab')
+    return simulation
+
+
+@SHEETS
+def test_a_state_that_is_set_changes_no_bit_of_another_cloth(integrator):
+    """Nor of the forces on its pin and on its collider."""
+    plain, other = sheets(integrator), sheets(integrator)
+    a, b = (cloth.particles for cloth in plain.cloths)
+    place = flat(plain.frame().x[b] + [0.0, 0.0, 0.1])
+    for k in range(12):
+        expected, frame = plain.step(), other.step([SetState('b', place)] if k == 0 else ())
+        np.testing.assert_array_equal(frame.x[a], expected.x[a])
+        np.testing.assert_array_equal(frame.pins['a'].force, expected.pins['a'].force)
+        np.testing.assert_array_equal(frame.colliders['a'].force, expected.colliders['a'].force)
+    assert np.abs(frame.x[b] - expected.x[b]).max() > 0.01
+
+
+@SHEETS
+def test_pins_and_colliders_bear_a_cloth_from_the_state_that_is_set_on(integrator):
+    """Σ F dt = Σ m (g dt - Δv), to rounding."""
+    simulation = sheets(integrator)
+    b, mass = simulation.cloths[1].particles, simulation.state.mass[simulation.cloths[1].slots]
+    before, dt = np.zeros(3), simulation.frame_dt
+    for k in range(6):
+        frame = simulation.step([SetState('b', flat(simulation.frame().x[b]))] if k == 0 else ())
+        force = frame.pins['b'].force + frame.colliders['b'].force
+        after = mass @ frame.v[b]
+        assert force * dt == pytest.approx(
+            mass.sum() * np.array([0.0, 0.0, -GRAVITY]) * dt - (after - before), abs=1e-12)
+        before = after
+
+
 def test_contacts_are_sought_again_where_a_state_puts_the_cloth():
     """The same states as of a simulation that begins there."""
     def lying(z):
@@ -203,11 +255,11 @@ def test_a_pin_of_the_scene_follows_its_target_while_it_is_open():
     assert list(frame.pins) == ['a']
 
 
-def test_the_history_is_forgotten_only_where_particles_are_placed():
+def test_the_history_is_forgotten_where_particles_are_placed():
     simulation = sheet(integrator='bdf2')
     run(simulation, 4)
     fresh = simulation.state.history.fresh.copy()
     simulation.apply([SetState('c', flat(simulation.frame().x))])
     changed = simulation.state.history.fresh != fresh
-    assert changed[simulation.slot].sum() == 19, 'all but the pinned one'
+    assert changed[simulation.slot].all(), "also the pinned one's, which is that of its force"
     assert len(history_arrays(simulation.state)) == 2

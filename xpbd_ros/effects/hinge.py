@@ -193,11 +193,12 @@ class BuiltHinge(Built):
     def again(self):
         self.data.angle[:] = self._before
 
-    def moved(self):
-        self.data.angle[:] = self.data.rest_angle
+    def moved(self, slots):
+        mine = np.isin(self.data.particles, slots).any(0)
+        self.data.angle[mine] = self.data.rest_angle[mine]
 
     def reset(self, state):
-        self.moved()
+        self.data.angle[:] = self.data.rest_angle
 
     def adopt(self, old):
         self.data.angle[:] = old.data.angle

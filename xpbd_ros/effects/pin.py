@@ -219,11 +219,9 @@ class BuiltPin(Built):
             particles = particles[~self._taken(state)[particles]]
             if not len(particles):
                 raise InputError(f'pins.{name}: other pins hold all that it names')
-            point = entry.near or tuple(places(state.x, particles).mean(0).tolist())
-            keyframes = None
-            if entry.motion is not None:
-                keyframes = MonotoneCubic(entry.motion)
-                point = keyframes(0.0)
+            keyframes = None if entry.motion is None else MonotoneCubic(entry.motion)
+            point = keyframes(0.0) if keyframes else entry.near or tuple(
+                places(state.x, particles).mean(0).tolist())
             held = self._hold(name, particles, Pose(point), state, keyframes)
             held.axes_open = entry.frame is not None
             if entry.target is not None:
@@ -240,7 +238,6 @@ class BuiltPin(Built):
 
     def _hold(self, name, particles, pose, state, keyframes=None) -> Held:
         entry = self.entries.get(name)
-        max_speed = (entry or Entry).max_speed
         compliance, slip = self.usual.compliance, self.usual.slip
         if entry is not None:
             compliance = compliance if entry.compliance is None else entry.compliance
@@ -250,8 +247,8 @@ class BuiltPin(Built):
         offset = np.array([rotate.py_func(*inverse, *q) for q in offset.tolist()])
         lever = max(float(length(offset).max()), 1e-6)
         held = Held(name, self.free_slots.pop(0),
-                    Motion(pose, max_speed, keyframes=keyframes, lever=lever), particles, offset,
-                    compliance, slip)
+                    Motion(pose, (entry or Entry).max_speed, keyframes=keyframes, lever=lever),
+                    particles, offset, compliance, slip)
         if not compliance:
             state.inv_mass[particles] = 0.0
         self.restarts = True
@@ -388,6 +385,10 @@ class BuiltPin(Built):
     def again(self):
         for pin in self._lists:
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
+
+    def moved(self, slots):
+        for pin in self._lists:
+            pin.last[slots] = pin.older[slots] = 0.0
 
     def work(self, state, dt):
         count = self.data.count[0]

@@ -218,6 +218,10 @@ class BuiltSeam(Built):
         for seam in self.parts:
             seam.force[:] = 0.0
 
+    def moved(self, slots):
+        for seam in self.parts:
+            seam.force[np.isin(seam.first, slots) | np.isin(seam.second, slots)] = 0.0
+
     def reset(self, state):
         self.again()
 

@@ -262,8 +262,8 @@ class Built:
     def forget(self) -> None:
         """Forget what earlier substeps left to the next ones: no particle has a history."""
 
-    def moved(self) -> None:
-        """Forget the positions before: the particles have been placed elsewhere, at rest."""
+    def moved(self, slots: np.ndarray) -> None:
+        """Forget where the particles of a cloth, in these slots, were: they rest elsewhere now."""
         self.again()
 
     def end(self, clock: Clock, state: State) -> None:

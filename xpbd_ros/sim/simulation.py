@@ -322,9 +322,9 @@ class Simulation:
         slots = cloth.slots[free]
         state.x[:, slots] = state.x_prev[:, slots] = places[free].T
         state.v[:, slots] = 0.0
-        forget(state, slots)
+        forget(state, cloth.slots)    # a pin's history is that of the forces on it
         for built in self.effects.values():
-            built.moved()
+            built.moved(cloth.slots)
         return None
 
     def _set(self, command: SetKey) -> str | None:
