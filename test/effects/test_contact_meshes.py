@@ -211,6 +211,47 @@ def test_a_live_key_does_not_reload_the_file_of_a_mesh(tmp_path):
     np.testing.assert_allclose(frame.x[0], [0.0, 0.0, 0.1 + R], atol=1e-6)
 
 
+@pytest.mark.parametrize('comes', ['with the scene', 'while it runs'])
+def test_a_thickness_set_live_acts_as_one_given(tmp_path, comes):
+    """A particle falls past a box, 0.11 m from its edge, one onto it; with the file gone too."""
+    def falling(thickness, x):
+        if comes == 'with the scene':
+            simulation = particle({'s': mesh(tmp_path / 'box.obj', box_surface(), spacing=0.02)},
+                                  x, contact={'thickness': thickness}, substeps=4)
+            (tmp_path / 'box.obj').unlink()
+            return simulation
+        simulation = particle({}, x, contact={'thickness': thickness, 'mesh_nodes': 400_000},
+                              substeps=4)
+        simulation.step([PlaceCollider('s', 'mesh', corners(box_surface()), Pose())])
+        return simulation
+
+    half = box_surface()[0].max(0)
+    for x in (half + [0.08, 0.08, 0.2], half * [0.1, 0.2, 1.0] + [0.0, 0.0, 0.2]):
+        given, live = falling(0.1, x), falling(R, x)
+        for k in range(40):
+            expected = given.step()
+            frame = live.step([SetKey('effects.contact.thickness', 0.1)] if k == 0 else ())
+            np.testing.assert_array_equal(frame.x, expected.x)
+        if x[0] > half[0]:
+            np.testing.assert_array_equal(frame.x[0, :2], x[:2])
+        else:
+            assert frame.x[0, 2] == pytest.approx(half[2] + 0.1, abs=1e-6)
+
+
+def test_a_live_thickness_without_room_for_its_grids_is_refused():
+    simulation = particle({}, (0.0, 0.0, 0.9), contact={'thickness': 0.03, 'mesh_nodes': 60_000})
+    crate = PlaceCollider('crate', 'mesh', corners(box_surface()), Pose())
+    assert not simulation.step([crate]).refused
+    (_, why), = simulation.step([SetKey('effects.contact.thickness', 0.001)]).refused
+    start, _, missing = why.rpartition(' ')
+    assert start == ('effects.contact.thickness: the grids of meshes for 0.001 m have no room; '
+                     'raise effects.contact.mesh_nodes by')
+    room = {'thickness': 0.03, 'mesh_nodes': 60_000 + int(missing)}
+    simulation = particle({}, (0.0, 0.0, 0.9), contact=room)
+    assert not simulation.step([crate]).refused
+    assert not simulation.step([SetKey('effects.contact.thickness', 0.001)]).refused
+
+
 def test_what_lies_on_ground_that_slopes_slides_with_g_sin():
     """A ramp of 3 in 4, its middle at the position."""
     ramp = {'heights': {'size': [4.0, 2.0], 'values': [[1.5, 0.0, -1.5]] * 2},

@@ -63,7 +63,7 @@ from xpbd_ros.sim.contact.last_iteration import begin_waiting, waits
 from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, unmark
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
-from xpbd_ros.sim.contact.shape_data import shape_data
+from xpbd_ros.sim.contact.shape_data import for_thickness, shape_data
 from xpbd_ros.sim.contact.wrenches import (
     bear_half_kick,
     begin_wrenches,
@@ -184,9 +184,12 @@ class BuiltContact(Built):
             raise InputError(f'colliders: {len(self.entries)} colliders, but '
                              f'effects.contact.max_colliders is {capacity}; raise it')
         self.thickness = parameters.thickness
-        self.shapes = (shape_data(self.entries, parameters.thickness, world)
-                       if 'contact' not in world.before else world.before['contact'].shapes)
-        """distance fields and heights of the scene's entries, by name"""
+        before = world.before.get('contact')
+        self.shapes, self._renewed = (
+            (shape_data(self.entries, parameters.thickness, world), {}) if before is None else
+            for_thickness(before.shapes, before.placed, parameters.thickness,
+                          parameters.mesh_nodes))
+        """distance fields and heights of the scene's entries, and fields to adopt, by name"""
         nodes = parameters.mesh_nodes + sum(
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
@@ -251,6 +254,7 @@ class BuiltContact(Built):
         for name, placed in old.placed.items():
             if placed.entry is old.entries.get(name):
                 placed.entry = self.entries[name]
+            placed.field = self._renewed.get(name)
         self.placed, self.changes = old.placed, old.changes
         self._changed()
         self.restarts = old.restarts    # the colliders have their old numbers

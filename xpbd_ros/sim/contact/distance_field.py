@@ -13,7 +13,7 @@ lost.
 Limits: edges are rounded. Edges sharper than some 20° lose up to ROUNDED spacings.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, prod, sqrt
 
 import numpy as np
@@ -55,6 +55,17 @@ class Field:
     """radius of the bounding sphere around the origin [m]"""
     size: tuple[float, float, float]
     """extents of the surface [m]"""
+    gap: float
+    """largest distance from the surface that contacts may use [m]"""
+    surface: tuple[np.ndarray, np.ndarray]
+    """vertices and triangles that it was made from"""
+    given: float | None = None
+    """spacing that was asked for [m]"""
+
+    def for_gap(self, gap: float) -> 'Field':
+        """Return the field of the same surface for another gap [m]; itself if that is its own."""
+        return self if gap == self.gap else distance_field(
+            *self.surface, gap=gap, spacing=self.given)
 
 
 class NoRoomError(InputError):
@@ -83,7 +94,8 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     room : largest number of nodes
 
     """
-    vertices, triangles = _closed(np.asarray(vertices, float), triangles)
+    surface = np.asarray(vertices, float), triangles
+    vertices, triangles = _closed(*surface)
     usual = grid_around(vertices, gap=gap)[1]
     field = _field(vertices, triangles, gap, spacing, room)
     while not _is_resolved(field, usual):
@@ -99,7 +111,7 @@ def distance_field(vertices: np.ndarray, triangles: np.ndarray, *, gap: float,
     if spacing is not None and field.spacing < spacing:
         raise InputError(f'is so thin in places that particles pass it on a grid of {spacing:g} '
                          f'm; use a spacing of {field.spacing:.3g} m, or leave it out')
-    return field
+    return replace(field, surface=surface, given=spacing)
 
 
 def _is_resolved(field: Field, usual: float) -> bool:
@@ -133,7 +145,7 @@ def _field(vertices, triangles, gap: float, spacing: float | None, room: int) ->
     inside = crossings.cumsum(0) > 0
     values = (np.where(inside, -distance, distance) * spacing).astype(np.float32)
     return Field(values, origin, spacing, clearance, float(np.sqrt((vertices**2).sum(1).max())),
-                 tuple((high - low).tolist()))
+                 tuple((high - low).tolist()), gap, (vertices, triangles))
 
 
 def grid_around(vertices: np.ndarray, *, gap: float, spacing: float | None = None):

@@ -1,10 +1,11 @@
-"""Distance fields and heights of a scene's colliders."""
+"""Distance fields and heights of colliders."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.sim.contact.collider import Placed
 from xpbd_ros.sim.contact.collider_entries import Body, Entry, table
 from xpbd_ros.sim.contact.distance_field import distance_field, Field
 
@@ -38,3 +39,41 @@ def shape_data(entries: Mapping[str, Entry], thickness: float,
             file = f'{keys.file}: ' if keys.file and keys.file not in str(error) else ''
             raise InputError(f'colliders.{name}.{entry.shape}: {file}{error}') from None
     return found
+
+
+def for_thickness(shapes: Mapping[str, Field | np.ndarray], placed: Mapping[str, Placed],
+                  thickness: float, spare: int) -> tuple[dict[str, Field | np.ndarray],
+                                                         dict[str, Field]]:
+    """
+    Return the same as ``shape_data``, and the fields of placed colliders, for another thickness.
+
+    Parameters
+    ----------
+    shapes : those of the scene's colliders, by name
+    placed : the colliders that there are, by name
+    thickness : distance kept from surfaces [m]
+    spare : room for nodes of grids besides that of ``shapes``
+
+    Raises
+    ------
+    InputError : a mesh is too thin for it, or placed meshes have no room
+
+    """
+    fields = {name: each.field for name, each in placed.items() if each.field is not None}
+    new: dict[Field, Field] = {}
+    for name, field in (*shapes.items(), *fields.items()):
+        if isinstance(field, Field) and field not in new:
+            try:
+                new[field] = field.for_gap(thickness)
+            except InputError as error:
+                raise InputError(f"effects.contact.thickness: collider '{name}' {error} (got "
+                                 f'{thickness:g} m)') from None
+    found = {name: new[shape] if isinstance(shape, Field) else shape
+             for name, shape in shapes.items()}
+    fields = {name: new[field] for name, field in fields.items()}
+    missing = sum(field.values.size for field in fields.values()) - spare - sum(
+        shape.values.size for shape in found.values() if isinstance(shape, Field))
+    if missing > 0:
+        raise InputError(f'effects.contact.thickness: the grids of meshes for {thickness:g} m '
+                         f'have no room; raise effects.contact.mesh_nodes by {missing}')
+    return found, fields
