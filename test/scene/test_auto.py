@@ -10,6 +10,7 @@ from xpbd_ros.scene.auto import COMPENSATED, largest_rate, MIN_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.stepping.methods import is_soft
 from xpbd_ros.study.prediction.stiffness import stiffness
 
@@ -87,6 +88,22 @@ def test_short_substeps_of_float32_cost_a_third_more():
     double = resolved(rigid, n=80).substeps
     assert plain <= 37 < compensated
     assert compensated == pytest.approx(double / SHIPPED.single / COMPENSATED, rel=0.1)
+
+
+def test_a_run_with_long_substeps_does_not_pay_for_compensation_of_later_short_ones():
+    """It has no storage for it, and says so."""
+    def sheet(compliance, precision):
+        return compile_scene(scene_from_mapping({
+            'solver': {'method': 'line', 'precision': precision}, 'cloths': {'c': {
+                'grid': {'size': [1, 1], 'resolution': [80, 80]}, 'density': 0.2,
+                'effects': {'stretch': {'compliance': compliance}}}}}, where='x', name='x'))
+    simulation, text = sheet(1.0, 'float32'), 'rounding errors are not compensated'
+    assert simulation.solver.substeps <= 37 and simulation.state.rounding is None
+    assert not simulation.apply([SetKey('cloths.c.effects.stretch.compliance', 1e-9)])
+    assert simulation.solver.substeps == pytest.approx(
+        sheet(1e-9, 'float64').solver.substeps / SHIPPED.single, rel=0.1)
+    assert text in simulation.solver.reason
+    assert text not in sheet(1e-9, 'float32').solver.reason
 
 
 def test_stiff_gas_raises_the_substeps():

@@ -9,6 +9,7 @@ from support.newton import balance
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
+from xpbd_ros.ros.chosen_keys import chosen_keys
 from xpbd_ros.scene.auto import CALM_FRAMES, cost
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -225,20 +226,18 @@ def test_a_reset_begins_with_explicit(monkeypatch):
 
 
 def test_stiffer_cloth_takes_line_and_the_log_of_it_repeats():
-    """In a log ``auto`` is resolved, and the substeps that it chose later are there as keys."""
-    def chosen(solver):
-        return {'solver.substeps': solver.substeps, 'solver.rough_substeps': solver.rough_substeps}
+    """In a log ``auto`` is resolved, and what it chose later is there as keys."""
     mixed = sheet()
     repeated = again(mixed)
     assert replace(repeated.solver, reason='') == replace(mixed.solver, reason='')
-    key, before = 'cloths.c.effects.stretch.warp', chosen(mixed.solver)
+    key, before = 'cloths.c.effects.stretch.warp', chosen_keys(mixed.solver)
     for stiffness, method in ((1e12, 'line'), (90.0, 'explicit'), (0.1, 'explicit'), (60.0,
                                                                                   'explicit')):
         change = [SetKey(key, stiffness)]
         assert not mixed.step(change).refused
-        now = chosen(mixed.solver)
+        now = chosen_keys(mixed.solver)
         assert not repeated.step([*change, *(
-            SetKey(name, count) for name, count in now.items() if count != before[name])]).refused
+            SetKey(name, value) for name, value in now.items() if value != before[name])]).refused
         before = now
         assert (mixed.solver.method, mixed.solver.mixes) == (method, True)
         assert repeated.hash() == mixed.hash()

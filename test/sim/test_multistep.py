@@ -25,7 +25,7 @@ def freshness(before: float, *velocities) -> float:
     older, last, now = (zeros((3, 16), np.float64) for _ in range(3))
     for array, v in zip((older, last, now), velocities):
         array[:] = np.reshape(v, (3, 1))
-    steady(History(now, now, last, last, fresh), now, last, older, gap, H)
+    steady(History(now, now, last, last, fresh, np.zeros(1)), now, last, older, gap, H)
     assert (fresh == fresh[0]).all()
     return fresh[0]
 

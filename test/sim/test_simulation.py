@@ -272,6 +272,38 @@ def test_substeps_of_another_length_move_nothing_by_themselves(integrator):
         np.testing.assert_allclose(frame.v[0], [2.0, 0.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.parametrize('first', [30, 3])
+def test_the_integrator_that_is_told_after_a_live_change_is_the_one_that_runs(first):
+    """NDF2 has storage for BDF2 too; what began with BDF2 stays with it."""
+    stiff = {'names': FEW, 'method': 'line', 'scale': 1e-4, 'pose': {'position': [0.0, 0.0, 0.05]}}
+    live = with_effects(substeps=first, integrator=None, **stiff)
+    told = []
+    for substeps in (first, 33 - first, first):
+        if live.index:
+            assert not live.apply([SetKey('solver.substeps', substeps)])
+        told.append(live.solver.integrator)
+        given = with_effects(substeps=substeps, integrator=told[-1], **stiff)
+        for name in ('x', 'x_prev', 'v'):
+            getattr(given.state, name)[:] = getattr(live.state, name)
+        for _ in range(10):
+            frame, expected = live.step(), given.step()
+            np.testing.assert_array_equal(frame.x, expected.x)
+            np.testing.assert_array_equal(frame.v, expected.v)
+            np.testing.assert_array_equal(frame.pins['a'].force, expected.pins['a'].force)
+            np.testing.assert_array_equal(frame.colliders['table'].force,
+                                          expected.colliders['table'].force)
+    assert told == (['ndf2', 'bdf2', 'ndf2'] if first == 30 else ['bdf2'] * 3)
+    assert np.abs(frame.colliders['table'].force).max() > 0.1
+
+
+def test_an_integrator_without_storage_is_refused():
+    for begun, known in (('bdf2', 'bdf2'), ('ndf2', 'ndf2, bdf2')):
+        simulation = simulate((2, 2), method='line', integrator=begun)
+        (_, why), = simulation.apply([SetKey('solver.integrator', 'backward_euler')])
+        assert why == ('solver.integrator: backward_euler cannot begin while running (these can: '
+                       f'{known}); start with it')
+
+
 def test_compiling_moves_nothing():
     simulation = with_effects(pose={'position': [0.0, 0.0, 2.0]})
     before = simulation.hash()

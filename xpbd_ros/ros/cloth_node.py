@@ -20,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
-from xpbd_ros.ros.chosen_substeps import chosen_substeps, with_chosen_substeps
+from xpbd_ros.ros.chosen_keys import chosen_keys, with_chosen_keys
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
@@ -147,7 +147,7 @@ class ClothNode(LifecycleNode):
                              read_cloud=self.interaction.clouds.read)
         self.topics.open()
         self.node_services = Services(self)
-        self._substeps = chosen_substeps(simulation.solver)
+        self._chosen = chosen_keys(simulation.solver)
         for text in self.live_parameters.unknown():
             log.warning(text)
 
@@ -316,9 +316,9 @@ class ClothNode(LifecycleNode):
         if keys:
             heard.add('scene')
             encoded['scene'] = self._changed(keys)
-            frame = with_chosen_substeps(frame, {**self._substeps, **keys},
-                                         chosen_substeps(self.simulation.solver))
-            self._substeps = chosen_substeps(self.simulation.solver)
+            frame = with_chosen_keys(frame, {**self._chosen, **keys},
+                                     chosen_keys(self.simulation.solver))
+            self._chosen = chosen_keys(self.simulation.solver)
         if self.makes_clock:
             clock = Clock()
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)

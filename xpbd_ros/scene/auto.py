@@ -9,6 +9,7 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
+from xpbd_ros.sim.particles.history import integrators_with
 from xpbd_ros.sim.particles.state import SHORT
 from xpbd_ros.sim.stepping.solver import Solver
 
@@ -71,16 +72,31 @@ def resolve(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
             keys, effects, state, frame_dt):
         solver = _lines_as_given(keys)
     else:
-        solver = _choose(keys, effects, state, frame_dt)
+        solver = _choose(keys, effects, state, frame_dt, live=live)
         if keys.method == 'auto' and (not live or state.apart is not None):
             solver = _with_explicit(solver, keys, effects, state, frame_dt, live=live)
+    if live:
+        solver = _as_stored(solver, state, frame_dt)
     if keys.error_target is not None and solver.substeps > keys.max_substeps:
         raise InputError(f'solver.max_substeps: must be at least {solver.substeps}, the substeps '
                          f'that the run starts with (got {keys.max_substeps})')
     return solver
 
 
-def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
+def _as_stored(solver: Solver, state, frame_dt: float) -> Solver:
+    """Return the setting of a simulation that runs, and refuse what it has no storage for."""
+    known = integrators_with(state.history)
+    if solver.with_history not in known:
+        raise InputError(f'solver.integrator: {solver.with_history} cannot begin while running '
+                         f'(these can: {", ".join(known)}); start with it')
+    if state.x.dtype == np.float32 and state.rounding is None and solver.method not in APART and (
+            frame_dt / solver.substeps < SHORT):
+        return replace(solver, reason=f'{solver.reason}; rounding errors are not compensated, as '
+                       'it began with longer substeps')
+    return solver
+
+
+def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = False) -> Solver:
     """
     Choose what the scene leaves open: method, integrator, substeps.
 
@@ -102,7 +118,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
                          'jacobi')
-    affordable = _affordable(keys, method, effects, state, frame_dt)
+    affordable = _affordable(keys, method, effects, state, frame_dt, live)
     costly = [name for name, built in effects.items()
               if method != 'explicit' and built.fewest_substeps > affordable]
     affordable = max([affordable, *(effects[name].fewest_substeps for name in costly)])
@@ -112,6 +128,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         raise InputError(f"solver.integrator: '{integrator}' is unstable with "
                          f'{barred[integrator]}, which the scene has; take bdf2 or backward_euler')
     if (keys.integrator is None and method == 'line' and 'ndf2' not in barred
+            and (not live or 'ndf2' in integrators_with(state.history))
             and NDF2_STABLE * needed <= (keys.substeps or affordable)):
         integrator = 'ndf2'
     if (integrator == 'leapfrog') != (method == 'explicit'):
@@ -134,7 +151,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         chosen['rough_integrator'] = keys.rough_integrator or (
             'bdf2' if keys.rough_frames else 'backward_euler')
         chosen['rough_substeps'] = keys.rough_substeps or _bounded(
-            LINE['backward_euler'] * needed, _affordable(keys, 'line', effects, state, frame_dt))
+            LINE['backward_euler'] * needed, _affordable(
+                keys, 'line', effects, state, frame_dt, live))
     if keys.substeps is not None:
         reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
         if method == 'explicit' and keys.substeps < needed:
@@ -153,7 +171,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float) -> Solver:
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
     h = frame_dt / substeps
-    took = 1e-6 * substeps * compensation(method, state, h) * cost(
+    took = 1e-6 * substeps * compensation(method, state, h, live) * cost(
         method, keys.iterations, effects, state, table_of(keys), h)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
     return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
@@ -191,8 +209,8 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     if (lines.method != 'line' or 'explicit' in barred or unfit or keys.integrator is not None
             or keys.error_target is not None or keys.substeps is not None and not live):
         return lines
-    rough = lines if keys.substeps is None else _choose(replace(keys, substeps=None), effects,
-                                                        state, frame_dt)
+    rough = lines if keys.substeps is None else _choose(
+        replace(keys, substeps=None), effects, state, frame_dt, live=live)
     per = cost('explicit', 1, effects, state, table_of(keys))
     wanted = _stable_substeps(effects, state, frame_dt)
     affordable = max(1, int(EXCESS * keys.budget_ms * 1e6 / per))
@@ -201,8 +219,8 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
             and not rounds_away(state, frame_dt / substeps))
     if not fits and not live:
         return lines
-    mixed = replace(lines, rough_frames=CALM_FRAMES, rough_integrator=rough.integrator,
-                    rough_substeps=rough.substeps)
+    mixed = replace(lines, rough_frames=CALM_FRAMES, rough_substeps=rough.substeps,
+                    rough_integrator=rough.integrator if fits else lines.integrator)
     if not fits:
         return mixed
     return replace(
@@ -246,17 +264,18 @@ def _bounded(wanted: float, affordable: int) -> int:
     return int(max(min(ceil(min(wanted, 1e9)), affordable), min(MIN_SUBSTEPS, affordable)))
 
 
-def compensation(method: str, state, h: float) -> float:
+def compensation(method: str, state, h: float, live: bool = False) -> float:
     """Return the time of a substep of h [s] over that without compensation of its rounding."""
-    compensated = state.x.dtype == np.float32 and h < SHORT and method not in APART
-    return COMPENSATED if compensated else 1.0
+    short = state.rounding is not None if live else h < SHORT
+    return COMPENSATED if short and state.x.dtype == np.float32 and method not in APART else 1.0
 
 
-def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float) -> int:
+def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float,
+                live: bool) -> int:
     """Return the most substeps that fit the budget; short ones take less time (``SOFT``)."""
     def fitting(h: float) -> int:
         per = cost(method, keys.iterations, effects, state, table_of(keys), h)
-        return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt)
+        return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt, live)
 
     most, found = fitting(0.0), 0
     while found != most:    # fewer are longer, so that the number only falls
@@ -264,11 +283,12 @@ def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float) 
     return most
 
 
-def _compensated(uncompensated: float, method: str, state, frame_dt: float) -> int:
+def _compensated(uncompensated: float, method: str, state, frame_dt: float, live: bool) -> int:
     """Return the substeps that fit the budget, from their number without compensation."""
     count = max(1, int(uncompensated))
-    factor = compensation(method, state, frame_dt / count)
-    return count if factor == 1.0 else max(int(frame_dt / SHORT), int(uncompensated / factor))
+    factor = compensation(method, state, frame_dt / count, live)
+    fewest = 1 if live else int(frame_dt / SHORT)    # below which there is no compensation
+    return count if factor == 1.0 else max(fewest, int(uncompensated / factor))
 
 
 def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED,

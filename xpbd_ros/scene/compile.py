@@ -33,7 +33,8 @@ LINES_AT_ONCE = 1024
 """threads of a GPU that solve lines, each with scratch memory for one"""
 APART = {'jacobi': Jacobi, 'explicit': Explicit}
 """methods that accumulate the displacements of a particle, and their accumulators"""
-CHOSEN_SUBSTEPS = ('solver.substeps', 'solver.rough_substeps')
+CHOSEN = ('solver.substeps', 'solver.rough_substeps', 'solver.integrator',
+          'solver.rough_integrator')
 """live keys that ``auto`` chooses unless they are given"""
 FARTHEST = 1e9
 """largest coordinate of a particle at the start [m]"""
@@ -198,7 +199,7 @@ class Retune:
                                static_friction=scene.cloths[c.name].static_friction)
                        for c in self.cloths)
         effects = self.effects
-        if key not in CHOSEN_SUBSTEPS:    # on which no effect depends
+        if key not in CHOSEN:    # on which no effect depends
             effects = _build(scene, cloths, self.state, self.effects)
             for name, built in effects.items():
                 built.adopt(self.effects[name])
@@ -216,7 +217,7 @@ class Retune:
         known = live_keys(self.scene)
         raw = self.scene.raw
         for key, value in changes.items():
-            if key not in known and key not in CHOSEN_SUBSTEPS:
+            if key not in known and key not in CHOSEN:
                 raise InputError(f'{key}: cannot change while running (these can: '
                                  f'{", ".join(known)})')
             raw = with_key(raw, key, value)

@@ -37,7 +37,14 @@ from xpbd_ros.sim.backend.threads import (
 )
 from xpbd_ros.sim.contact.particle_lanes import block, numbers
 from xpbd_ros.sim.contact.pieces import LANES, over_lanes
-from xpbd_ros.sim.particles.history import FULL, later, NONE, TOUCHED, weights_before, weights_of
+from xpbd_ros.sim.particles.history import (
+    fullest,
+    later,
+    NONE,
+    TOUCHED,
+    weights_before,
+    weights_of,
+)
 
 FREE, NEW = -1, -2
 """owner of a particle that is not marked; of one that collider c has just marked: NEW - c"""
@@ -335,6 +342,7 @@ def _add(history, contacts, sums, lane, c, state, i, new, h):
     if state.inv_mass[i] == 0.0:
         return False    # it is pinned now
     fresh, m, p = history.fresh[i], state.mass[i], contacts.after[c]
+    ends = fresh <= fullest(history)
     ratio, a, b = weights_before(history, i)
     for k in range(3):
         d, fall = _displacement(contacts, i, k), h * state.gravity[k]
@@ -353,11 +361,11 @@ def _add(history, contacts, sums, lane, c, state, i, new, h):
                  -_before(history.older_v, history, m, i, k, fall))
         else:
             _put(sums, OWN, lane, p, k, i, state, m * (free - state.v[k, i]) / ratio)
-        if fresh == FULL:
+        if ends:
             _put(sums, ENDED, lane, p, k, i, state, part)
             _put(sums, ENDED_BEFORE, lane, p, k, i, state,
                  _before(history.older_v, history, m, i, k, fall))
-    return fresh != FULL
+    return not ends
 
 
 @jit(inline=True)

@@ -53,6 +53,9 @@ class History(NamedTuple):
     """FULL: complete; HALF: one earlier substep, or order reduction (BDF2); NONE: no history
     (backward Euler); TOUCHED more than these: invalidated in this substep (backward Euler, then
     NONE); shape (slots,)"""
+    fullest: np.ndarray | None
+    """least value of ``fresh``: FULL, or HALF to take BDF2 with the storage of NDF2, shape (1,);
+    None with BDF2"""
 
 
 STEPS = {'backward_euler': 0, 'leapfrog': 0, 'bdf2': 1, 'ndf2': 2}
@@ -66,7 +69,15 @@ def new_history(integrator: str, slots: int, dtype) -> History | None:
         return None
     x, v = zeros((3, slots), dtype), zeros((3, slots), dtype)
     older_x, older_v = (zeros((3, slots), dtype) if steps == 2 else None for _ in range(2))
-    return History(x, v, older_x, older_v, np.full_like(zeros(slots, dtype), NONE))
+    return History(x, v, older_x, older_v, np.full_like(zeros(slots, dtype), NONE),
+                   np.full(1, FULL, dtype) if steps == 2 else None)
+
+
+def integrators_with(history: History | None) -> tuple[str, ...]:
+    """Return the integrators that this storage serves."""
+    if history is None:
+        return 'backward_euler', 'leapfrog'
+    return ('bdf2',) if history.fullest is None else ('ndf2', 'bdf2')
 
 
 @jit
@@ -226,10 +237,10 @@ def _rotate_history(history, x, x_prev, v):
         return lambda history, x, x_prev, v: (x_prev, x, v, None)
     if isinstance(history[history.fields.index('older_x')], types.NoneType):
         return lambda history, x, x_prev, v: (
-            history.x, x, history.v, History(x_prev, v, None, None, history.fresh))
+            history.x, x, history.v, History(x_prev, v, None, None, history.fresh, None))
     return lambda history, x, x_prev, v: (
         history.older_x, x, history.older_v,
-        History(x_prev, v, history.x, history.v, history.fresh))
+        History(x_prev, v, history.x, history.v, history.fresh, history.fullest))
 
 
 @jit(inline=True)
@@ -265,22 +276,22 @@ def _end_age(history, w, q):
 
     def end(history, w, q):
         fresh = load(history.fresh, q)
-        store(history.fresh, q, _next_age(history.older_x, w, fresh))
+        store(history.fresh, q, _next_age(history.fullest, w, fresh))
         fresh = select(load(w, q) > 0.0, fresh, TOUCHED)
         return fresh < TOUCHED, fresh
     return end
 
 
-def _next_age(older, w, fresh):
-    """Return the vector ``fresh`` of the next substep; ``older`` is None with BDF2."""
+def _next_age(fullest, w, fresh):
+    """Return the vector ``fresh`` of the next substep; ``kept`` is ``History.fullest``."""
 
 
 @inline(_next_age)
-def _next_age_of(older, w, fresh):
-    if isinstance(older, types.NoneType):
-        return lambda older, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
-    return lambda older, w, fresh: select(
-        fresh > NONE, splat(w, NONE), select(fresh > HALF, splat(w, HALF), FULL))
+def _next_age_of(kept, w, fresh):
+    if isinstance(kept, types.NoneType):
+        return lambda kept, w, fresh: select(fresh > NONE, splat(w, NONE), FULL)
+    return lambda kept, w, fresh: select(fresh > NONE, splat(w, NONE), select(
+        fresh > HALF, splat(w, HALF), splat(w, kept[0])))
 
 
 @jit
@@ -319,7 +330,7 @@ def usual_step(history, h):
     """Return H of a particle with a history [s]."""
     if history is None:
         return h
-    return _weights_at(history.older_x, FULL)[0] * h
+    return _weights_at(history.older_x, fullest(history))[0] * h
 
 
 @jit
@@ -331,7 +342,18 @@ def weights_of(history, fresh):
 @jit
 def later(history, fresh):
     """Return the value of ``fresh`` one substep later."""
-    return HALF if history.older_x is not None and fresh > HALF else FULL
+    return HALF if history.older_x is not None and fresh > HALF else fullest(history)
+
+
+@jit
+def fullest(history):
+    """Return the value of ``fresh`` of a particle with a history as long as it gets."""
+    return _fullest(history.fullest)
+
+
+@jit
+def _fullest(kept):
+    return FULL if kept is None else kept[0]
 
 
 @jit

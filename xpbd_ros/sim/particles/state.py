@@ -8,7 +8,7 @@ from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import ThreadTeam
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
-from xpbd_ros.sim.particles.history import History, new_history, NONE
+from xpbd_ros.sim.particles.history import FULL, HALF, History, new_history, NONE
 from xpbd_ros.sim.particles.memory_layout import zeros
 from xpbd_ros.sim.particles.rounding import new_rounding, Rounding
 
@@ -185,6 +185,13 @@ def full_history(state: State) -> list[np.ndarray]:
     """Return all arrays besides x, v and inv_mass that determine the next substep."""
     fresh = [] if state.history is None else [state.history.fresh]
     return [*history_arrays(state), *fresh]
+
+
+def begin_history(state: State, integrator: str) -> None:
+    """Clear the history of all particles, for an integrator that its storage serves."""
+    forget(state)
+    if state.history is not None and state.history.fullest is not None:
+        state.history.fullest[0] = FULL if integrator == 'ndf2' else HALF
 
 
 def forget(state: State, particles=slice(None)) -> None:

@@ -28,9 +28,15 @@ class Solver:
         return bool(self.rough_frames)
 
     @property
+    def with_history(self) -> str:
+        """Integrator of the frames that are not ``explicit``."""
+        explicit = self.method == 'explicit'
+        return self.rough_integrator or 'leapfrog' if explicit else self.integrator
+
+    @property
     def lengths(self) -> tuple:
         """All that a history's steps depend on."""
-        return self.method, self.substeps, self.rough_substeps
+        return self.method, self.substeps, self.rough_substeps, self.with_history
 
     @property
     def rough(self) -> 'Solver':
