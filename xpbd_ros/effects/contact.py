@@ -60,7 +60,7 @@ from xpbd_ros.sim.contact.device_search import new_marks
 from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
 from xpbd_ros.sim.contact.impulses import add_impulses
 from xpbd_ros.sim.contact.last_iteration import begin_waiting, waits
-from xpbd_ros.sim.contact.multistep_impulses import begin_multistep, unmark
+from xpbd_ros.sim.contact.multistep_impulses import begin_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
 from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
 from xpbd_ros.sim.contact.shape_data import for_thickness, shape_data
@@ -215,14 +215,10 @@ class BuiltContact(Built):
         """number of changes of the set of colliders"""
 
     def again(self):
-        self.moved(slice(None))
-        self.contacts.wrenches.impulse[:] = 0.0
-        self.forget()
-
-    def moved(self, slots):
         self.contacts.count[0] = NOT_SOUGHT
         self.contacts.near.valid[0] = 0
-        unmark(self.contacts.wrenches.multistep, slots)
+        self.contacts.wrenches.impulse[:] = 0.0
+        self.forget()
 
     def forget(self):
         begin_multistep(self.contacts.wrenches.multistep)

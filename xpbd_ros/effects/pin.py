@@ -386,10 +386,6 @@ class BuiltPin(Built):
         for pin in self._lists:
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
-    def moved(self, slots):
-        for pin in self._lists:
-            pin.last[slots] = pin.older[slots] = 0.0
-
     def work(self, state, dt):
         count = self.data.count[0]
         power = (self.data.force[:count] * state.v.T[self.data.particle[:count]]).sum(1)

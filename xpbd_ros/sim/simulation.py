@@ -15,7 +15,14 @@ from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, 
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.frame import Frame
 from xpbd_ros.sim.live_keys import Retune
-from xpbd_ros.sim.particles.state import begin_history, forget, full_history, gather, places, State
+from xpbd_ros.sim.particles.state import (
+    forget,
+    full_history,
+    gather,
+    places,
+    State,
+    take_integrator,
+)
 from xpbd_ros.sim.particles.state_hash import hashed
 from xpbd_ros.sim.stepping import step
 from xpbd_ros.sim.stepping.device import DeviceCrew
@@ -322,7 +329,7 @@ class Simulation:
         slots = cloth.slots[free]
         state.x[:, slots] = state.x_prev[:, slots] = places[free].T
         state.v[:, slots] = 0.0
-        forget(state, cloth.slots)    # a pin's history is that of the forces on it
+        self._forget()
         for built in self.effects.values():
             built.moved(cloth.slots)
         return None
@@ -336,9 +343,8 @@ class Simulation:
             return str(error)
         self.effects.update(change.effects)
         if change.solver is not None and change.solver.lengths != self.solver.lengths:
-            begin_history(self.state, change.solver.with_history)    # its steps differ
-            for built in self.effects.values():
-                built.forget()
+            take_integrator(self.state, change.solver.with_history)
+            self._forget()    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity

@@ -28,6 +28,7 @@ from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either, select
 from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import (
+    alone,
     count_up,
     is_on_device,
     share,
@@ -72,8 +73,7 @@ class Multistep(NamedTuple):
     older: np.ndarray
     """Σ J_{n-2}, shape (capacity, 6)"""
     fresh: np.ndarray
-    """``History.fresh`` of particles about each collider that have not touched it, shape
-    (capacity,)"""
+    """``History.fresh`` of particles that have touched nothing, shape (1,)"""
     parts: np.ndarray
     """sums of a part for each thread, of every part on a GPU, shape (…, COLUMNS, LANES)"""
     chains: np.ndarray
@@ -86,7 +86,7 @@ def new_multistep(capacity: int, slots: int, threads: int, *, on_device: bool) -
         return np.zeros((capacity, 6))
 
     return Multistep(np.full(slots, float(FREE)), np.zeros(capacity, np.int64),
-                     np.zeros(capacity, np.int64), sums(), sums(), sums(), np.full(capacity, NONE),
+                     np.zeros(capacity, np.int64), sums(), sums(), sums(), np.full(1, NONE),
                      np.zeros((-(-slots // PART) if on_device else threads, COLUMNS, LANES)),
                      np.zeros((CHAINS, USUAL)))
 
@@ -96,22 +96,7 @@ def begin_multistep(multistep: Multistep) -> None:
     multistep.owner[:] = FREE
     multistep.marked[:] = 0
     multistep.last[:] = multistep.older[:] = 0.0
-    multistep.fresh[:] = NONE
-
-
-def unmark(multistep: Multistep, slots: np.ndarray | slice) -> None:
-    """
-    Unmark particles that have lost their history.
-
-    A collider that others touch too keeps its sums, in which the share of these particles fades;
-    about the rest no particle has a history.
-    """
-    multistep.owner[slots] = FREE
-    owners = multistep.owner[multistep.owner > FREE].astype(np.int64)
-    multistep.marked[:] = np.bincount(owners, minlength=len(multistep.marked))
-    rest = multistep.marked == 0
-    multistep.last[rest] = multistep.older[rest] = 0.0
-    multistep.fresh[rest] = NONE
+    multistep.fresh[0] = NONE
 
 
 @jit
@@ -128,11 +113,12 @@ def spread_impulses(history, contacts, state, h):
         if active:    # the next one takes the same chains
             wait(team)
     wait(team)
-    begin, end, step = turns(team, len(spread.fresh))    # also of those that are still to come
+    begin, end, step = turns(team, colliders)
     for c in range(begin, end, step):
         spread.marked[c] -= spread.unmarked[c]
         spread.unmarked[c] = 0
-        spread.fresh[c] = later(history, spread.fresh[c])
+    if alone(team):
+        spread.fresh[0] = later(history, spread.fresh[0])
 
 
 @jit(inline=True)
@@ -140,7 +126,7 @@ def finish_sums(history, contacts, c, k, active):
     """Add column k of -R of collider c; ``active``: some particle is marked."""
     spread, total = contacts.wrenches.multistep, contacts.wrenches.impulse
     own = total[c, k] - spread.before[c, k]    # - the collider's impulse on the cloth
-    share, a, b = weights_of(history, spread.fresh[c])
+    share, a, b = weights_of(history, spread.fresh[0])
     forces, change, begun, ended, ended_before = own, own, 0.0, 0.0, 0.0
     parts = (len(spread.owner) + PART - 1) // PART
     for chain in range(min(CHAINS, parts) if active else 0):

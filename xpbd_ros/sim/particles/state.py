@@ -187,9 +187,8 @@ def full_history(state: State) -> list[np.ndarray]:
     return [*history_arrays(state), *fresh]
 
 
-def begin_history(state: State, integrator: str) -> None:
-    """Clear the history of all particles, for an integrator that its storage serves."""
-    forget(state)
+def take_integrator(state: State, integrator: str) -> None:
+    """Take an integrator that the storage of the history serves, with a cleared history."""
     if state.history is not None and state.history.fullest is not None:
         state.history.fullest[0] = FULL if integrator == 'ndf2' else HALF
 
