@@ -221,6 +221,19 @@ def test_commands_of_one_message_act_together_or_not_at_all():
     assert simulation.step([(up, Release('a'), ReleaseAll())]).refused == ()
 
 
+def test_commands_of_the_whole_simulation_go_alone():
+    """Not with some of what they are sent with done, and all of it told as done."""
+    simulation, grasp, key = sheet(), Grasp('a', Pose(), 0.01), SetKey('gravity', [0.0, 0.0, 0.0])
+    for group in ((key, grasp), (grasp, key), (Reset(), MovePin('missing', Pose()))):
+        name = 'Reset' if Reset() in group else 'SetKey'
+        frame = simulation.step([group])
+        assert frame.refused == ((group[0], f'{name}: goes alone, not in a tuple; nothing of it '
+                                            'was done'),)
+        assert (frame.applied, dict(frame.pins)) == ((), {})
+    assert simulation.state.gravity[2] == -GRAVITY
+    assert simulation.step([(key,)]).applied == (key,)
+
+
 def test_jitter_of_target_arrival_does_not_shake_the_pin_force():
     """30 Hz, 10 ms more or less: the force on the pin is as smooth as with targets in time."""
     def forces(uneven):

@@ -44,7 +44,8 @@ def scene(cloths, *, mode='surface', pins=None, gravity=GRAVITY, substeps=10, ro
         'pins': pins or {},
         'colliders': colliders or {},
         'effects': {'friction': {}, 'contact': {'thickness': thickness}, 'self_collision': {
-            'thickness': thickness, 'mode': mode, 'room': room}},
+            'thickness': thickness, 'mode': mode,
+            **({'room': room} if room else {})}},
     }, where='small.yaml', name='small'))
 
 
@@ -414,6 +415,15 @@ def test_what_lies_on_pinned_cloth_weighs_on_its_pins():
     own, weight = (simulation.state.mass[cloth.slots].sum() * GRAVITY
                    for cloth in simulation.cloths)
     np.testing.assert_allclose(force, [0.0, 0.0, -own - weight], atol=0.02 * weight)
+
+
+@pytest.mark.parametrize(('room', 'finds'), [(24, False), (None, True)])
+def test_thick_cloth_has_room_for_all_pairs(room, finds):
+    """Three times as thick as its particles are apart."""
+    simulation = scene({'a': square(0.0, 16), 'b': square(0.055, 16, x=0.003)}, room=room,
+                       thickness=0.05)
+    run(simulation, 3)
+    assert (simulation.stats()['self_without_room'] == 0) == finds
 
 
 def test_what_finds_no_room_is_counted_and_all_stays_finite():

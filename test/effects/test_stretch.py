@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
+from support.meshes import box, file_of
 from support.scenes import GRAVITY, hang, run, run_stage, run_until_still, simulate
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
@@ -288,6 +289,17 @@ def test_edges_of_a_mesh_have_the_stiffness_of_their_direction():
     np.testing.assert_allclose(1.0 / built.compliance,
                                (500.0 * cosine + 20.0 * (1.0 - cosine)) * area / square,
                                rtol=1e-9)
+
+
+def test_a_body_has_no_stiffness_by_width():
+    """Its inner edges belong to no triangle, so warp and weft would leave them without any."""
+    body = file_of(*box())
+    with pytest.raises(InputError) as error:
+        simulate(mesh=body, effects={'stretch': {'warp': 10.0, 'weft': 10.0}})
+    assert str(error.value).endswith(
+        'cloths.c.effects.stretch: warp and weft (N/m) are of a surface, and 43 edges are inside '
+        'a body; give compliance (m/N), or the effect volume')
+    simulate(mesh=body, effects={'stretch': {'compliance': 0.01}})
 
 
 @pytest.mark.parametrize('method', [

@@ -25,6 +25,7 @@ lengths.
 """
 
 from dataclasses import dataclass
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +67,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     load_starts,
     NeighbourList,
     new_neighbour_list,
+    spacing_of,
     store_moves,
     told,
     track_motion,
@@ -103,6 +105,8 @@ ROUNDS = 24
 """most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
 """most repetitions of holding back"""
+ROOM, MOST_ROOM = 24, 1000
+"""usual number of pairs that may touch, per particle, and the largest"""
 LISTED, NEAR = 4, 2
 """room in the neighbour list and for near pairs, per pair that may touch"""
 
@@ -115,7 +119,9 @@ class Parameters:
                                 doc='distance kept between surfaces')
     mode: str = quantity('surface', choices=('surface', 'particles'),
                          doc='triangles and edges, or only particles: cheaper and thicker')
-    room: int = quantity(24, minimum=1, maximum=1000, doc='pairs that may touch, per particle')
+    room: int | None = quantity(None, minimum=1, maximum=MOST_ROOM,
+                                doc='pairs that may touch, per particle; 24, or more where the '
+                                    'thickness exceeds the particle spacing')
 
 
 class SelfCollision(NamedTuple):
@@ -344,6 +350,13 @@ def press_on_pins(effect, state, substep):
     press(effect.pairs, effect.near, state, substep)
 
 
+def usual_room(thickness: float, cloths) -> int:
+    """Return the pairs that may touch, per particle: as many as a disc of the thickness has."""
+    spacing = spacing_of(cloths)
+    return ROOM if thickness <= spacing or spacing == 0.0 else min(
+        MOST_ROOM, ceil(ROOM * (thickness / spacing)**2))
+
+
 class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
@@ -359,7 +372,7 @@ class BuiltSelfCollision(Built):
             raise InputError('effects.self_collision.mode: surface needs triangles, and no cloth '
                              'has any; use particles')
         count = sum(len(cloth.slots) for cloth in world.cloths)
-        room = parameters.room * count
+        room = (parameters.room or usual_room(parameters.thickness, world.cloths)) * count
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(), kin(world), world.threads,

@@ -166,6 +166,10 @@ def _on_meshes(cloths, world) -> MeshStretch | PathStretch:
         else:
             along = (d @ mesh.warp)**2 / square
             area = edge_areas(mesh.triangles, ends, mesh.positions)
+            if not area.all():
+                raise InputError(f'cloths.{cloth.name}.effects.stretch: warp and weft (N/m) are '
+                                 f'of a surface, and {np.sum(area == 0.0)} edges are inside a '
+                                 'body; give compliance (m/N), or the effect volume')
             alpha.append(world.compliance_scale * square / (
                 area * (chosen.warp * along + chosen.weft * (1.0 - along))))
     time = distance.times(cloths, world)

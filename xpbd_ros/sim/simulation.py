@@ -264,9 +264,7 @@ class Simulation:
 
     def _apply(self, group: tuple[Command, ...]) -> str | None:
         """Apply commands together, or return why not."""
-        if not group:
-            return None
-        if type(group[0]) in self._own:
+        if len(group) == 1 and type(group[0]) in self._own:
             return self._own[type(group[0])](group[0])
         clock = self._clock()
         owners: dict[int, tuple[Built, list[Command]]] = {}
@@ -274,7 +272,9 @@ class Simulation:
             owner = next((built for built in self.effects.values()
                           if type(command) in built.commands), None)
             if owner is None:
-                return f'{type(command).__name__}: the scene has no effect that does this'
+                why = ('goes alone, not in a tuple; nothing of it was done'
+                       if type(command) in self._own else 'the scene has no effect that does this')
+                return f'{type(command).__name__}: {why}'
             owners.setdefault(id(owner), (owner, []))[1].append(command)
         for owner, mine in owners.values():
             reason = owner.refusal(mine, self.state)

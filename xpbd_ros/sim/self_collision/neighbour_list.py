@@ -155,6 +155,13 @@ class NeighbourList(NamedTuple):
     """weld group: equal for particles that a seam joins, shape (particles,); None without seams"""
 
 
+def spacing_of(cloths) -> float:
+    """Return the shortest of the cloths' mean edge lengths [m]; 0 without edges."""
+    lengths = [length.mean() for cloth in cloths if len(length := np.linalg.norm(
+        np.diff(cloth.mesh.positions[cloth.mesh.edges], axis=1)[:, 0], axis=1))]
+    return float(min(lengths, default=0.0))
+
+
 def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
                        kin: np.ndarray | None = None, threads: int = 1,
                        on_device: bool = False) -> NeighbourList:
@@ -175,7 +182,6 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
     cloth_of = np.repeat(np.arange(len(cloths)), [len(cloth.mesh.positions) for cloth in cloths])
     count, points, trees = len(rest), np.arange(len(rest)), None
-    edges = [cloth.mesh.edges + cloth.first for cloth in cloths]
 
     def tree(items: np.ndarray) -> BoxTree:
         return new_box_tree(items, rest, cloth_of, threads)
@@ -186,14 +192,12 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         points = np.unique(triangles)
         trees = Surface(tree(triangles), tree(np.unique(sides, axis=0).reshape(-1, 2)))
         most = max(most, *(each.corners.shape[1] for each in trees))
-    lengths = [np.linalg.norm(rest[pairs[:, 0]] - rest[pairs[:, 1]], axis=1).mean()
-               for pairs in edges if len(pairs)]
     room = (room + 3 * PACK - 1) // PACK * PACK
     records = np.zeros((count + 1, 4), np.float32)
     records[:-1, :3], records[:-1, 3] = rest - rest[0], cloth_of
     return NeighbourList(
         np.concatenate([cloth.slots for cloth in cloths]), cloth_of, records,
-        float(0.25 * min(lengths, default=0.0)), np.zeros((count + 1, 4)),
+        0.25 * spacing_of(cloths), np.zeros((count + 1, 4)),
         np.zeros((count + 1, 4), np.float32), np.zeros((count + 1, 4), np.float32),
         np.zeros((count + 1, 4)), np.zeros((count + 1, 4)), np.zeros(3), unit,
         np.zeros((count, 3)), np.zeros(3), np.zeros(3), np.zeros(count), np.zeros((count, 3)),
