@@ -282,6 +282,7 @@ def test_the_integrator_that_is_told_after_a_live_change_is_the_one_that_runs(fi
         if live.index:
             assert not live.apply([SetKey('solver.substeps', substeps)])
         told.append(live.solver.integrator)
+        live.state.v[2] = np.where(live.state.x[0] < 0.5, -3.0, 3.0)    # on the table, and up
         given = with_effects(substeps=substeps, integrator=told[-1], **stiff)
         for name in ('x', 'x_prev', 'v'):
             getattr(given.state, name)[:] = getattr(live.state, name)
