@@ -89,7 +89,7 @@ def _as_stored(solver: Solver, state, frame_dt: float) -> Solver:
     if solver.with_history not in known:
         raise InputError(f'solver.integrator: {solver.with_history} cannot begin while running '
                          f'(these can: {", ".join(known)}); start with it')
-    if state.x.dtype == np.float32 and state.rounding is None and solver.method not in APART and (
+    if state.x.dtype == np.float32 and state.rounding is None and state.apart is None and (
             frame_dt / solver.substeps < SHORT):
         return replace(solver, reason=f'{solver.reason}; rounding errors are not compensated, as '
                        'it began with longer substeps')
