@@ -101,7 +101,7 @@ class World:
         self.state = new_state(x + random.uniform(-0.02, 0.02, (count, 3)),
                                np.full(count, 1e-3), (0.0, 0.0, -9.8), slot, slots, dtype=dtype)
         fresh = np.zeros(slots, dtype)
-        self.state = self.state._replace(history=History(None, None, None, None, fresh))
+        self.state = self.state._replace(history=History(None, None, None, None, fresh, None))
         self.state.inv_mass[slot[::17]] = 0.0
         self.slot = slot
         velocity = speed * (random.normal(size=(slots // 8, 3))
