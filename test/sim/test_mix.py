@@ -9,7 +9,7 @@ from support.newton import balance
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros.chosen_keys import chosen_keys
+from xpbd_ros.ros.chosen_keys import chosen_keys, with_chosen_keys
 from xpbd_ros.scene.auto import CALM_FRAMES, cost
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -247,6 +247,22 @@ def test_stiffer_cloth_takes_line_and_the_log_of_it_repeats():
         assert repeated.hash() == mixed.hash()
         assert np.isfinite(mixed.frame().x).all()
     assert mixed.stats()['frames_taken_back'] == 0
+
+
+def test_an_integrator_that_changes_while_running_is_in_the_log():
+    lines = sheet('line', effects=STIFF)
+    repeated, told = again(lines), [lines.solver.integrator]
+    for substeps in (1, 40):
+        before = chosen_keys(lines.solver)
+        frame = with_chosen_keys(lines.step([SetKey('solver.substeps', substeps)]), before,
+                                 chosen_keys(lines.solver))
+        assert not repeated.step(frame.applied).refused
+        told.append(lines.solver.integrator)
+        for _ in range(5):
+            assert repeated.hash() == lines.hash()
+            lines.step()
+            repeated.step()
+    assert told == ['ndf2', 'bdf2', 'ndf2']
 
 
 def test_given_substeps_of_a_running_mix_decide_on_the_method():
