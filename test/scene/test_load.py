@@ -67,6 +67,8 @@ def refusal(text, **options):
     ('[4, 3]', '[0, 3]', 'cloths.flag.grid.resolution[0]: must be at least 1 (got 0)'),
     ('[4, 3]', '[4, 100000]',
      'cloths.flag.grid.resolution[1]: must be at most 10000 (got 100000)'),
+    ('[4, 3]', '[3000, 2000]', 'cloths.flag.grid: resolution: must be at most 4000000 particles '
+                               'in all (got 3000 × 2000 = 6000000)'),
     ('{warp: 800.0, weft: 800.0}', '800',
      'cloths.flag.effects.stretch: must be a mapping (got 800)'),
     ('  flag:', '  my flag:',

@@ -11,6 +11,8 @@ from xpbd_ros.sim.parameters import check_static, quantity
 
 MOST_THREADS = 64
 """threads of a simulation, at most"""
+MOST_PARTICLES = 4_000_000
+"""of a grid"""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,13 @@ class Grid:
     size: tuple[float, float] = quantity(unit='m', above=0.0, doc='extent along warp, weft')
     resolution: tuple[int, int] = quantity(minimum=1, maximum=10_000,
                                            doc='particles along warp, weft')
+
+    def __post_init__(self):
+        """Refuse what fits into no memory: a million particles take 1.5 GB."""
+        warp, weft = self.resolution
+        if warp * weft > MOST_PARTICLES:
+            raise InputError(f'resolution: must be at most {MOST_PARTICLES} particles in all '
+                             f'(got {warp} × {weft} = {warp * weft})')
 
 
 @dataclass(frozen=True)
