@@ -5,14 +5,18 @@ from functools import partial
 from pathlib import Path
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from support.logs import SHEET, state_hashes
 from support.waiting import PATIENCE, until
+from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.background import Background, MOST_WAITING
 from xpbd_ros.log.reader import LogReader
+from xpbd_ros.ros.diagnostics import Status
+from xpbd_ros.ros.guards import Tally, texts
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.scene.compile import compile_scene
@@ -93,3 +97,39 @@ def test_what_waits_is_written_before_the_end():
     background.close()
     assert done == [0, 0, 1, 1, 2, 2]
     assert background.idle
+
+
+def test_guards_of_a_frame_are_counted_and_told_worst_first():
+    tally = Tally()
+    for count in (0, 3, 7, 2):
+        tally.look({'pins_at_max_speed': 1, 'self_without_room': count, 'contacts': 5})
+    assert tally.numbers({'frames_taken_back': 2}) == {'frames_taken_back': 2, 'guards': {
+        'pins_at_max_speed': {'frames': 4, 'largest': 1},
+        'self_without_room': {'frames': 3, 'largest': 7}}}
+    assert texts(tally.found) == [
+        'self_without_room: pairs of cloth were left out for lack of room, and may cross; raise '
+        'effects.self_collision.room (in 3 frames, at most 7 in one)',
+        'pins_at_max_speed: pins lagged behind their targets, held by max_speed (in 4 frames, at '
+        'most 1 in one)']
+
+
+def test_run_tells_that_a_pin_lags_behind_its_target(tmp_path, capsys):
+    (tmp_path / 'sheet.yaml').write_text(SHEET.replace(
+        'motion: [[0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.1]]',
+        'target: [9.0, 0.0, 0.0], max_speed: 0.1'))
+    assert main(['run', str(tmp_path / 'sheet.yaml'), '-o', str(tmp_path / 'run')]) == 0
+    assert ('note     pins_at_max_speed: pins lagged behind their targets, held by max_speed (in '
+            '15 frames, at most 1 in one)\n') in capsys.readouterr().out
+
+
+def test_the_node_warns_of_contacts_without_room():
+    said = []
+    node = SimpleNamespace(
+        get_logger=lambda: SimpleNamespace(warning=lambda text, **names: said.append(text)),
+        waits=False, following=SimpleNamespace(finding=''),
+        error_monitor=SimpleNamespace(warning=''))
+    level, summary = Status(node)._findings(0, {
+        'frames_taken_back': 0, 'self_without_room': 12, 'contacts_without_room': 0})
+    assert (level, [summary]) == ('WARN', said)
+    assert summary == ('12 pairs of cloth were left out for lack of room, and may cross; raise '
+                       'effects.self_collision.room')

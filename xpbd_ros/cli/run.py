@@ -24,10 +24,6 @@ from xpbd_ros.scene.frames import notes_without_tf
 
 EXAMPLE = 'xpbd_ros run drape --duration 2 --set solver.substeps=24 -o drape_run'
 
-
-GUARDS = {'frames_taken_back': 'were not finite and were rolled back',
-          'explicit_redone': 'were unstable with explicit and were computed again with line'}
-"""texts for the counters of guards, by counter"""
 LONGEST = 1e6
 """duration of a run, at most [s]"""
 
@@ -118,7 +114,7 @@ def run(arguments) -> int:
         'solver': vars(simulation.solver),
         'refused': len(refused),
         'error': monitor.summary(),
-        **{name: count for name, count in simulation.stats().items() if name in GUARDS},
+        **recorder.guards.numbers(simulation.stats()),
         'notes': notes,
         'state_hash': f'{simulation.hash():016x}',
         'run': folder.absolute(),
@@ -222,6 +218,8 @@ def verdict(repeat, quiet: bool) -> int:
 
 def table(name: str, numbers: dict, monitor) -> str:
     """Return what the run came to, as text."""
+    from xpbd_ros.ros.guards import texts, TOTALS
+
     solver = numbers['solver']
     return '\n'.join([
         f"{name}: {numbers['frames']} frames, {numbers['real_time_factor']:.2f} × real time",
@@ -233,8 +231,9 @@ def table(name: str, numbers: dict, monitor) -> str:
         f"log      {numbers['run']}",
         *(f'picture  {file}' for file in numbers.get('pictures', ())),
         *(f'note     {text}' for text in numbers['notes']),
-        *(f'note     {numbers[guard]} frames {text}' for guard, text in GUARDS.items()
+        *(f'note     {numbers[guard]} frames {text}' for guard, text in TOTALS.items()
           if numbers.get(guard)),
+        *(f'note     {text}' for text in texts(numbers['guards'])),
         *([f"refused  {numbers['refused']} commands"] if numbers['refused'] else [])])
 
 

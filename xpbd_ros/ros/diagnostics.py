@@ -6,6 +6,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from xpbd_ros.ros.guards import LOST
 from xpbd_ros.ros.messages import set_stamp
 from xpbd_ros.sim import measure
 
@@ -127,6 +128,10 @@ class Status:
                             'by one thread: other programs use the cores of the others; free '
                             'some, or take fewer solver.threads')
             log.warning(warnings[-1], throttle_duration_sec=60.0)
+        lost = [f'{stats[name]} {text}' for name, text in LOST.items() if stats.get(name)]
+        if lost:
+            warnings += lost
+            log.warning('; '.join(lost), throttle_duration_sec=60.0)
         if node.following.finding:
             warnings.append(node.following.finding)
         if node.error_monitor.warning:

@@ -22,6 +22,7 @@ from xpbd_ros.log.writer import CHECKPOINT, LogWriter, VECTOR_BITS
 from xpbd_ros.ros import diagnostics
 from xpbd_ros.ros.cdr import trimmed
 from xpbd_ros.ros.command_messages import as_messages
+from xpbd_ros.ros.guards import GUARDS, Tally
 from xpbd_ros.ros.inputs import SECOND
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.sim.backend.simd import BITS, PROCESSOR
@@ -32,12 +33,8 @@ INPUT = Qos(depth=10)
 SPLIT_SIZE = 4 * 10**9
 """size at which a log goes on in a new file [bytes]: it bounds the index in memory (0.7 kB per
 chunk), and a FAT32 volume holds no larger file"""
-GUARDS = ('frames_taken_back', 'explicit_redone', 'pins_slipped', 'pins_at_max_speed',
-          'colliders_at_max_speed', 'contacts_without_room', 'contacts_squeezed',
-          'self_without_room', 'self_squeezed')
-"""counters of the simulation that go into the log, in ``/diagnostics``, as warnings"""
 EVENTS = {'method_switches'}
-"""counters that go into the log too, and are no warnings"""
+"""counters that go into the log as those of guards do, and are no warnings"""
 
 
 class Recorder:
@@ -89,6 +86,8 @@ class Recorder:
         self._later: set[str] = set()
         """channels that were added with their first message"""
         self._counts: dict[str, float] = {}
+        self.guards = Tally()
+        """the counters of guards over the recorded frames"""
         self._moved_ns, self._told_ns = 0, -SECOND    # shift of stamps as last written, when
         frame = simulation.frame()
         self._write_all(outputs.start(), frame)
@@ -162,6 +161,7 @@ class Recorder:
     def _write_guards(self, frame: Frame, stamp_ns: int) -> None:
         """Write the counters of GUARDS and the shift of the stamps, where they changed."""
         stats = self.outputs.simulation.stats()
+        self.guards.look(stats)
         counts = {name: stats[name] for name in (*GUARDS, *EVENTS) if stats.get(name)}
         moved_ns = stamp_ns - self.epoch_ns - frame.time_ns
         tell = (abs(moved_ns - self._moved_ns) > self.outputs.simulation.time_ns(1)
