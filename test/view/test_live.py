@@ -225,6 +225,22 @@ def test_a_viewed_run_has_the_bits_of_any_other(scene):
     assert hash_after(scene, found['frames']) == found['state_hash']
 
 
+@pytest.mark.parametrize('duration', ['0', '-1', 'nan', 'inf'])
+def test_a_duration_that_ends_before_it_begins_is_refused(duration, capsys):
+    assert main(['view', 'towel', '--duration', duration, '--no-browser', '--port', '0']) == 2
+    assert capsys.readouterr().err == (
+        'xpbd_ros view: --duration: must be > 0 and at most 1e+06 s (got '
+        f'{float(duration):g} s); leave it out to end on Ctrl-C\n')
+
+
+def test_a_view_that_ends_before_its_first_frame_has_the_state_of_the_start(
+        scene, monkeypatch, capsys):
+    monkeypatch.setattr('xpbd_ros.cli.view.serve', lambda arguments, url, run: run(lambda: True))
+    assert main(['view', str(scene), '--no-browser', '--port', '0', '--json', '-']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found['frames'], found['state_hash']) == (0, hash_after(scene, 0))
+
+
 @needs_browser
 def test_a_browser_that_comes_and_goes_changes_no_bit(scene, tmp_path):
     process = start_view(scene, '--json', tmp_path / 'view.json')

@@ -135,6 +135,7 @@ def test_an_exported_page_plays_without_a_server(logs, tmp_path, capsys):
 
 @pytest.mark.parametrize(('words', 'text'), [
     (['--every', '0'], '--every: must be at least 1 (got 0)'),
+    (['--set', 'nonsense.key=3'], '--set: needs a scene, and '),
     (['--beside', 'nowhere'], 'nowhere: no such file or folder')])
 def test_mistakes_are_one_line(logs, words, text, capsys):
     assert main(['view', str(logs[0]), '--no-browser', *words]) == 2

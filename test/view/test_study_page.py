@@ -115,3 +115,8 @@ def test_a_broken_report_is_one_line(numbers, text, tmp_path, capsys):
 def test_a_study_is_neither_drawn_nor_compared(study, capsys):
     assert main(['view', str(study), '--beside', 'log', '--no-browser']) == 2
     assert f'--beside: needs a scene or a log, and {study} is a study' in capsys.readouterr().err
+
+
+def test_keys_of_a_study_are_not_changed(study, capsys):
+    assert main(['view', str(study), '--set', 'nonsense.key=3', '--no-browser']) == 2
+    assert f'--set: needs a scene, and {study} is a study\n' in capsys.readouterr().err

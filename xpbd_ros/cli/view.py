@@ -67,6 +67,9 @@ def run(arguments) -> int:
         check_output(file)
     if arguments.at is not None and not arguments.screenshot:
         raise InputError('--at: is the time of a --screenshot, which is not asked for')
+    if arguments.duration is not None and not 0.0 < arguments.duration <= LONGEST:
+        raise InputError(f'--duration: must be > 0 and at most {LONGEST:g} s (got '
+                         f'{arguments.duration:g} s); leave it out to end on Ctrl-C')
     if (arguments.shown is None) == (arguments.node is None):
         raise InputError('name one of a scene, a log, a study or --node, such as xpbd_ros view '
                          'towel')
@@ -77,8 +80,11 @@ def run(arguments) -> int:
     path = Path(arguments.shown)
     if path.exists() and (report := report_at(path)) is not None:
         refuse(arguments, 'a scene or a log', f'{path} is a study', 'beside', 'screenshot')
+        refuse(arguments, 'a scene', f'{path} is a study', 'keys')
         return show_report(arguments, report)
     if path.suffix == '.mcap' or path.is_dir():
+        refuse(arguments, 'a scene', f'{path} is a log; solve it again with other keys by '
+               'xpbd_ros resim', 'keys')
         return (picture_of_log if arguments.screenshot else show_log)(arguments)
     refuse(arguments, 'a log', f'{path} is a scene; record one with xpbd_ros run', 'beside',
            'export')

@@ -71,6 +71,7 @@ class LiveView:
         self.handles: Handles
         self.controls: Controls
         self._next = self._loaded(scene)    # the scene to change to; None for none
+        _, self.scene, self.simulation = self._next
         server.on_client_connect(self._aim)
         self._steps = 0    # frames to compute while paused
         self._recording: bool | None = None    # whether to record from now on; None: as it is
