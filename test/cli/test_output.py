@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from xpbd_ros.cli.output import new_folder, write_json
+from xpbd_ros.cli.main import main
+from xpbd_ros.cli.output import check_outputs, new_folder, write_json
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 
@@ -45,6 +46,27 @@ def test_a_new_folder_is_removed_if_the_work_fails(tmp_path):
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(InputError, match=r'none/out.json: cannot be written: No such file'):
         write_json(str(tmp_path / 'none' / 'out.json'), {})
+
+
+@pytest.mark.parametrize(('files', 'folder', 'clash'), [
+    (('x', None), './x', 'x'), (('a', 'sub/../a'), None, 'sub/../a'), (('x',), 'x/log', 'x')])
+def test_outputs_of_one_name_are_refused_before_the_work(files, folder, clash, tmp_path,
+                                                         monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'sub').mkdir()
+    with pytest.raises(InputError, match=f'^{clash}: is the name of two outputs; name another'):
+        check_outputs(*files, folder=folder)
+    check_outputs('-', '-', None, 'b', folder='x')
+    with pytest.raises(InputError, match=r"an output needs a name \(got ''\)"):
+        check_outputs('')
+
+
+def test_run_finds_that_its_outputs_clash_before_it_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(['run', 'swing', '-o', 'x', '--json', 'x']) == 2
+    assert capsys.readouterr().err == (
+        'xpbd_ros run: x: is the name of two outputs; name another for one\n')
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_fresh_folder_is_not_there_yet(tmp_path, monkeypatch):

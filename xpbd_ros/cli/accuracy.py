@@ -18,7 +18,7 @@ import sys
 
 import yaml
 
-from xpbd_ros.cli.output import add_json_argument, check_output, STDOUT, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, STDOUT, write_json
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -74,7 +74,7 @@ def run(arguments) -> int:
     overrides = parse_keys(arguments.keys)
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     times = frames_of(arguments.times, scene, frames)

@@ -15,7 +15,7 @@ and writes the cost table of this machine for solver.cost_table, by which auto k
 
 from pathlib import Path
 
-from xpbd_ros.cli.output import add_json_argument, check_output, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -52,8 +52,7 @@ def run(arguments) -> int:
     overrides = parse_keys(arguments.keys)
     if arguments.duration is not None:
         overrides['duration'] = arguments.duration
-    for output in (arguments.json, arguments.picture):
-        check_output(output)
+    check_outputs(arguments.json, arguments.picture)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     commands = {}
@@ -92,8 +91,7 @@ def calibrate(arguments) -> int:
     if arguments.keys:
         raise InputError('cost --calibrate: does not go with --set; it runs scenes of its own')
     file = Path(arguments.calibrate) if arguments.calibrate else None
-    for output in (arguments.json, file):
-        check_output(output)
+    check_outputs(arguments.json, file)
     if file is None:
         folder = fresh_folder('cost')
         folder.mkdir()

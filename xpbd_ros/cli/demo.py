@@ -17,7 +17,7 @@ import threading
 import time
 from typing import Any
 
-from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -45,7 +45,7 @@ def run(arguments) -> int:
     need_ros('demo')
     if not 5.0 <= arguments.duration <= 600.0:
         raise InputError(f'--duration: must be from 5 to 600 s (got {arguments.duration:g})')
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
 
     def say(text: str) -> None:
         print(text, file=sys.stderr if arguments.json == '-' else sys.stdout, flush=True)

@@ -9,7 +9,7 @@ log is exported as far as it is readable.
 from functools import partial
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
@@ -35,7 +35,7 @@ def run(arguments) -> int:
     need_ros('export')
     from xpbd_ros.export.states import States
 
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     if arguments.every < 1:
         raise InputError(f'--every: must be at least 1 (got {arguments.every})')
     states = States(arguments.run, every=arguments.every, tell=lambda text: print(

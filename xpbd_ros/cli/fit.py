@@ -12,7 +12,7 @@ Exit code: 0, or 1 if a value is not determined.
 
 import math
 
-from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, STDOUT, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, STDOUT, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros
 from xpbd_ros.errors import InputError
@@ -58,7 +58,7 @@ def run(arguments) -> int:
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene
     from xpbd_ros.study.accuracy.measure import without_solver
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     scene = load_scene(arguments.scene, parse_keys(arguments.keys))
     keys = [key_of(text, scene) for text in arguments.vary]
     if len({key.name for key in keys}) < len(keys):

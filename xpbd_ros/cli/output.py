@@ -27,6 +27,8 @@ def refuse_existing(destination: str | Path | None) -> None:
 
     To be called at the start of a long verb, so that its work is not lost at the end.
     """
+    if destination is not None and not str(destination):
+        raise InputError("an output needs a name (got '')")
     if destination is not None and str(destination) != STDOUT and os.path.lexists(destination):
         raise InputError(f'{destination}: exists already; name another, or move it away')
 
@@ -38,6 +40,18 @@ def check_output(destination: str | Path | None) -> None:
         folder = Path(destination).absolute().parent
         if not folder.is_dir():
             raise InputError(f'{destination}: there is no folder {folder}; create it first')
+
+
+def check_outputs(*files: str | Path | None, folder: str | Path | None = None) -> None:
+    """Check the output files of a verb, and that neither its folder nor two of them clash."""
+    taken = [] if folder is None else [Path(os.path.abspath(folder))]
+    for file in files:
+        check_output(file)
+        if file is not None and str(file) != STDOUT:
+            path = Path(os.path.abspath(file))
+            if any(other.is_relative_to(path) for other in taken):
+                raise InputError(f'{file}: is the name of two outputs; name another for one')
+            taken.append(path)
 
 
 @contextmanager

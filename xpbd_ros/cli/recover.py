@@ -12,7 +12,7 @@ messages are lost.
 from pathlib import Path
 
 from xpbd_ros.cli.info import content
-from xpbd_ros.cli.output import add_json_argument, check_output, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, refuse_existing, write_json
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.recover import recover
@@ -33,7 +33,7 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Read the log, write the new one, and print the damage and the new content."""
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     refuse_existing(arguments.output)
     log = LogReader(arguments.run, unchecked=arguments.unchecked)
     folder = Path(arguments.output) if arguments.output else fresh_folder('recover')

@@ -18,7 +18,7 @@ import time
 from typing import Any
 
 from xpbd_ros import __version__
-from xpbd_ros.cli.output import add_json_argument, check_output, refuse_existing, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, refuse_existing, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.cli.run import parse_keys
@@ -50,8 +50,7 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Repeat the recorded run, compare and report."""
     need_ros('resim')
-    for file in (arguments.json, arguments.picture):
-        check_output(file)
+    check_outputs(arguments.json, arguments.picture, folder=arguments.output)
     refuse_existing(arguments.output)
     log = LogReader(arguments.run)
     take_recorded_vectors(log)

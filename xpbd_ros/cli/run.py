@@ -15,7 +15,7 @@ import sys
 import time
 from typing import Any
 
-from xpbd_ros.cli.output import add_json_argument, check_output, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.errors import InputError
@@ -61,7 +61,7 @@ def run(arguments) -> int:
     from xpbd_ros.scene.compare import first_texts
     from xpbd_ros.scene.compile import compile_scene
 
-    check_outputs(arguments)
+    check_all_outputs(arguments)
     recording, foreign = commands_in(arguments)
     if recording is not None and recording.not_repeatable:
         print(f'xpbd_ros run: {recording.not_repeatable}', file=sys.stderr)
@@ -132,10 +132,9 @@ def run(arguments) -> int:
     return verdict(repeat, quiet) if repeat else 0
 
 
-def check_outputs(arguments) -> None:
-    """Raise InputError if an output file exists or the picture cannot be rendered."""
-    for output in (arguments.json, arguments.picture):
-        check_output(output)
+def check_all_outputs(arguments) -> None:
+    """Raise InputError if outputs exist or clash, or the picture cannot be rendered."""
+    check_outputs(arguments.json, arguments.picture, folder=arguments.output)
     if arguments.picture:
         from xpbd_ros.study.picture import need_view
         need_view('--picture')

@@ -12,7 +12,7 @@ import json
 import subprocess
 import sys
 
-from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import need_ros
 from xpbd_ros.errors import InputError
@@ -35,7 +35,7 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Run the cases and print their results."""
     from xpbd_ros.study.stress.run import draw, known_ids, stress, table
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     with new_folder(arguments.output) as folder:
         results = live = live_cases(arguments.case) if not arguments.quick else []
         if arguments.case in (None, *known_ids()) or not live:

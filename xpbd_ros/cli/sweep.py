@@ -19,7 +19,7 @@ import sys
 import time
 
 from xpbd_ros import __version__
-from xpbd_ros.cli.output import add_json_argument, check_output, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -60,7 +60,7 @@ def run(arguments) -> int:
     """Run the scene with all values, and write the table."""
     from xpbd_ros.cli.ros import need_ros
     from xpbd_ros.sweep.store import need_pyarrow, Store
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     need_pyarrow()
     if arguments.logs:
         need_ros('sweep --logs')

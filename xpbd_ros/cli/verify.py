@@ -11,7 +11,7 @@ Exit code: 0, or 1 if a case fails or a control passes.
 from dataclasses import replace
 from typing import Any
 
-from xpbd_ros.cli.output import add_json_argument, check_output, new_folder, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 
 EXAMPLE = 'xpbd_ros verify --case V6'
@@ -32,7 +32,7 @@ def run(arguments) -> int:
     """Run the cases and print their results."""
     from xpbd_ros.study.verify.controls import controls
     from xpbd_ros.study.verify.run import draw, verify
-    check_output(arguments.json)
+    check_outputs(arguments.json, folder=arguments.output)
     with new_folder(arguments.output) as folder:
         answers = verify(arguments.case, slow=not arguments.quick,
                          scheduler=arguments.scheduler, progress=progress)

@@ -18,7 +18,7 @@ import sys
 import threading
 import webbrowser
 
-from xpbd_ros.cli.output import add_json_argument, check_output, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros, new_log
 from xpbd_ros.cli.run import LONGEST, parse_keys
@@ -63,8 +63,7 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Serve the page until Ctrl-C, or write it to a file."""
-    for file in (arguments.json, arguments.export, arguments.screenshot):
-        check_output(file)
+    check_outputs(arguments.json, arguments.export, arguments.screenshot)
     if arguments.at is not None and not arguments.screenshot:
         raise InputError('--at: is the time of a --screenshot, which is not asked for')
     if arguments.duration is not None and not 0.0 < arguments.duration <= LONGEST:
