@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+import resource
 import tracemalloc
 
 import meshio
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from support.logs import recorded, SHEET
+from xpbd_ros.cli.export import FORMATS
 from xpbd_ros.cli.main import main
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import LogWriter
@@ -165,6 +167,22 @@ def test_mistakes_are_one_line(log, words, text, capsys):
     said = capsys.readouterr().err
     assert said.count('\n') == 1
     assert text in said
+
+
+@pytest.mark.parametrize('name', FORMATS)
+def test_a_full_disk_is_one_line_and_leaves_nothing(log, tmp_path, name, capsys):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        assert main(['export', str(log), '--format', name, '-o', str(tmp_path / 'out')]) == 2
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    said = capsys.readouterr().err
+    assert said.count('\n') == 1
+    assert said.startswith(f'xpbd_ros export: {tmp_path}/out')
+    assert 'cannot be written: ' in said
+    assert 'File too large; free some space, or name another folder by -o' in said
+    assert not (tmp_path / 'out').exists()
 
 
 def test_a_log_without_clouds_is_refused(write_log, capsys):

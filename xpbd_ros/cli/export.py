@@ -7,12 +7,13 @@ log is exported as far as it is readable.
 """
 
 from functools import partial
+from pathlib import Path
 import sys
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros export towel_run --format parquet -o towel_tables'
@@ -42,8 +43,7 @@ def run(arguments) -> int:
         f'xpbd_ros export: damaged log: {text}', file=sys.stderr))
     with new_folder(arguments.output or fresh_folder('export')) as folder:
         assert folder is not None
-        files = writer(arguments.format)(folder.absolute(), states,
-                                         lambda: progress(states, 'frames'))
+        files = written(writer(arguments.format), folder.absolute(), states)
     particles = sum(states.particles.values())
     write_json(arguments.json, {'files': files, 'frames': len(states), 'particles': particles,
                                 'cloths': states.particles, 'format': arguments.format})
@@ -53,6 +53,20 @@ def run(arguments) -> int:
         print(f'{files[0]}' + (f' and {len(files) - 1} more files' if len(files) > 1 else '')
               + f', {1e-6 * size:.2f} MB')
     return 0
+
+
+def written(write, folder: Path, states) -> list[Path]:
+    """Return the files that a format's function wrote; if it fails, the folder is emptied."""
+    try:
+        return write(folder, states, lambda: progress(states, 'frames'))
+    except BaseException as error:
+        for file in folder.iterdir():
+            file.unlink()
+        if isinstance(error, OSError):
+            raise InputError(f'{error.filename or folder}: cannot be written: '
+                             f'{brief(error.strerror or str(error))}; free some space, or name '
+                             'another folder by -o') from error
+        raise
 
 
 def writer(name: str):

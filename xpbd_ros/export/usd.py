@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
+import re
 
 import numpy as np
 
@@ -15,11 +16,22 @@ SAVE_EVERY = 200
 def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -> list[Path]:
     """Write the file, and return its path; a time code is a frame."""
     try:
-        from pxr import Usd, UsdGeom, Vt
+        from pxr import Tf
     except ImportError:
         raise InputError('--format usd needs usd-core, which is not installed; pip install '
                          "'xpbd_ros[export]'") from None
     path = folder / 'states.usdc'
+    try:
+        _write(path, states, frames)
+    except Tf.ErrorException as error:
+        reasons = re.findall(r": '(.*)'$", str(error), re.MULTILINE)
+        raise OSError(0, reasons[0] if reasons else str(error), str(path)) from None
+    return [path]
+
+
+def _write(path: Path, states: States, frames: Callable[[], Iterable[State]]) -> None:
+    """Write the file."""
+    from pxr import Usd, UsdGeom, Vt
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -44,4 +56,3 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -
         if k % SAVE_EVERY == SAVE_EVERY - 1:
             stage.Save()
     stage.Save()
-    return [path]
