@@ -202,6 +202,10 @@ def test_points_near_a_surface_are_measured_to_the_closest_point():
     (('--vary', 'cloths.c.friction', '--cloud', '/nothing'), 'known: /camera/points'),
     (('--vary', 'cloths.c.friction', '--set', 'frame_id=map'), "in the TF frame 'world'"),
     (('--vary', 'cloths.c.friction', '--start', '9'), 'holds no cloud after its start'),
+    (('--vary', 'cloths.c.friction', '--start', '-5'), '--start: must be >= 0 s, the start of'),
+    (('--vary', 'cloths.c.friction', '--start', 'nan'), 'recording (got nan s)'),
+    (('--vary', 'cloths.c.friction', '--duration', '0'),
+     '--duration: must be at least a frame (0.0167 s; got 0 s); leave it out'),
     (('--vary', 'solver.method'), 'is not a number in the scene'),
 ])
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):

@@ -60,6 +60,7 @@ def run(arguments) -> int:
     from xpbd_ros.study.accuracy.measure import without_solver
     check_outputs(arguments.json, folder=arguments.output)
     scene = load_scene(arguments.scene, parse_keys(arguments.keys))
+    check_times(arguments, 1.0 / scene.top.frame_rate)
     keys = [key_of(text, scene) for text in arguments.vary]
     if len({key.name for key in keys}) < len(keys):
         raise InputError('--vary: a key is given twice')
@@ -93,6 +94,16 @@ def run(arguments) -> int:
     if arguments.json != STDOUT:
         print('\n'.join(lines(numbers)))
     return 0 if all(value.determined for value in found.values.values()) else 1
+
+
+def check_times(arguments, frame_dt: float) -> None:
+    """Raise InputError for a start before the recording, or less than a frame to compare."""
+    start, duration = arguments.start, arguments.duration
+    if not 0.0 <= start < math.inf:
+        raise InputError(f'--start: must be >= 0 s, the start of the recording (got {start:g} s)')
+    if duration is not None and not 0.5 * frame_dt <= duration < math.inf:
+        raise InputError(f'--duration: must be at least a frame ({frame_dt:.3g} s; got '
+                         f'{duration:g} s); leave it out to compare the whole recording')
 
 
 def key_of(text: str, scene):
