@@ -6,6 +6,7 @@ from pathlib import Path
 import shutil
 import subprocess
 import sys
+import warnings
 
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -23,8 +24,10 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.cli.resim import take_recorded_vectors
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.ros.inputs import unpacked
+from xpbd_ros.ros.repeat import Deviation
 from xpbd_ros.sim.backend.simd import BITS
 from xpbd_ros.sim.commands import MoveCollider, Pose
+from xpbd_ros.study.deviation_picture import draw
 
 
 @pytest.fixture(scope='module')
@@ -205,6 +208,14 @@ def test_other_versions_are_named(log, tmp_path, capsys, monkeypatch):
     assert 'note      version: 9.9.9 here, 0.1.0 in the log\n' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('size', [0.0, 1e-9, 1e-3])
+def test_a_chart_of_one_level_is_drawn_without_a_warning(size, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        draw(tmp_path / 'a.png', [Deviation(k, size, size) for k in range(3)], 1 / 60, 'same')
+    assert (tmp_path / 'a.png').stat().st_size > 5_000
+
+
 def test_mistakes_are_one_line(log, late, tmp_path, capsys):
     for words, text in (
             (['--from', '1.0', '--set', 'gravity=[0, 0, 0]'],
@@ -212,6 +223,8 @@ def test_mistakes_are_one_line(log, late, tmp_path, capsys):
             (['--from', '0.1'], '--from: has no effect without --set'),
             (['--from', '0.1', '--set', 'solver.method=jacobi'],
              'solver.method: cannot change while running'),
+            (['--set', 'frame_rate=30'], '--set frame_rate: inputs and states of a log belong to '
+             'frames, of which it has 60 Hz (got 30 Hz)'),
             (['--threads', '0'], '--threads: must be from 1 to 64 (got 0)'),
             (['--set', 'solver.substps=3'], "did you mean 'substeps'?"),
             (['-o', str(tmp_path)], f'{tmp_path}: exists already')):

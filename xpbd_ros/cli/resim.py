@@ -63,6 +63,7 @@ def run(arguments) -> int:
     fork = fork_frame(recording, arguments)
     late = keys if fork > 0 else {}
     scene = recording.scene_with(overrides(recording, {} if late else keys, arguments.threads))
+    check_rate(scene, recording.scene)
     simulation = compile_scene(scene)
     check_live(simulation, late)
     recording.begin(simulation)
@@ -127,6 +128,15 @@ def fork_frame(recording, arguments) -> int:
         raise InputError(f'--from: must be within the log, from {first:.3f} s to before '
                          f'{last:.3f} s (got {arguments.start:g} s)')
     return round(arguments.start * rate)
+
+
+def check_rate(scene, recorded) -> None:
+    """Raise InputError if frames of two scenes have one number and two times."""
+    rate = recorded.top.frame_rate
+    if scene.top.frame_rate != rate:
+        raise InputError(f'--set frame_rate: inputs and states of a log belong to frames, of '
+                         f'which it has {rate:g} Hz (got {scene.top.frame_rate:g} Hz); change '
+                         'solver.substeps instead, or run the scene by xpbd_ros run')
 
 
 def check_live(simulation, keys: dict) -> None:

@@ -23,6 +23,8 @@ def draw(file: Path, track: Sequence, frame_dt: float, title: str) -> Path:
     """
     figure, ((axis,),) = chart.page(8.0, 4.0)
     times = [frame_dt * each.frame for each in track]
+    if not any(each.largest > FLOOR for each in track):    # on one level: no range of its own
+        axis.set_ylim(1e2 * FLOOR, 1e4 * FLOOR)
     for name, colour in (('largest', chart.COLOURS[0]), ('rms', chart.COLOURS[1])):
         label = 'RMS' if name == 'rms' else name
         axis.semilogy(times, [1e3 * max(getattr(each, name), FLOOR) for each in track],
