@@ -1,5 +1,6 @@
 """``sweep``: the table is that of single runs, whatever the workers, and survives their deaths."""
 
+import gc
 from importlib.util import find_spec
 import json
 import os
@@ -151,8 +152,11 @@ def test_a_sweep_continues_and_grows_without_computing_a_row_again(scene, tmp_pa
     assert after.slice(0, 3).equals(before)
     assert after['wall_s'].to_pylist()[3] == 77.0
     assert table(tmp_path / 'out').equals(table(tmp_path / 'all'))
-    assert 'holds a sweep with another values' in refused(
+    assert 'out: holds a sweep that differs in its values; name another folder' in refused(
         capsys, scene, '-o', tmp_path / 'out', *VARY[:2], '--runs', 5)
+    assert '--runs: must be at least 5, the runs that ' in refused(
+        capsys, scene, '-o', tmp_path / 'out', *VARY, '--runs', 2)
+    assert not rows.exists()
     assert 'holds no sweep' in refused(capsys, scene, '-o', tmp_path, *VARY, '--runs', 5)
 
 
@@ -191,12 +195,17 @@ def test_without_dask_several_workers_are_refused_with_the_remedy(
         capsys, scene, *VARY, '--runs', '2', '--workers', '2', '-o', tmp_path / 'out')
 
 
-def test_a_scheduler_that_is_not_there_is_told_in_one_line(scene, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize('address', ['tcp://127.0.0.1:9', 'foo'])
+def test_a_scheduler_that_is_not_there_is_told_in_one_line(address, scene, tmp_path, monkeypatch,
+                                                           capsys):
     pytest.importorskip('distributed', reason="Dask is missing: pip install '.[cluster]'")
     monkeypatch.setattr(parallel, 'PATIENCE', '1s')
-    assert '--scheduler tcp://127.0.0.1:9: no Dask scheduler answers there' in refused(
-        capsys, scene, *VARY, '--runs', '2', '--scheduler', 'tcp://127.0.0.1:9', '-o',
-        tmp_path / 'out')
+    begin = time.monotonic()
+    assert f'--scheduler {address}: no Dask scheduler answers there' in refused(
+        capsys, scene, *VARY, '--runs', '2', '--scheduler', address, '-o', tmp_path / 'out')
+    gc.collect()    # a client that did not start waits for itself
+    assert time.monotonic() - begin < 10.0
+    assert not (tmp_path / 'out').exists()
 
 
 def test_a_killed_worker_loses_no_row_and_the_table_is_that_of_one_process(

@@ -68,6 +68,9 @@ def run(arguments) -> int:
     workers = workers_of(arguments)
     folder = Path(arguments.output) if arguments.output else fresh_folder('sweep')
     store = Store(folder, about)
+    if (there := max(store.rows, default=-1) + 1) > len(values):
+        raise InputError(f'--runs: must be at least {there}, the runs that {folder} holds already '
+                         f'(got {len(values)}); or name another folder')
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     begin, resumed = time.perf_counter(), len(store.rows)
     try:
@@ -76,6 +79,9 @@ def run(arguments) -> int:
         print(f'xpbd_ros sweep: interrupted after {len(store.rows)} of {len(values)} runs; '
               f'continue with the same command and -o {folder}', file=sys.stderr)
         return 130
+    except BaseException:
+        store.discard_if_empty()
+        raise
     finally:
         signal.signal(signal.SIGTERM, before)
     table, wall = store.join(), time.perf_counter() - begin

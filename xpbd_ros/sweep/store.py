@@ -46,7 +46,8 @@ class Store:
         self.folder = folder.absolute()
         self.table = self.folder / TABLE
         about = json.loads(json.dumps(about))
-        if os.path.lexists(folder):
+        self._new = not os.path.lexists(folder)
+        if not self._new:
             self._compare(about)
         else:
             try:
@@ -54,7 +55,6 @@ class Store:
             except OSError as error:
                 raise InputError(f'{folder}: cannot be created ({error.strerror})') from error
             _replace(self.folder / ABOUT, json.dumps(about, indent=2) + '\n')
-        (self.folder / ROWS).mkdir(exist_ok=True)
         self.rows = {run: row for run, row in self._found().items()
                      if not (row.get(ERROR) or '').startswith(LOST)}
         """rows so far, by run"""
@@ -68,8 +68,8 @@ class Store:
             raise InputError(f'{self.folder}: exists already, and holds no sweep; name another '
                              'folder') from None
         if other:
-            raise InputError(f'{self.folder}: holds a sweep with another {" and ".join(other)}; '
-                             'name another folder')
+            raise InputError(f'{self.folder}: holds a sweep that differs in its '
+                             f'{" and ".join(other)}; name another folder')
 
     def _found(self) -> dict[int, Row]:
         """Return the rows of the table and of single files."""
@@ -89,6 +89,7 @@ class Store:
 
     def add(self, run: int, keys: Row, found: Row) -> None:
         """Store the row of a run: the values of its keys, and its outcome."""
+        (self.folder / ROWS).mkdir(exist_ok=True)
         row = self.rows[run] = {'run': run, **keys, ERROR: None, **found}
         _replace(self.folder / ROWS / f'{run:06}.json', json.dumps(row) + '\n')
 
@@ -103,8 +104,13 @@ class Store:
         part = self.table.with_suffix('.part')
         parquet.write_table(table, part, compression='zstd')
         part.replace(self.table)
-        shutil.rmtree(self.folder / ROWS)
+        shutil.rmtree(self.folder / ROWS, ignore_errors=True)
         return self.table
+
+    def discard_if_empty(self) -> None:
+        """Remove a folder that was created here and has no row."""
+        if self._new and not self.rows:
+            shutil.rmtree(self.folder)
 
 
 def _column(pyarrow, name: str, values: Sequence) -> Any:
