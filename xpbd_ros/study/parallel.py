@@ -119,7 +119,7 @@ def _dask(count: int, scheduler: str | None) -> Iterator[tuple]:
 def _client(distributed, count: int, scheduler: str | None) -> Iterator[Any]:
     if scheduler is not None:
         try:
-            distributed.comm.get_address_host_port(scheduler, strict=True)    # else it would hang
+            distributed.comm.get_address_host_port(scheduler)    # else a client hangs
             client = distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
             raise InputError(f'--scheduler {scheduler}: no Dask scheduler answers there '
