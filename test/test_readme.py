@@ -83,6 +83,23 @@ def test_table_of_hard_cases_names_each_and_its_guards():
         assert guard.what in rows[guard.case][3]
 
 
+def test_figures_of_the_readme_are_those_of_the_pages():
+    numbers = sum(map(int, re.findall(r'^\| V\d+ \|[^|]*\| (\d+) \|', text('verification'),
+                                      re.M)))
+    assert f'| {numbers} of {numbers} hold ([verification]' in text()
+    ours, theirs = ([sum(map(int, column)) for column in zip(*re.findall(
+        rf'^\| H\d+ \|[^|]*\|{skipped} (\d+) of (\d+) \|', text('robustness'), re.M))]
+        for skipped in ('', r'[^|]*\|'))
+    assert (f'| {ours[0]} of {ours[1]}; of a textbook solver {theirs[0]} of the {theirs[1]} that '
+            'it can run') in text()
+
+
+def test_table_of_guards_names_each():
+    from xpbd_ros.ros.guards import GUARDS
+    rows = '\n'.join(re.findall(r'^\| `.*$', text('robustness'), re.M))
+    assert all(f'`{name}`' in rows for name in GUARDS)
+
+
 @pytest.mark.parametrize('page', ['README', slow('scenes')])
 def test_example_scene_runs(page):
     simulation = compile_scene(scene_from_text(block('yaml', page), where=page, name='readme'))

@@ -176,6 +176,7 @@ def test_a_live_key_frees_the_effects_before_it_without_the_collector():
     ('solver.substeps', 0, 'solver.substeps: must be at least 1 (got 0)'),
     ('gravity', [0, 0], 'gravity: must be 3 numbers (got 2)'),
     ('gravity.x', 1, 'gravity.x: cannot change while running (these can: '),
+    ('gravity.x', 1, ', solver.rough_substeps, '),
     ('', 1, ': cannot change while running (these can: ')])
 def test_a_bad_live_key_is_refused_and_nothing_happens(key, value, text):
     plain, touched = (with_effects(substeps=3) for _ in range(2))

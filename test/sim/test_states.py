@@ -142,6 +142,7 @@ def test_states_that_fit_no_cloth_are_refused():
             (SetState('d', (0.0,) * 60), "unknown cloth 'd' (known: c)"),
             (SetState('c', (0.0,) * 57), '19 positions, and c has 20 particles'),
             (SetState('c', (0.0,) * 58), 'x, y, z of each particle must be 57 numbers'),
+            (SetState('c', (1.0, 2.0)), 'x, y, z of each particle must be 3 numbers'),
             (SetState('c', (float('nan'),) * 60), 'further than 1e+06 m away, or not finite'),
             (Click((0.0, float('inf'), 0.0)), 'is not finite'),
             (Click((0.0, 0.0)), 'must be 3 numbers')]:

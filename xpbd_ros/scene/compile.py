@@ -219,6 +219,6 @@ class Retune:
         for key, value in changes.items():
             if key not in known and key not in CHOSEN:
                 raise InputError(f'{key}: cannot change while running (these can: '
-                                 f'{", ".join(known)})')
+                                 f'{", ".join(dict.fromkeys((*known, *CHOSEN)))})')
             raw = with_key(raw, key, value)
         return scene_from_mapping(raw, where=self.scene.where, name=self.scene.name)

@@ -101,7 +101,7 @@ def _click(command: Click, what: str) -> dict[str, Any]:
 
 
 def _set_state(command: SetState, what: str) -> dict[str, Any]:
-    places = numbers(command.positions, len(command.positions) // 3 * 3, what,
+    places = numbers(command.positions, len(command.positions) // 3 * 3 or 3, what,
                      'positions: x, y, z of each particle')
     if not all(-FAR <= c <= FAR for c in places):
         raise InputError(f'{what}: a position is further than {FAR:g} m away, or not finite')
