@@ -179,6 +179,7 @@ def test_the_warp_of_a_mesh_is_laid_into_each_triangle():
      'membrane: poisson: must be between -0.3 and 0.3 = sqrt(warp / weft) (got 0.31): beyond, the '
      'sheet would gain energy by being stretched'),
     ({'young': 9.0, 'poisson': 1.0}, 'membrane: poisson: must be between -1 and 1 (got 1)'),
+    ({'young': 9.0, 'poisson': -1.0}, 'membrane: poisson: must be between -1 and 1 (got -1)'),
     ({'warp': 9.0, 'weft': 100.0}, 'membrane: needs either warp, weft and shear (N/m), or young'),
     ({'young': 9.0, 'shear': 100.0}, 'membrane: needs either warp, weft and shear (N/m), or'),
     ({}, 'membrane: needs either'),

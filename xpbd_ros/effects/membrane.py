@@ -76,8 +76,7 @@ class Parameters:
                 self.young is not None and threads != (None, None, None)):
             raise InputError('needs either warp, weft and shear (N/m), or young (N/m), from which '
                              'shear follows')
-        y1, y2, _ = self.moduli
-        most = sqrt(y1 / y2)
+        most = 1.0 if self.warp is None or self.weft is None else sqrt(self.warp / self.weft)
         if abs(self.poisson) >= most:
             reason = '' if self.young is not None else ' = sqrt(warp / weft)'
             raise InputError(f'poisson: must be between -{most:.4g} and {most:.4g}{reason} (got '
