@@ -32,6 +32,42 @@ def test_obj_files_of_all_kinds_keep_their_vertices(text, tmp_path):
     assert tetrahedra.shape == (0, 4)
 
 
+CONCAVE = {
+    'an arrow head': [[1, 0], [.1, .1], [0, 1], [0, 0]],
+    'an L': [[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2]],
+    'a comb': [[0, 3], [0, 0], [5, 0], [5, 3], [4, 3], [4, 1], [3, 1], [3, 3], [2, 3], [2, 1],
+               [1, 1], [1, 3]],
+    'a square with a hole': [[0, 0], [3, 0], [3, 3], [0, 3], [0, 0], [1, 1], [1, 2], [2, 2],
+                             [2, 1], [1, 1]]}
+
+
+@pytest.mark.parametrize('shape', CONCAVE)
+@pytest.mark.parametrize('turn', [0, 1, 3, -1])
+def test_the_triangles_of_a_concave_polygon_cover_it_once(shape, turn, tmp_path):
+    """Each turns as the polygon does, and their areas add up to it; from any first corner."""
+    corners = np.roll(CONCAVE[shape], turn, 0)[::1 if turn >= 0 else -1] * 1e-3
+    tilted = corners @ [[.6, .0, .8], [.0, 1., .0]] + 5.0
+    faces = f'f {" ".join(str(k + 1) for k in range(len(tilted)))}\n'
+    text = ''.join('v {} {} {}\n'.format(*v) for v in tilted) + faces
+    vertices, triangles, _ = read_mesh_file(written(tmp_path, text))
+    x = vertices[triangles]
+    parts = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    whole = np.cross(vertices, np.roll(vertices, -1, 0)).sum(0)
+    assert len(triangles) == len(corners) - 2
+    assert (parts @ whole > 0.0).all()
+    np.testing.assert_allclose(np.linalg.norm(parts, axis=1).sum(), np.linalg.norm(whole),
+                               rtol=1e-6)
+
+
+def test_a_polygon_that_crosses_itself_is_refused_with_its_line(tmp_path):
+    path = written(tmp_path, f'{V}f 1 2 3\nf 1 2 4 3\n')
+    with pytest.raises(InputError) as error:
+        read_mesh_file(path)
+    assert str(error.value) == (f'{path}: line 6: the polygon crosses itself or lies in a '
+                                'line, so it cannot be split; split it into triangles in the '
+                                'program that made the file')
+
+
 def test_obj_numbers_keep_all_their_digits(tmp_path):
     vertices, triangles = disc()
     found = read_mesh_file(written(tmp_path, obj_text(vertices, triangles)))

@@ -13,6 +13,7 @@ import warnings
 import numpy as np
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.polygons import triangulated
 
 USED = ('triangle', 'quad', 'polygon', 'tetra')
 IGNORED = ('vertex', 'line')
@@ -25,7 +26,7 @@ def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     Returns
     -------
     vertices : positions in the file's unit, shape (vertices, 3)
-    triangles : indices, shape (triangles, 3); polygons are split into fans
+    triangles : indices, shape (triangles, 3); polygons are split
     tetrahedra : indices, shape (tetrahedra, 4)
 
     """
@@ -45,7 +46,7 @@ def _require_file(path: Path) -> None:
 
 
 def _read_obj(path: Path):
-    vertices, triangles = [], []
+    vertices, polygons, lines = [], [], []
     last, named_in = -1, 0    # the vertex of the highest number, and the line that names it
     text = path.read_text(encoding='utf-8', errors='replace').replace('\\\n', ' ')
     for number, line in enumerate(text.splitlines(), 1):
@@ -61,7 +62,8 @@ def _read_obj(path: Path):
                 corners = [c - 1 if c > 0 else len(vertices) + c for c in corners]
                 if min(corners) < 0:
                     raise ValueError
-                triangles += _fan(corners)
+                polygons.append(corners)
+                lines.append(number)
                 if max(corners) > last:
                     last, named_in = max(corners), number
         except ValueError:
@@ -70,12 +72,9 @@ def _read_obj(path: Path):
     if last >= len(vertices):
         raise InputError(f'{path}: line {named_in}: vertex {last + 1} does not exist (there are '
                          f'{len(vertices)})')
-    return (np.array(vertices, float).reshape(-1, 3), np.array(triangles, np.int64).reshape(-1, 3),
+    places = np.array(vertices, float).reshape(-1, 3)
+    return (places, triangulated(places, polygons, lambda k: f'{path}: line {lines[k]}'),
             np.zeros((0, 4), np.int64))
-
-
-def _fan(corners: list[int]) -> list[tuple[int, int, int]]:
-    return [(corners[0], b, c) for b, c in zip(corners[1:-1], corners[2:])]
 
 
 def _read_with_meshio(path: Path):
@@ -98,17 +97,17 @@ def _read_with_meshio(path: Path):
     points = np.asarray(found.points, float)
     vertices = np.zeros((len(points), 3))
     vertices[:, :points.shape[1]] = points
-    triangles, tetrahedra = [], []
+    polygons: list[list[int]] = []
+    tetrahedra = []
     for block in found.cells:
         if block.type == 'tetra':
             tetrahedra.append(np.asarray(block.data, np.int64))
         elif block.type in USED:
-            for corners in block.data:
-                triangles += _fan([int(c) for c in corners])
+            polygons += [[int(c) for c in corners] for corners in block.data]
         elif block.type not in IGNORED:
             raise InputError(f"{path}: holds cells of type '{block.type}'; only triangles, "
                              'polygons and tetrahedra can be simulated, so convert it')
-    return (vertices, np.array(triangles, np.int64).reshape(-1, 3),
+    return (vertices, triangulated(vertices, polygons, lambda k: f'{path}: polygon {k}'),
             np.concatenate(tetrahedra) if tetrahedra else np.zeros((0, 4), np.int64))
 
 
