@@ -146,6 +146,11 @@ def test_what_was_mended_is_told_by_the_simulation(scene, tmp_path):
 @pytest.mark.parametrize('mesh, cloth, reason', [
     ({'scale': 0}, {}, 'cloths.c.mesh.scale: must be > 0 (got 0)'),
     ({'warp': [0, 0, 0]}, {}, 'cloths.c.mesh: warp: must not be zero'),
+    ({'warp': [0, 0, 2]}, {'effects': {'stretch': {'warp': 9, 'weft': 1}}},
+     'cloths.c.mesh.warp: must lie in the mesh, for effects.stretch (got [0.0, 0.0, 2.0], which is '
+     'normal to it); take a direction along x, or values for stretch that do not depend on one'),
+    ({'warp': [0, 0, 1]}, {'effects': {'hinge': {'warp': 9, 'weft': 1}}},
+     'cloths.c.mesh.warp: must lie in the mesh, for effects.hinge'),
     ({'fiel': 'x'}, {}, "cloths.c.mesh.fiel: unknown key; did you mean 'file'?"),
     ({'file': 3}, {}, 'cloths.c.mesh.file: must be text (got 3)'),
     ({'scale': 1e200}, {}, 'cloths: a particle would weigh inf kg; correct'),
@@ -156,6 +161,13 @@ def test_what_was_mended_is_told_by_the_simulation(scene, tmp_path):
 def test_a_mistake_is_told_with_file_and_key(scene, tmp_path, mesh, cloth, reason):
     assert refusal(lambda: compile_scene(scene(mesh, cloth=cloth))).startswith(
         f'{tmp_path}/scene.yaml: {reason}')
+
+
+def test_a_warp_normal_to_the_mesh_is_refused_once_it_makes_a_difference(scene):
+    simulation = compile_scene(scene({'warp': [0, 0, 1]}, cloth={
+        'effects': {'stretch': {'warp': 9.0, 'weft': 9.0}}}))
+    assert 'normal to it' in refusal(
+        lambda: simulation.check({'cloths.c.effects.stretch.weft': 1.0}))
 
 
 def test_a_mesh_that_is_refused_is_named_with_its_file(scene, tmp_path):

@@ -15,6 +15,7 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.scene.threads import with_threads
+from xpbd_ros.scene.warp import check_warps
 from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -49,6 +50,7 @@ def compile_scene(scene: Scene) -> Simulation:
     dtype = np.dtype(scene.top.solver.precision)
     try:
         meshes = [_mesh(name, keys) for name, keys in scene.cloths.items()]
+        check_warps(scene, meshes)
     except InputError as error:
         raise InputError(f'{scene.where}: {brief(str(error))}') from None
     scene = with_threads(scene, meshes)
@@ -221,4 +223,6 @@ class Retune:
                 raise InputError(f'{key}: cannot change while running (these can: '
                                  f'{", ".join(dict.fromkeys((*known, *CHOSEN)))})')
             raw = with_key(raw, key, value)
-        return scene_from_mapping(raw, where=self.scene.where, name=self.scene.name)
+        scene = scene_from_mapping(raw, where=self.scene.where, name=self.scene.name)
+        check_warps(scene, [cloth.mesh for cloth in self.cloths])
+        return scene

@@ -22,7 +22,7 @@ their whole area.
 
 Limits: bending in two directions at once is not fitted. A strip that is free to curl is about 11 %
 softer than the plate, and the more so the more B1 and B2 differ. A mesh that is not flat, or has
-no interior particle, keeps the b that the fit starts from.
+no particle more than an edge away from its boundary, keeps the b that the fit starts from.
 
 All sums have a fixed order and no step calls a numerical library, since b determines the bits of a
 run.
@@ -140,8 +140,9 @@ def shortfall(found: Plate, along_warp: float, along_weft: float) -> str | None:
     """Return a note on the errors of the fit, for the user; None if they are small."""
     if found.rolled is None or found.strip is None:
         return None if along_warp == along_weft else (
-            'the mesh is not flat, or has no particle inside, so its hinges are not fitted to '
-            'warp and weft; they may be several times as stiff along the softer one as asked')
+            'the mesh is not flat, or all its particles are at the boundary or next to it, so its '
+            'hinges are not fitted to warp and weft; they may be several times as stiff along the '
+            'softer one as asked')
     asked = (along_warp, along_weft)
     off = [max((abs(got / want - 1.0) for got, want in zip(both, asked)), default=0.0)
            for both in (found.rolled, found.strip)]
