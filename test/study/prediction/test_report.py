@@ -92,6 +92,21 @@ def test_what_is_rigid_is_out_of_reach_or_there_already():
         assert found.ok, found.warnings
 
 
+def test_edges_that_ought_to_be_rigid_and_are_not_are_warned_about():
+    """With the substeps that are named a cloth hung by its side is 1 % longer at most."""
+    def warnings(substeps):
+        return check(scene_from_mapping(
+            {'cloths': {'c': {'grid': {'size': [0.5, 0.5], 'resolution': [6, 6]}, 'density': 0.2,
+                              'effects': {'stretch': {'compliance': 0.0}}}},
+             'solver': {'method': 'gauss_seidel', 'substeps': substeps},
+             'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}}, where='x', name='x')).warnings
+    found = warnings(1)
+    assert found[0].startswith('c: 6x6 at 1 substeps behaves like ') and len(found) == 2
+    enough = max(int(text.split('; about ')[1].split(' substeps')[0]) for text in found)
+    assert 'not like rigid edges: hung by a side it is' in found[0] and enough > 1
+    assert warnings(enough - 1) and not warnings(enough)
+
+
 def test_lines_that_cannot_follow_the_waves_are_warned_about():
     found = check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 2}))
     assert any('behaves like' in text or 'too few for the stretch waves' in text

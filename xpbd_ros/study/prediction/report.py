@@ -17,13 +17,16 @@ from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.decay import Decay, decays
-from xpbd_ros.study.prediction.stiffness import Row, stiffness, UNPREDICTED
+from xpbd_ros.study.prediction.loads import in_axes
+from xpbd_ros.study.prediction.stiffness import GRAVITY, Row, stiffness, UNPREDICTED
 from xpbd_ros.study.prediction.substeps import needed, STRETCH
 
 ERRORS = (0.1, 0.01, 0.001)
 """relative errors of the stretch for which substeps are predicted"""
 WARNED_ERROR = 0.1
 """relative error of a stiffness from which on there is a warning"""
+WARNED_STRAIN = 0.01
+"""mean strain of a rigid cloth that hangs from a side, from which on there is a warning"""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,10 @@ def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | N
     """Return warnings about cloths that will be softer or stiffer than asked."""
     found, solver = [], simulation.solver
     for row in rows:
-        if np.isinf(row.asked) or abs(row.error) <= WARNED_ERROR:
+        if np.isinf(row.asked):
+            found += _not_rigid(scene, simulation, row)
+            continue
+        if abs(row.error) <= WARNED_ERROR:
             continue
         where = f' along {row.direction}' if row.direction else ''
         text = (f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
@@ -132,6 +138,23 @@ def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | N
         found.append(f'{solver.substeps} substeps are too few for the stretch waves of this cloth:'
                      f' errors above 10 %; {_remedy(scene, simulation, enough)}')
     return found
+
+
+def _not_rigid(scene: Scene, simulation: Simulation, row: Row) -> list[str]:
+    """Return a warning if edges that ought to be rigid lengthen under the cloth's own weight."""
+    cloth = next(c for c in simulation.cloths if c.name == row.cloth)
+    density, solver = scene.cloths[row.cloth].density, simulation.solver
+    assert density is not None
+    long = float(np.ptp(in_axes(cloth.mesh)[:, ('warp', 'weft').index(row.direction or 'warp')]))
+    strain = 0.5 * density * GRAVITY * long / row.effective
+    if strain <= WARNED_STRAIN:
+        return []
+    count = ceil(solver.substeps * (strain / WARNED_STRAIN)**0.5)
+    line = '' if solver.method == 'line' or cloth.mesh.grid is None else ' or method line'
+    return [f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
+            f'{row.effective:.3g} {row.unit} along {row.direction} ({row.effect}), not like rigid '
+            f'edges: hung by a side it is {100.0 * strain:.2g} % longer; about {count} '
+            f'substeps{line} would do']
 
 
 def _remedy(scene: Scene, simulation: Simulation, enough: int | None) -> str:
