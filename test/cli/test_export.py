@@ -58,10 +58,10 @@ def test_npz_holds_the_bits_of_the_log(log, tmp_path, capsys):
     assert (found['frames'], found['particles']) == (13, 35)
     (file,) = found['files']
     with np.load(file) as arrays:
-        assert np.array_equal(arrays['cloth_positions'], recorded_positions(log))
+        assert np.array_equal(arrays['sheet_positions'], recorded_positions(log))
         assert arrays['frame'].tolist() == list(range(13))
         assert arrays['time_s'] == pytest.approx(np.arange(13) / 60.0, abs=1e-8)
-        assert arrays['cloth_triangles'].shape == (48, 3)
+        assert arrays['sheet_triangles'].shape == (48, 3)
 
 
 def test_several_cloths_and_every_second_frame(two, tmp_path, capsys):
@@ -84,7 +84,7 @@ def test_parquet_has_a_row_for_each_particle_and_for_each_pin(log, tmp_path, cap
     particles, pins = (parquet.read_table(file).to_pydict() for file in found['files'])
     assert list(particles) == ['frame', 'time_s', 'cloth', 'particle', 'x', 'y', 'z']
     assert len(particles['x']) == 13 * 35
-    assert set(particles['cloth']) == {'cloth'}
+    assert set(particles['cloth']) == {'sheet'}
     assert particles['particle'][:35] == list(range(35))
     assert np.array_equal(
         np.column_stack([particles[axis] for axis in 'xyz']).astype(np.float32),
@@ -98,7 +98,7 @@ def test_parquet_has_a_row_for_each_particle_and_for_each_pin(log, tmp_path, cap
 def test_a_mesh_file_for_each_frame(log, tmp_path, suffix, capsys):
     found = export(log, tmp_path / 'out', '--format', suffix, '--every', 6, capsys=capsys)
     assert [Path(file).name for file in found['files']] == [
-        f'cloth_{frame:04d}.{suffix}' for frame in (0, 6, 12)]
+        f'sheet_{frame:04d}.{suffix}' for frame in (0, 6, 12)]
     mesh = meshio.read(found['files'][-1])
     assert mesh.points == pytest.approx(recorded_positions(log)[12], abs=1e-6)
     assert len(mesh.cells_dict['triangle']) == 48
@@ -111,7 +111,7 @@ def test_usd_has_a_time_sample_for_each_frame(log, tmp_path, capsys):
     stage = Usd.Stage.Open(found['files'][0])
     assert UsdGeom.GetStageUpAxis(stage) == 'Z'
     assert stage.GetTimeCodesPerSecond() == 60.0
-    points = UsdGeom.Mesh(stage.GetPrimAtPath('/cloths/cloth')).GetPointsAttr()
+    points = UsdGeom.Mesh(stage.GetPrimAtPath('/cloths/sheet')).GetPointsAttr()
     assert points.GetTimeSamples() == list(range(13))
     assert np.array_equal(np.array(points.Get(7)), recorded_positions(log)[7])
 
@@ -126,7 +126,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, capsys):
     finally:
         tracemalloc.stop()
     size = 1001 * 500 * 12
-    assert np.load(found['files'][0])['cloth_positions'].nbytes == size
+    assert np.load(found['files'][0])['sheet_positions'].nbytes == size
     assert peak < 0.4 * size
 
 

@@ -64,7 +64,8 @@ class States:
         self.path = reader.path
         for text in reader.damage:
             tell(text)
-        self._clouds = {topic: _cloth_of(topic) for topic, about in reader.topics.items()
+        alone = _only_cloth(reader)
+        self._clouds = {topic: _cloth_of(topic, alone) for topic, about in reader.topics.items()
                         if last_part(topic) == 'particles'
                         and about.type == type_name(PointCloud2)}
         self._bodies = [topic for topic, about in reader.topics.items()
@@ -146,16 +147,27 @@ class States:
 
 def frame_rate(reader: LogReader) -> float:
     """Return the frame rate of a log's scene [Hz]."""
-    where = f'{reader.path}: scene'
-    scene = mapping(parse_yaml(reader.scene or '', where), where)
+    scene = _scene(reader)
     return read(TopKeys, {key: scene[key] for key in ('frame_rate',) if key in scene},
-                where).frame_rate
+                f'{reader.path}: scene').frame_rate
 
 
-def _cloth_of(topic: str) -> str:
-    """Return the name of the cloth whose cloud a topic is; ``cloth`` where there is only one."""
+def _scene(reader: LogReader) -> dict:
+    """Return the mapping of a log's scene, unchecked; empty if the log has none."""
+    where = f'{reader.path}: scene'
+    return mapping(parse_yaml(reader.scene or '', where), where)
+
+
+def _only_cloth(reader: LogReader) -> str:
+    """Return the name of the cloth of a log's scene; ``cloth`` for a log without a scene."""
+    cloths = _scene(reader).get('cloths')
+    return str(*cloths) if isinstance(cloths, dict) and len(cloths) == 1 else 'cloth'
+
+
+def _cloth_of(topic: str, alone: str) -> str:
+    """Return the name of the cloth whose cloud a topic is: ``alone`` where there is only one."""
     parts = topic.split('/')
-    return parts[-2] if len(parts) > 3 and parts[-3] == 'cloth' else 'cloth'
+    return parts[-2] if len(parts) > 3 and parts[-3] == 'cloth' else alone
 
 
 def bodies_of(message: MultiDOFJointState) -> list[Body]:
