@@ -342,6 +342,16 @@ def test_a_target_keeps_its_order_to_grasps_and_releases(box):
         assert box.drain() == [first, other, (between,), second]
 
 
+def test_a_command_keeps_the_topic_that_it_came_by_until_the_next_frame(box):
+    one, other = MoveCollider('c', HERE), MovePin('a', HERE)
+    box.put('/cloth/collider/c/pose', (one, other))
+    assert box.topic_of(one) is None
+    box.drain()
+    assert (box.topic_of(one), box.topic_of(other)) == ('/cloth/collider/c/pose', None)
+    box.drain()
+    assert box.topic_of(one) is None
+
+
 def test_only_the_last_wind_waits_unless_a_reset_comes_between(box):
     first, second = (SetWind((1.0, 0.0, 0.0)),), (SetWind((2.0, 0.0, 0.0)),)
     other = (MovePin('a', HERE),)

@@ -227,3 +227,12 @@ def test_noise_does_no_harm(cloth):
     assert np.isfinite(points(cloth.clouds[-1])).all()
     assert not cloth.node.said('FATAL')
     assert not cloth.node.said('Traceback')
+
+
+def test_what_the_simulation_refuses_is_said_of_the_topic_that_it_came_by(cloth):
+    cloth.peer.say('/cloth/colliders', markers(collider('ball', action=Marker.DELETE)))
+    topic, before = 'collider/ball/pose', len(cloth.node.lines)
+    cloth.peer.spin(1.0)    # frames that remove it
+    cloth.peer.say(f'/cloth/{topic}', pose_stamped((0.0, 1.0, 0.2)))
+    cloth.peer.until(lambda: any("unknown collider 'ball'" in line
+                                 for line in warnings(cloth, topic, before)), 'the refusal')

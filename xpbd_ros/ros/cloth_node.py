@@ -334,8 +334,10 @@ class ClothNode(LifecycleNode):
         self._publish_on_wall_time(frame)
 
     def refuse(self, command: Command, reason: str) -> None:
-        """Count and report a refused command under its topic."""
-        self.command_queue.refuse(self.resolve_topic_name(f'~/{topic_of(command)}'), reason)
+        """Count and report a refused command under the topic that it came by."""
+        topic = self.command_queue.topic_of(command) or topic_of(command)
+        self.command_queue.refuse(
+            topic if topic.startswith('/') else self.resolve_topic_name(f'~/{topic}'), reason)
 
     def _changed(self, keys: dict) -> bytes:
         """

@@ -54,6 +54,8 @@ class CommandQueue:
         self._collecting: dict[str, tuple[threading.Timer, int, str]] = {}
         """topics warned about within WARN_PERIOD: timer, refusals since, and the last reason"""
         self._waiting: list[Group] = []
+        self._sources: dict[int, tuple[Command, str]] = {}
+        self._drained: dict[int, tuple[Command, str]] = {}
         self._lock = threading.Lock()
 
     def take(self, topic: str, raw: bytes, kind: type, read: Callable) -> None:
@@ -78,6 +80,7 @@ class CommandQueue:
         with self._lock:
             for group in filter(None, groups):
                 self._keep(group)
+                self._sources[id(group[0])] = group[0], topic
             self.accepted[topic] += 1
             self.arrived[topic] = time.monotonic()
 
@@ -93,14 +96,19 @@ class CommandQueue:
                     break
             stamped = all(getattr(command, 'stamp_ns', 0) for command in group)
             for k in same[MAX_STAMPED - 1 if stamped else 0:]:
-                del self._waiting[k]
+                self._sources.pop(id(self._waiting.pop(k)[0]), None)
         self._waiting.append(group)
 
     def drain(self) -> list[Group]:
         """Return and remove all waiting groups."""
         with self._lock:
             waiting, self._waiting = self._waiting, []
+            self._drained, self._sources = self._sources, {}
         return waiting
+
+    def topic_of(self, command: Command) -> str | None:
+        """Return the topic of the group last drained that begins with a command; None if none."""
+        return self._drained.get(id(command), (command, None))[1]
 
     def refuse(self, topic: str, reason: str) -> None:
         """Count a refusal and warn, at most once in WARN_PERIOD per topic."""
