@@ -88,6 +88,11 @@ def test_what_can_be_mended_is_and_is_said(vertices, triangles, particles, left,
         assert mesh.area.sum() == pytest.approx(0.5 * normals(mesh)[:, 2].sum(), rel=1e-14)
 
 
+def test_triangles_with_a_particle_in_common_are_one_piece():
+    bow = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0]]
+    assert surface_mesh(np.array(bow, float), [[0, 1, 2], [0, 3, 4]]).notes == ()
+
+
 def test_removed_vertices_leave_the_order_of_the_file():
     vertices = [[7.0, 7, 7], *SQUARE[:2], SQUARE[0], *SQUARE[2:]]
     mesh = surface_mesh(vertices, [[3, 2, 4], [1, 4, 5]])

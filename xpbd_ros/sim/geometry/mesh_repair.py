@@ -206,8 +206,9 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     if inward.any():
         notes.append(f'{_count(inward.sum(), "closed surface")} inside out; turned')
         triangles = np.where(inward[piece][:, None], triangles[:, ::-1], triangles)
-    if pieces > 1:
-        notes.append(f'{pieces} separate pieces; nothing joins them')
+    apart = 1 if pieces == 1 else _count_pieces(triangles)
+    if apart > 1:
+        notes.append(f'{apart} separate pieces; nothing joins them')
     return triangles, notes
 
 
@@ -241,6 +242,16 @@ def _propagate_orientation(neighbours: list) -> tuple[np.ndarray, np.ndarray, bo
                     twisted = True
         pieces += 1
     return np.array(turned), np.array(piece), twisted
+
+
+def _count_pieces(triangles: np.ndarray) -> int:
+    """Return the number of groups of triangles that share no particle with others."""
+    from scipy import sparse
+    number, corners = np.unique(triangles, return_inverse=True)
+    a, b, c = corners.reshape(-1, 3).T
+    ends = np.concatenate([a, b]), np.concatenate([b, c])
+    graph = sparse.coo_matrix((np.ones(len(ends[0])), ends), (len(number), len(number)))
+    return sparse.csgraph.connected_components(graph, directed=False)[0]
 
 
 def _size(positions) -> float:
