@@ -111,6 +111,8 @@ def test_bad_input_is_refused_with_the_way_out():
         xpbd_ros.load('towl')
     with pytest.raises(InputError, match='solver.substeps: must be'):
         xpbd_ros.load(STRIP, **{'solver.substeps': -1})
+    with pytest.raises(InputError, match='^x+: File name too long'):
+        xpbd_ros.load(1000 * 'x')
     with pytest.raises(AttributeError, match="no attribute 'lod'"):
         _ = xpbd_ros.lod
 
@@ -156,6 +158,11 @@ HOME = Pose((0.0, 0.0, 0.0))
     (MovePin('a', HOME, Twist((INF, 0.0, 0.0))), 'MovePin a: twist is not finite'),
     (MovePin('a', HOME, Twist((0.0, 0.0, 2e6))), r'twist .* is faster than 1e\+06'),
     (MovePin('a', HOME, HOME), r'is not a Twist'),
+    (MovePin('a', HOME, 0), 'MovePin a: 0 is not a Twist'),
+    (MovePin('a', Pose((10**400, 0.0, 0.0))), 'MovePin a: a value is not a number .int too large'),
+    (MovePin('a', HOME, stamp_ns=10**400), r'stamp_ns must be below 2\*\*31 s'),
+    (Grasp('g', HOME, 10**400), 'Grasp g: a value is not a number'),
+    (SetKey(3, 1), "SetKey: 3 is not a key such as 'solver.substeps'"),
     (MovePin('a', None), 'MovePin a: None is not a Pose'),
     (MovePin(3, HOME), 'MovePin: 3 is not a name'),
     (Release(3), 'Release: 3 is not a name'),
@@ -190,6 +197,27 @@ def test_a_command_takes_arrays_and_quaternions_near_unit_length():
     frame = simulation.step([MovePin('a', Pose(np.array([0.0, 0.0, 0.1]), [0.0, 0.0, 0.0, 1.001]),
                                      Twist([0.0, 0.0, 6.0], [0.0, 0.0, 0.0]))])
     assert frame.applied == (MovePin('a', Pose((0.0, 0.0, 0.1)), Twist((0.0, 0.0, 6.0))),)
+
+
+def test_no_name_is_not_that_of_the_log_in_the_working_directory(tmp_path, monkeypatch):
+    (tmp_path / 'run.mcap').touch()
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match='scene: has no name; give that of a scene file or log'):
+        xpbd_ros.load('')
+
+
+def test_numbers_of_numpy_are_numbers():
+    simulation = xpbd_ros.load(STRIP, **{'solver.substeps': np.float32(12),
+                                         'gravity': np.array([0, 0, -1])})
+    assert simulation.solver.substeps == 12
+    assert simulation.state.gravity.tolist() == [0.0, 0.0, -1.0]
+    frame = simulation.step([
+        SetKey('solver.substeps', np.int64(7)), SetKey('gravity', np.array([0.0, 0.0, -2.0])),
+        MovePin('a', HOME, stamp_ns=np.int64(5))])
+    assert frame.refused == ()
+    assert frame.applied[:2] == (SetKey('solver.substeps', 7), SetKey('gravity', [0.0, 0.0, -2.0]))
+    assert type(frame.applied[0].value) is int and type(frame.applied[2].stamp_ns) is int
+    simulation.check({'solver.substeps': np.int64(9)})
 
 
 def test_other_arguments_of_the_wrong_type_are_refused():

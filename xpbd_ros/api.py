@@ -10,9 +10,10 @@ import os
 from pathlib import Path
 from typing import Any, TypeVar
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.command_check import plain
 from xpbd_ros.sim.commands import (
     Click,
     Command,
@@ -64,15 +65,26 @@ def load(scene: str | Path | dict, **overrides: Any) -> Simulation:
     TypeError : not a path, name or mapping
 
     """
+    overrides = plain(overrides)
     if isinstance(scene, dict):
-        return compile_scene(scene_from_mapping(scene, where='scene', name='scene',
+        return compile_scene(scene_from_mapping(plain(scene), where='scene', name='scene',
                                                 overrides=overrides))
     if not isinstance(scene, (str, Path)):
         raise TypeError(f'{scene!r} is not a path of a scene file, a name or a mapping')
+    if scene == '':
+        raise InputError("scene: has no name; give that of a scene file or log, or '.' for a log "
+                         'in the working directory')
     path = Path(scene)
-    if path.suffix == '.mcap' or path.is_dir() and any(path.glob('*.mcap')):
+    if _is_log(path):
         return _of_log(path, overrides)
     return compile_scene(load_scene(str(scene), overrides))
+
+
+def _is_log(path: Path) -> bool:
+    try:
+        return path.is_dir() and any(path.glob('*.mcap')) or path.suffix == '.mcap'
+    except OSError as error:
+        raise InputError(f'{brief(str(path))}: {error.strerror}') from None
 
 
 def _of_log(path: Path, overrides: dict[str, Any]) -> Simulation:

@@ -16,6 +16,7 @@ from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
 from xpbd_ros.scene.threads import with_threads
 from xpbd_ros.scene.warp import check_warps
+from xpbd_ros.sim.command_check import plain
 from xpbd_ros.sim.effect import BuildContext, Built, Cloth
 from xpbd_ros.sim.geometry.mesh import grid_mesh, Mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh, surface_mesh
@@ -222,7 +223,7 @@ class Retune:
             if key not in known and key not in CHOSEN:
                 raise InputError(f'{key}: cannot change while running (these can: '
                                  f'{", ".join(dict.fromkeys((*known, *CHOSEN)))})')
-            raw = with_key(raw, key, value)
+            raw = with_key(raw, key, plain(value))
         scene = scene_from_mapping(raw, where=self.scene.where, name=self.scene.name)
         check_warps(scene, [cloth.mesh for cloth in self.cloths])
         return scene

@@ -44,8 +44,11 @@ _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping
 def find_scene(name: str) -> Path:
     """Return the scene file of a path or of the name of a shipped scene."""
     path = Path(name)
-    if path.is_file():
-        return path
+    try:
+        if path.is_file():
+            return path
+    except OSError as error:    # such as a name that is too long
+        raise InputError(f'{brief(name)}: {error.strerror}') from None
     if path.suffix in ('.yaml', '.yml'):
         raise InputError(f'{name}: ' + ('is a folder' if path.is_dir() else 'no such file'))
     folder = share_folder() / 'scenes'

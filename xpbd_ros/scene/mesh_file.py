@@ -39,10 +39,13 @@ def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _require_file(path: Path) -> None:
     """Raise InputError unless a path is that of a file."""
-    if path.is_dir():
-        raise InputError(f'{path} is a folder; name a file in it')
-    if not path.is_file():
-        raise InputError(f'no such file: {path}; restore it, or correct the path')
+    try:
+        if path.is_dir():
+            raise InputError(f'{path} is a folder; name a file in it')
+        if not path.is_file():
+            raise InputError(f'no such file: {path}; restore it, or correct the path')
+    except OSError as error:    # such as a name that is too long
+        raise InputError(f'{path}: {error.strerror}') from None
 
 
 def _read_obj(path: Path):

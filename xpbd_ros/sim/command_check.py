@@ -5,6 +5,8 @@ from dataclasses import replace
 from math import inf, isfinite, sqrt
 from typing import Any
 
+import numpy as np
+
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     Click,
@@ -16,6 +18,7 @@ from xpbd_ros.sim.commands import (
     Pose,
     Release,
     RemoveCollider,
+    SetKey,
     SetState,
     SetWind,
     Twist,
@@ -24,6 +27,8 @@ from xpbd_ros.sim.commands import (
 
 FAR = 1e6
 """largest coordinate, size and speed that is accepted [m, m/s, rad/s]"""
+LATEST = 2**31 * 10**9
+"""first time that no ROS message holds [ns]"""
 SIZES = {'box': 3, 'sphere': 1, 'cylinder': 2}
 """count of numbers in the size of each shape of ``PlaceCollider`` but a mesh"""
 
@@ -47,7 +52,7 @@ def checked(command: Command) -> Command:
         changes = check(command, what)
     except InputError:
         raise
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f'{what}: a value is not a number ({error})') from None
     if all(value is getattr(command, key) for key, value in changes.items()):
         return command
@@ -63,20 +68,20 @@ def _name(command: Command) -> str:
 
 
 def _move(command: MovePin | MoveCollider, what: str) -> dict[str, Any]:
-    _check_time(command.stamp_ns, what, 'stamp_ns')
     return {'pose': checked_pose(command.pose, what),
-            'twist': command.twist and checked_twist(command.twist, what)}
+            'stamp_ns': _time(command.stamp_ns, what, 'stamp_ns'),
+            'twist': None if command.twist is None else checked_twist(command.twist, what)}
 
 
 def _grasp(command: Grasp, what: str) -> dict[str, Any]:
-    _check_time(command.lifetime_ns, what, 'lifetime_ns')
     if not 0.0 < command.radius < inf:
         raise InputError(f'{what}: radius must be > 0 m (got {command.radius})')
-    return {'pose': checked_pose(command.pose, what)}
+    return {'pose': checked_pose(command.pose, what), 'radius': float(command.radius),
+            'lifetime_ns': _time(command.lifetime_ns, what, 'lifetime_ns')}
 
 
 def _place(command: PlaceCollider, what: str) -> dict[str, Any]:
-    _check_time(command.lifetime_ns, what, 'lifetime_ns')
+    lifetime_ns = _time(command.lifetime_ns, what, 'lifetime_ns')
     size, shape = command.size, command.shape
     if shape == 'mesh':
         size = numbers(size, len(size) // 9 * 9 or 9, what, 'corners of the triangles')
@@ -89,11 +94,18 @@ def _place(command: PlaceCollider, what: str) -> dict[str, Any]:
         if not all(0.0 < c <= 2.0 * FAR for c in size):
             raise InputError(f'{what}: size {list(size)} must be > 0 m and no more than '
                              f'{2.0 * FAR:g}')
-    return {'pose': checked_pose(command.pose, what), 'size': size}
+    return {'pose': checked_pose(command.pose, what), 'size': size,
+            'lifetime_ns': lifetime_ns}
 
 
 def _wind(command: SetWind, what: str) -> dict[str, Any]:
     return {'velocity': checked_velocity(command.velocity, f'{what}: velocity')}
+
+
+def _set_key(command: SetKey, what: str) -> dict[str, Any]:
+    if not isinstance(command.key, str):
+        raise InputError(f"{what}: {command.key!r} is not a key such as 'solver.substeps'")
+    return {'value': plain(command.value)}
 
 
 def _click(command: Click, what: str) -> dict[str, Any]:
@@ -110,14 +122,29 @@ def _set_state(command: SetState, what: str) -> dict[str, Any]:
 
 CHECKS: dict[type, Callable[[Any, str], dict[str, Any]]] = {
     MovePin: _move, MoveCollider: _move, Grasp: _grasp, PlaceCollider: _place, SetWind: _wind,
-    Click: _click, SetState: _set_state,
+    Click: _click, SetState: _set_state, SetKey: _set_key,
     Release: lambda command, what: {}, RemoveCollider: lambda command, what: {}}
 """check of each kind of command: returns its fields as they are to be used"""
 
 
-def _check_time(time: int, what: str, key: str) -> None:
-    if not isinstance(time, int) or time < 0:
+def plain(value: Any) -> Any:
+    """Return a value of a key with NumPy's scalars and arrays as numbers and lists."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, dict):
+        return {plain(key): plain(each) for key, each in value.items()}
+    if type(value) in (list, tuple):
+        found = type(value)(map(plain, value))
+        return value if all(a is b for a, b in zip(found, value)) else found
+    return value
+
+
+def _time(time: int, what: str, key: str) -> int:
+    if not isinstance(time, int | np.integer) or time < 0:
         raise InputError(f'{what}: {key} must be an integer >= 0 ns (got {time!r})')
+    if time >= LATEST:
+        raise InputError(f'{what}: {key} must be below 2**31 s, the most that ROS has')
+    return int(time) if isinstance(time, np.integer) else time
 
 
 def checked_pose(pose: Pose, what: str) -> Pose:
