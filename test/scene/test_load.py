@@ -243,11 +243,14 @@ def test_an_override_is_checked_like_the_file(key, value, text):
      "colliders.bal: unknown collider; did you mean 'ball'? (known: ball)"),
     ('colliders.bal', {'sphere': {'radius': 0.1}},
      "colliders.bal: unknown collider; did you mean 'ball'? (known: ball)"),
+    ('robots.rm.description', 'other.urdf',
+     "robots.rm: unknown robot; did you mean 'arm'? (known: arm)"),
     ('seams.side.compliance', 0.1, 'seams.side: the scene has none')])
 def test_an_override_never_makes_a_new_member(key, value, text):
     scene = FLAG + """
 pins: {left: {cloth: flag, at: corner_00}}
 colliders: {ball: {sphere: {radius: 0.1}}}
+robots: {arm: {description: arm.urdf}}
 effects: {contact: {thickness: 0.004}}
 """
     assert refusal(scene, overrides={key: value}) == f'flag.yaml: {text}'

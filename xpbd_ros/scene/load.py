@@ -135,13 +135,13 @@ def scene_from_mapping(raw: Any, *, where: str, name: str,
 
 def _check_member(raw: dict, key: str) -> None:
     """
-    Refuse an override of a key in a cloth, pin, collider or seam that the scene does not have.
+    Refuse an override of a key in a cloth, pin, collider, seam or robot that is not in the scene.
 
     A misspelt name would otherwise create a new one. Whole sections may be given, with new names.
     """
     section, _, rest = key.partition('.')
     name = rest.partition('.')[0]
-    if name and section in ('cloths', *SECTIONS):
+    if name and section in ('cloths', 'robots', *SECTIONS):
         known = mapping(raw.get(section), section)
         if name not in known:
             raise InputError(f'{section}.{name}: ' + (
