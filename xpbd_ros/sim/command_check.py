@@ -144,7 +144,7 @@ def _time(time: int, what: str, key: str) -> int:
         raise InputError(f'{what}: {key} must be an integer >= 0 ns (got {time!r})')
     if time >= LATEST:
         raise InputError(f'{what}: {key} must be below 2**31 s, the most that ROS has')
-    return int(time) if isinstance(time, np.integer) else time
+    return int(time)
 
 
 def checked_pose(pose: Pose, what: str) -> Pose:
