@@ -148,7 +148,8 @@ def test_what_was_mended_is_told_by_the_simulation(scene, tmp_path):
     ({'warp': [0, 0, 0]}, {}, 'cloths.c.mesh: warp: must not be zero'),
     ({'warp': [0, 0, 2]}, {'effects': {'stretch': {'warp': 9, 'weft': 1}}},
      'cloths.c.mesh.warp: must lie in the mesh, for effects.stretch (got [0.0, 0.0, 2.0], which '
-     'is normal to it); take a direction along x, or values for stretch that do not depend on one'),
+     'is normal to it); take a direction along x, or values for stretch that do not depend on '
+     'one'),
     ({'warp': [0, 0, 1]}, {'effects': {'hinge': {'warp': 9, 'weft': 1}}},
      'cloths.c.mesh.warp: must lie in the mesh, for effects.hinge'),
     ({'fiel': 'x'}, {}, "cloths.c.mesh.fiel: unknown key; did you mean 'file'?"),
