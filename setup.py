@@ -67,7 +67,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'cloth_node = xpbd_ros.ros.cloth_node:main',
+            'cloth_node = xpbd_ros.ros.entry:main',
             'xpbd_ros = xpbd_ros.cli.main:main',
         ],
     },

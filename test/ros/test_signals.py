@@ -1,5 +1,7 @@
 """A signal reaches the program, wherever it comes up."""
 
+from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -28,6 +30,16 @@ signal.raise_signal(signal.SIGINT)
 signal.raise_signal(signal.SIGTERM)
 print('in peace')
 """
+IMPORTING = """
+import importlib, signal, sys
+class Finder:
+    def find_spec(name, path=None, target=None):
+        if name == 'rclpy.lifecycle':
+            signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Finder)
+module, name = {script!r}.split(':')
+sys.exit(getattr(importlib.import_module(module), name)())
+"""
 
 
 def run(name, early='pass', late='pass'):
@@ -47,3 +59,11 @@ def test_the_first_signal_interrupts_and_no_other(name):
     done = run(name, late=f'signal.raise_signal(signal.{name})')
     assert done.stdout.split('\n') == ['compiling', 'interrupted', 'in peace', '']
     assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_a_signal_while_the_node_is_imported_ends_it_in_peace():
+    setup = (Path(__file__).parents[2] / 'setup.py').read_text()
+    script = re.search(r"'cloth_node = (\S+)'", setup)[1]
+    done = subprocess.run([sys.executable, '-c', IMPORTING.format(script=script)],
+                          env=child_environment(), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, '', '')

@@ -20,7 +20,7 @@ def main(argv: list[str]) -> int:
         epilog=f'example:\n  {EXAMPLE}')
     parser.parse_args(not_for_ros(argv))
     need_ros('node')
-    from xpbd_ros.ros.cloth_node import main as node_main
+    from xpbd_ros.ros.entry import main as node_main
     return node_main(argv)
 
 
