@@ -7,7 +7,7 @@ the node runs; share/xpbd_ros/cloth_node.yaml has their defaults.
 
 import argparse
 
-from xpbd_ros.cli.ros import need_ros
+from xpbd_ros.ros.signals import exit_at_once_on_signals, interrupt_on_signals
 
 EXAMPLE = 'xpbd_ros node --ros-args -p scene:=drape -p mode:=realtime'
 
@@ -19,7 +19,10 @@ def main(argv: list[str]) -> int:
         description=__doc__.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=f'example:\n  {EXAMPLE}')
     parser.parse_args(not_for_ros(argv))
-    need_ros('node')
+    interrupt_on_signals()
+    with exit_at_once_on_signals():
+        from xpbd_ros.cli.ros import need_ros
+        need_ros('node')
     from xpbd_ros.ros.entry import main as node_main
     return node_main(argv)
 
