@@ -148,8 +148,8 @@ def test_with_inputs_the_truth_is_our_own_limit(found, tmp_path):
         BASELINES, 'take no inputs')
     assert let_go.truth.x[-1][:, 2].max() < found.truth.x[-1][:, 2].max() - 0.1, 'it fell'
     errors = errors_of(let_go, 'line', 'bdf2')
-    steps = sorted(errors)
-    assert errors[steps[-1]] < 0.05 * errors[steps[0]]
+    assert errors[2] < 2e-3
+    assert errors[8] < 0.2 * errors[2], 'faster than of first order, down to that of the limit'
 
 
 def test_an_unloaded_cloth_is_judged_by_its_shape(found, tmp_path):
