@@ -50,7 +50,7 @@ def test_a_track_holds_the_frames_of_the_log(logs):
     track = Track.read(states, states)
     assert track.times == pytest.approx(np.arange(0, 21, 5) / 60.0, abs=1e-8)
     for k, state in enumerate(states):
-        assert np.array_equal(track.frame(k)[0], state.positions['cloth'])
+        assert np.array_equal(track.frame(k)[0], state.positions['sheet'])
     assert [body.name for body in track.pins[2]] == ['left']
     sheet, = track.sheets()
     assert len(sheet.edges) == 6 * 5 + 7 * 4
