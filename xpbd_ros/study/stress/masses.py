@@ -122,12 +122,14 @@ def coincident():
     """
     Coincident particles part, in the same way in every run, and the sheet recovers.
 
-    From one point it opens crumpled: in most runs its folds keep some edges compressed, by 6 to
-    12 % in the limit of short steps too (``explicit`` stays where ``line`` has come to rest).
+    From one point it opens to a crumpled equilibrium, in most runs, whose folds compress edges by
+    6 to 12 %: started from the end of a run of ``line``, ``explicit`` stays there. Settings that
+    are far softer than asked keep more.
     """
     for setting in USUAL:
+        resolved = setting.method == 'line' and setting.substeps >= 32
         yield Trial(setting, sheet(FIRM, pins={}, gravity=0.0), 3.0, start=one,
-                    recovery_strain=0.6, label='all of them')
+                    recovery_strain=0.2 if resolved else 0.6, label='all of them')
         for place, label in ((patch, 'a patch'), (rows, 'three rows')):
             yield Trial(setting, sheet(FIRM), 3.0, start=place, recovery_strain=0.01,
                         label=label)
