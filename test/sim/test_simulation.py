@@ -125,7 +125,7 @@ def test_the_hash_sees_the_last_bit_of_anything(options):
 @METHODS
 @pytest.mark.parametrize('rate', [60.0, 50.0])
 def test_after_a_reset_the_run_repeats_to_the_bit_though_time_goes_on(options, rate):
-    """Pins and colliders that move by themselves too set out anew; a frame is no whole ns."""
+    """Keyframes of pins and colliders restart as well; a frame is not a whole number of ns."""
     simulation = with_effects(substeps=5, rate=rate, **MOVING, **options)
     first, first_poses = [], []
     for _ in range(20):

@@ -204,8 +204,8 @@ class Built:
     pinned_changed: bool = False
     """True if this effect has changed the set of pinned particles since ``hold``"""
     restarts: bool = False
-    """True if this effect has changed what holds or stops particles: all begin without a history,
-    or forces between those with and without one would differ"""
+    """True if this effect has added or removed what holds or stops particles; the history of all
+    is then cleared (doc/numerics.md 2.2)"""
 
     def __init__(self):
         self.notes: list[str] = []

@@ -1,4 +1,4 @@
-"""Live keys: what a scene changes in its simulation where a key gets a new value."""
+"""The change of a running simulation when a live key of its scene is set."""
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -10,7 +10,7 @@ from xpbd_ros.sim.stepping.solver import Solver
 
 @dataclass(frozen=True)
 class Change:
-    """What a live key changes."""
+    """New effects, solver setting and gravity, after a live key was set."""
 
     effects: dict[str, Built]
     solver: Solver | None = None

@@ -103,13 +103,13 @@ class Simulation:
             built.pinned_changed = False
 
     def _restart(self) -> None:
-        """Begin without a history if an effect asks for it."""
+        """Clear the multistep history if an effect asks for it."""
         if any(built.restarts for built in self.effects.values()):
             self.fetch()
             self._forget()
 
     def _forget(self) -> None:
-        """Leave no particle a history."""
+        """Clear the multistep history of all particles."""
         forget(self.state)
         for built in self.effects.values():
             built.forget()

@@ -282,7 +282,7 @@ def _end_age(history, w, q):
     return end
 
 
-def _next_age(fullest, w, fresh):
+def _next_age(kept, w, fresh):
     """Return the vector ``fresh`` of the next substep; ``kept`` is ``History.fullest``."""
 
 
