@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from xpbd_ros.cli.main import main
 from xpbd_ros.cli.output import check_outputs, new_folder, write_json
 from xpbd_ros.errors import InputError
-from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.log.folder import folder_of, fresh_folder
 
 
 def test_numpy_values_paths_and_non_finite_numbers_are_written(tmp_path, monkeypatch):
@@ -76,3 +77,11 @@ def test_a_fresh_folder_is_not_there_yet(tmp_path, monkeypatch):
     assert one.name.startswith('xpbd_ros_run_2')
     one.mkdir()
     assert fresh_folder('run') != one
+
+
+def test_a_folder_may_be_in_the_home_folder(monkeypatch):
+    """A shell expands no ~ in ``-p record.path:=~/run``; a folder named ~ invites ``rm -r ~``."""
+    monkeypatch.setenv('HOME', '/home/hand')
+    assert folder_of('~/run') == Path('/home/hand/run')
+    assert folder_of('run') == Path('run')
+    assert folder_of('') is None

@@ -170,7 +170,27 @@ def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):
     try:
         line = cloth.node.wait_for('recording stopped')
         assert 'Traceback' not in line
+        assert line.endswith(f"'xpbd_ros recover {folder}' writes a whole log of what it holds")
         goes_on(cloth)
+        assert not cloth.node.said(f'recorded {folder}'), 'it is not whole'
     finally:
         resource.prlimit(process, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     cloth.status(lambda status: int(status['bytes_recorded']) == 0)
+
+
+def test_a_log_that_cannot_be_finished_is_no_success(cloth):
+    assert cloth.trigger('pause')[0]
+    good, folder = cloth.record(True)
+    assert good, folder
+    process = cloth.node.process.pid
+    resource.prlimit(process, resource.RLIMIT_FSIZE, (8_000, resource.RLIM_INFINITY))
+    try:
+        good, reason = cloth.record(False)
+    finally:
+        resource.prlimit(process, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    assert not good, reason
+    assert reason.startswith(f'not finished: {folder}/'), reason
+    assert 'File too large' in reason
+    assert cloth.record(False) == (False, 'not recording')
+    assert cloth.trigger('play')[0]
+    goes_on(cloth)

@@ -79,6 +79,32 @@ def test_stamps_and_speed_are_those_of_the_clock(start, peer, towel, run):
     assert BEGIN <= reader.start_ns < reader.end_ns <= simulator.now_ns
 
 
+def test_what_cannot_be_recorded_is_said_while_it_waits_for_the_clock(start, peer, towel,
+                                                                      tmp_path):
+    cloth = Cloth(peer, start('-r', '__node:=early', scene=towel, use_sim_time='true',
+                              autostart='false', record__path=tmp_path), '/early')
+    assert cloth.go('configure')
+    assert not cloth.go('activate'), 'as without a clock to wait for'
+    cloth.node.wait_for('[ERROR]', f'{tmp_path}: exists already; a log goes into a folder of its')
+    run = tmp_path / 'run'
+    assert cloth.set(record__path=str(run)) == (True, '')
+    assert cloth.go('activate')
+    assert cloth.record(True) == (False, 'use_sim_time: waiting for /clock')
+    assert not run.exists(), 'no log without a time to begin at'
+    run.mkdir()
+    simulator = Simulator(peer)
+    peer.until(lambda: simulator.tell() or peer.spin(0.05) or cloth.clouds, 'the start')
+    cloth.node.wait_for('[ERROR]', f'not recording: {run}: exists already')
+    simulator.run(200_000_000)
+    assert cloth.state == 'active', 'it goes on without a log'
+    good, folder = cloth.record(True)
+    assert good, folder
+    assert cloth.record(False) == (True, folder)
+    assert LogReader(folder).start_ns >= BEGIN
+    assert cloth.node.end() == 0
+    peer.company.clear()
+
+
 def test_a_node_that_makes_the_clock_does_not_wait_for_it(start, peer, towel):
     cloth = Cloth(peer, start('-r', '__node:=source', scene=towel, use_sim_time='true',
                               publish_clock='true'), '/source')

@@ -17,6 +17,7 @@ from typing import TypeVar
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.errors import LogError
+from xpbd_ros.log.folder import occupied
 from xpbd_ros.log.mcap_file import McapFile
 from xpbd_ros.log.metadata import FileRecord, MetadataFile, TopicRecord
 from xpbd_ros.log.qos import Qos
@@ -178,8 +179,7 @@ class LogWriter:
         try:
             self.folder.mkdir(parents=True)
         except FileExistsError:
-            raise InputError(f'{self.folder}: exists already; a log goes into a folder of its '
-                             f'own') from None
+            raise occupied(self.folder) from None
         except OSError as error:
             raise InputError(f'{self.folder}: cannot be written: {error.strerror}') from None
 

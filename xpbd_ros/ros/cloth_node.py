@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
-from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.log.folder import check_absent, folder_of, fresh_folder
 from xpbd_ros.ros.chosen_keys import chosen_keys, with_chosen_keys
 from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
@@ -31,9 +31,9 @@ from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
 from xpbd_ros.ros.particle_fields import words_of
-from xpbd_ros.ros.process import run
+from xpbd_ros.ros.process import answer_every_transition, log_or_print, run
 from xpbd_ros.ros.recorder import Recorder
-from xpbd_ros.ros.services import Services
+from xpbd_ros.ros.services import Services, WAITING
 from xpbd_ros.ros.signals import exit_at_once_on_signals
 from xpbd_ros.ros.stamps import Stamps, STEADY_NS
 from xpbd_ros.ros.stepper import IDLE, Stepper
@@ -71,25 +71,13 @@ class ClothNode(LifecycleNode):
         self.node_services: Services | None = None
         self.interaction: Interaction | None = None
         self.live_parameters = LiveParameters(self)
-        self._answer_every_transition()
+        answer_every_transition(self)
 
     def value(self, name: str):
         """Return a parameter's value."""
         return self.get_parameter(name).value
 
     # lifecycle
-
-    def _answer_every_transition(self) -> None:
-        """Answer invalid transitions with ``success=False``; rclpy would end the node."""
-        change = self._service_change_state.callback
-
-        def answer(request, response):
-            try:
-                return change(request, response)
-            except RuntimeError:    # rcl has logged the reason
-                response.success = False
-                return response
-        self._service_change_state.callback = answer
 
     def on_configure(self, state):
         """Load and compile the scene, and create its topics and services."""
@@ -176,15 +164,17 @@ class ClothNode(LifecycleNode):
         self.begun = False
         self._next_markers = self._next_diagnostics = 0.0
         self.status.begin()
-        if self.waits:
-            self.get_logger().info('use_sim_time: waiting for /clock')
-        else:
-            try:
+        try:
+            if self.waits:
+                if folder := self._folder_from_start():
+                    check_absent(folder)
+                self.get_logger().info(WAITING)
+            else:
                 self._publish_initial_state()
-            except InputError as error:
-                self.get_logger().error(str(error))
-                super().on_deactivate(state)
-                return TransitionCallbackReturn.FAILURE
+        except InputError as error:
+            self.get_logger().error(str(error))
+            super().on_deactivate(state)
+            return TransitionCallbackReturn.FAILURE
         assert self.simulation is not None
         now_ns, poll = self.pace()
         self.stepper = Stepper(
@@ -219,10 +209,13 @@ class ClothNode(LifecycleNode):
         assert self.simulation is not None and self.topics is not None
         frame = self.simulation.frame()
         self.stamps.begin(frame.time_ns, self.now_ns())
-        if self.value('record.path'):
-            folder = Path(self.value('record.path'))
-            own = folder.exists() and folder.absolute() in self._recorded
-            self.start_recording(fresh_folder('node') if own else folder)
+        try:
+            if folder := self._folder_from_start():
+                self.start_recording(folder)
+        except InputError as error:
+            if self.stepper is None:    # not active yet, and will not be
+                raise
+            self.get_logger().error(f'not recording: {error}')
         self._publish(self.outputs.start())
         self._publish_recording()
         self._publish(self.outputs.frame(frame, self.stamps.last_ns))
@@ -329,7 +322,9 @@ class ClothNode(LifecycleNode):
                 self.recorder.frame(frame, encoded, stamp_ns)
                 self.recorder.values(self.error_monitor.values(), frame)
             except InputError as error:
-                self.get_logger().error(f'recording stopped: {error}')
+                self.get_logger().error(
+                    f"recording stopped: {error}; 'xpbd_ros recover {self.recorder.folder}' "
+                    'writes a whole log of what it holds')
                 self.stop_recording()
         self._publish_on_wall_time(frame)
 
@@ -395,6 +390,12 @@ class ClothNode(LifecycleNode):
 
     # recording
 
+    def _folder_from_start(self) -> Path | None:
+        """Return the folder to record to from activation on, if any: a fresh one after its own."""
+        folder = folder_of(self.value('record.path'))
+        own = folder is not None and folder.exists() and folder.absolute() in self._recorded
+        return fresh_folder('node') if own else folder
+
     def start_recording(self, folder: Path) -> None:
         """Open a log in a new folder."""
         self.recorder = Recorder(
@@ -416,23 +417,22 @@ class ClothNode(LifecycleNode):
             self._publish(self.outputs.recording(
                 '' if self.recorder is None else str(self.recorder.folder.absolute())))
 
-    def stop_recording(self) -> None:
-        """Finish the log, if one is open."""
+    def stop_recording(self) -> str:
+        """Finish the log, if one is open; return why that failed, or nothing."""
         recorder, self.recorder = self.recorder, None
-        if recorder is not None:
-            self._publish_recording()
-            try:
-                recorder.close()
-                self._log_or_print('info', f'recorded {recorder.folder.absolute()}')
-            except InputError as error:
-                self._log_or_print('error', f'not finished: {error}')
-
-    def _log_or_print(self, level: str, text: str) -> None:
-        """Log a message; print it if the ROS context is shut down, where loggers do not work."""
-        if rclpy.ok():
-            getattr(self.get_logger(), level)(text)
-        else:
-            print(f'[{level.upper()}] [{self.get_name()}]: {text}', file=sys.stderr)
+        if recorder is None:
+            return ''
+        self._publish_recording()
+        stopped, failure = recorder.log.closed, ''    # by an error that has been reported
+        try:
+            recorder.close()
+        except InputError as error:
+            failure = f'not finished: {error}'
+        if failure:
+            log_or_print(self, 'error', failure)
+        elif not stopped:
+            log_or_print(self, 'info', f'recorded {recorder.folder.absolute()}')
+        return failure
 
 
 def main(args: list[str] | None = None) -> int:

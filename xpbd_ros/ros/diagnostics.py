@@ -8,6 +8,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from xpbd_ros.ros.guards import LOST
 from xpbd_ros.ros.messages import set_stamp
+from xpbd_ros.ros.services import WAITING
 from xpbd_ros.sim import measure
 
 KEPT = 600
@@ -115,7 +116,7 @@ class Status:
                           'were rolled back: the cloth stands still')
             log.error(errors[-1])
         if node.waits:
-            warnings.append('use_sim_time: waiting for /clock')
+            warnings.append(WAITING)
         if self._jumps_ns:
             warnings.append(f'the clock jumped by {sum(self._jumps_ns) * 1e-9:+.3f} s; '
                             'stamps follow it')

@@ -9,7 +9,7 @@ from concurrent import futures
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.pin_handles import PinHandles
 from xpbd_ros.ros.pin_services import PinServices
-from xpbd_ros.ros.services import ANSWER_SECONDS
+from xpbd_ros.ros.services import ANSWER_SECONDS, WAITING
 from xpbd_ros.ros.set_state import CloudStates
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.simulation import SavedState
@@ -60,7 +60,7 @@ class Interaction:
         """
         node = self._node
         if not node.begun:
-            raise InputError('use_sim_time: waiting for /clock')
+            raise InputError(WAITING)
         for command, reason in node.simulation.apply(node.command_queue.drain()):
             node.refuse(command, reason)
         for _, reason in node.simulation.apply(commands):

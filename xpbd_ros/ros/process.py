@@ -22,6 +22,29 @@ def spin(node) -> None:
             node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
 
 
+def answer_every_transition(node) -> None:
+    """Answer invalid transitions with ``success=False``; rclpy would end the node."""
+    change = node._service_change_state.callback
+
+    def answer(request, response):
+        try:
+            return change(request, response)
+        except RuntimeError:    # rcl has logged the reason
+            response.success = False
+            return response
+    node._service_change_state.callback = answer
+
+
+def log_or_print(node, level: str, text: str) -> None:
+    """Log a message; print it if the ROS context is shut down, where loggers do not work."""
+    if not rclpy.ok():
+        print(f'[{level.upper()}] [{node.get_name()}]: {text}', file=sys.stderr)
+    elif level == 'error':    # on a line of its own: rclpy allows one severity per line
+        node.get_logger().error(text)
+    else:
+        node.get_logger().info(text)
+
+
 def run(create, args: list[str] | None = None) -> int:
     """
     Run a node until a signal; return 0, 1 if stepping failed, 2 if it cannot start.

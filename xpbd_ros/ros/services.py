@@ -5,16 +5,16 @@ The services of every node.
 """
 
 from concurrent import futures
-from pathlib import Path
 
 from std_srvs.srv import SetBool, Trigger
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.log.folder import fresh_folder
+from xpbd_ros.log.folder import folder_of, fresh_folder
 from xpbd_ros.sim.commands import LoadState, Reset, SaveState
 
 ANSWER_SECONDS = 10.0
 """longest time that a service waits for the present frame to end [s]"""
+WAITING = 'use_sim_time: waiting for /clock'
 
 
 def answer(node, response, action, message: str):
@@ -130,12 +130,16 @@ class Services:
                 if node.recorder is None:
                     raise InputError('not recording')
                 folder = node.recorder.folder
-                node.stop_recording()
+                if failure := node.stop_recording():
+                    raise InputError(failure)
                 return folder.absolute()
+            if not node.begun:
+                raise InputError(WAITING)
             if node.recorder is not None:
                 raise InputError(f'already recording to {node.recorder.folder.absolute()}')
-            path = node.value('record.path')
-            folder = Path(path) if path and not Path(path).exists() else fresh_folder('node')
+            folder = folder_of(node.value('record.path'))
+            if folder is None or folder.exists():
+                folder = fresh_folder('node')
             if node.simulation.pending:
                 node.step()    # with inputs of the log in front of its first frame
             node.start_recording(folder)
