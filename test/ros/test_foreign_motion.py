@@ -371,7 +371,7 @@ def test_a_silent_topic_releases_its_pin_and_is_told(tmp_path):
         frame = simulation.step(motion.commands(index))
     assert not frame.pins
     assert motion.texts() == [
-        'TF: topic:/tool_pose silent for more than 0.5 s: pin hand released']
+        '/tool_pose: silent for more than 0.5 s: pin hand released']
 
 
 def test_a_refused_grasp_is_told_with_its_reason(tmp_path, capsys):

@@ -54,5 +54,5 @@ def test_poses_that_tf_would_have_to_transform_are_refused_without_it(start, pee
 
     def refused() -> list[str]:
         peer.say('/tool_pose', pose_stamped((0.0, 0.0, 0.0), frame_id='mars'), PoseStamped)
-        return node.said('/tool_pose: refused:') or node.said('TF: no transform of topic:')
+        return node.said('/tool_pose: refused:') or node.said('/tool_pose: no pose in ')
     peer.until(refused, 'the refusal')

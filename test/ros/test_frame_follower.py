@@ -45,8 +45,8 @@ CORNER = (-0.2, -0.2, 0.004)
 class Given:
     """Transforms by frame: (stamp [ns], pose)."""
 
-    def __init__(self, **poses):
-        self.poses = poses
+    def __init__(self, source='TF', **poses):
+        self.name, self.poses = source, poses
 
     def latest_ns(self, frame: str, source: str) -> int:
         """Return the stamp of a pose."""
@@ -217,6 +217,41 @@ def test_silence_tells_the_reason_of_tf():
         follow.step()
     assert follow.said == ['TF: hand silent for more than 0.5 s: pin hand released; '
                            '"hand" does not exist']
+
+
+def test_reports_name_the_source_and_what_a_pin_does():
+    """Joint states and topics are no TF, and a pin that holds nothing is neither held nor free."""
+    follow = Follow(tool=(10**9, Pose((0.0, 1.0, 0.5))))
+    follow.given.name = '/joint_states'
+    follow.step(Release('hand'))
+    for _ in range(70):
+        follow.step()
+    assert follow.said == [
+        '/joint_states: no pose of hand in 0.5 s: pin hand holds nothing; "hand" does not exist',
+        '/joint_states: tool silent for more than 1 s: collider ball held']
+    assert follow.follower.finding == ('/joint_states: hand, tool silent: pin hand holds nothing, '
+                                       'collider ball held')
+    text = TOWEL + """
+pins:
+  hand: {cloth: towel, at: corner_00}
+inputs:
+  /tool_pose: {pin: hand}
+  /trackers: {collider: ball, joint: ball}
+"""
+    scene = scene_from_text(text, where='scene.yaml', name='scene')
+    now_ns, said = [0], []
+    pin_of, ball_of = followers(scene)
+    follower = FrameFollower(compile_scene(scene), 'world', [
+        (pin_of, Given('/tool_pose')), (ball_of, Given('/trackers'))],
+        now_ns=lambda: now_ns[0], warn=said.append)
+    follower.commands()
+    now_ns[0] = 2 * 10**9
+    follower.commands()
+    assert [line.split('; ')[0] for line in said] == [
+        '/tool_pose: no pose in 1 s: pin hand held',
+        '/trackers: no pose of ball in 1 s: collider ball absent']
+    assert follower.finding == ('/tool_pose: silent: pin hand held; /trackers: ball silent: '
+                                'collider ball absent')
 
 
 def test_a_static_frame_is_never_silent():

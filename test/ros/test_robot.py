@@ -9,6 +9,7 @@ import sys
 from geometry_msgs.msg import TransformStamped
 import numpy as np
 import pytest
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -44,6 +45,25 @@ def publish_tf(peer) -> None:
     peer.node.create_subscription(JointState, '/joint_states', publish, 100)
 
 
+def fingers_closed_in_the_air(cloth: Cloth) -> None:
+    """See the refused grasp told and counted under the topic that it came by."""
+    inputs = [info.qos_profile.reliability for info in
+              cloth.peer.node.get_subscriptions_info_by_topic('/joint_states')
+              if info.node_name == 'cloth']
+    assert ReliabilityPolicy.RELIABLE in inputs, 'as all inputs'
+
+    def refused() -> list[str]:
+        message = JointState(name=['reach', 'lift', 'finger'], position=[0.4, 0.4, 0.004])
+        message.header.stamp = cloth.peer.node.get_clock().now().to_msg()
+        cloth.peer.say('/joint_states', message)
+        return cloth.node.said("refused: pin 'arm_gripper': no free particle within 0.03 m")
+    line, = cloth.peer.until(refused, 'the refusal')
+    assert ' /joint_states: refused: ' in line
+    status = cloth.status(lambda status: 'rejected /joint_states' in status)
+    assert float(status['age_s /joint_states']) < 10.0
+    assert 'rejected /cloth/pins' not in status
+
+
 @pytest.mark.parametrize('follow', ['joint_states', pytest.param('tf', marks=pytest.mark.skipif(
     find_spec('tf2_ros') is None,
     reason='tf2_ros is missing: apt install ros-jazzy-tf2-ros-py'))])
@@ -75,11 +95,15 @@ def test_a_gripper_picks_up_a_cloth_and_lays_it_down(start, peer, tmp_path, foll
             peer.until(lambda: np.ptp(points(cloth.clouds[-1])[..., 2]) < 0.1, 'rest')
         finally:
             motion.kill()
+    source = '/joint_states' if follow == 'joint_states' else 'TF'
     final = points(cloth.clouds[-1])
     assert final[CENTRE][0] == pytest.approx(0.2, abs=0.03)
     assert final[..., 2].min() > 0.0
     assert not cloth.node.said('refused'), cloth.node.lines
-    cloth.node.wait_for('silent for more than 1 s', 'collider arm_palm held')
+    cloth.node.wait_for(f'{source}: palm, ', ' silent for more than 1 s', 'arm_palm held',
+                        'pin arm_gripper holds nothing')
+    if follow == 'joint_states':
+        fingers_closed_in_the_air(cloth)
     assert cloth.node.end() == 0
     assert {topic for _, topic in recorded_inputs(run)} == {
         'pins', 'pin_targets', 'colliders', 'collider_states'}

@@ -330,7 +330,12 @@ class ClothNode(LifecycleNode):
 
     def refuse(self, command: Command, reason: str) -> None:
         """Count and report a refused command under the topic that it came by."""
-        topic = self.command_queue.topic_of(command) or topic_of(command)
+        assert self.following is not None
+        topic = self.command_queue.topic_of(command)
+        if topic is None and (source := self.following.source_of(command)) is not None:
+            self.command_queue.refuse(source, reason)
+            return
+        topic = topic or topic_of(command)
         self.command_queue.refuse(
             topic if topic.startswith('/') else self.resolve_topic_name(f'~/{topic}'), reason)
 

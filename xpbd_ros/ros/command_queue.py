@@ -61,9 +61,7 @@ class CommandQueue:
     def take(self, topic: str, raw: bytes, kind: type, read: Callable) -> None:
         """Unpack, check and queue one serialized message, or refuse all of it."""
         try:
-            if len(raw) > self.max_message_bytes:
-                raise InputError(f'{len(raw)} bytes are more than max_message_bytes '
-                                 f'({self.max_message_bytes})')
+            self._check_size(raw)
             count = count_in(raw, kind) if hasattr(kind, 'markers') or hasattr(
                 kind, 'joint_names') else 0
             if count > self.max_names:
@@ -74,6 +72,20 @@ class CommandQueue:
             self.put(topic, tuple(commands))
         except InputError as error:
             self.refuse(topic, str(error))
+
+    def take_state(self, topic: str, raw: bytes, kind: type, take: Callable) -> None:
+        """Give ``take`` an unpacked message that followers look at, or refuse it."""
+        try:
+            self._check_size(raw)
+            take(unpacked(raw, kind))
+            self.put(topic)
+        except InputError as error:
+            self.refuse(topic, str(error))
+
+    def _check_size(self, raw: bytes) -> None:
+        if len(raw) > self.max_message_bytes:
+            raise InputError(f'{len(raw)} bytes are more than max_message_bytes '
+                             f'({self.max_message_bytes})')
 
     def put(self, topic: str, *groups: Group) -> None:
         """Queue commands for the next frame; those of a group act together."""

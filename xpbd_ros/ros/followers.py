@@ -8,7 +8,7 @@ from xpbd_ros.ros.frame_follower import FrameFollower, PoseSource
 from xpbd_ros.scene.frames import Follower, followers, topic_of_frame
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.robots import Robot
-from xpbd_ros.sim.commands import Grasp, Reset
+from xpbd_ros.sim.commands import Command, Grasp, Reset
 from xpbd_ros.sim.simulation import Simulation
 
 
@@ -113,6 +113,11 @@ class Followers:
             if gripper.open:
                 self._follower.let_go(pin)
         return found + self._follower.commands(reset=reset, without=acting, grasped=grasped)
+
+    def source_of(self, command: Command) -> str | None:
+        """Return the name of the source that a command's pin or collider follows, if any."""
+        return next((source.name for each, source in self.sources if each.name == getattr(
+            command, each.section.removesuffix('s'), None)), None)
 
     @property
     def finding(self) -> str:

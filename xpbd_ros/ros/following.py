@@ -3,18 +3,16 @@
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.followers import Followers
 from xpbd_ros.ros.frame_follower import PoseSource
 from xpbd_ros.ros.frame_inputs import FrameInputs
+from xpbd_ros.ros.inlet import Inlet
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.simulation import Simulation
-
-DEPTH = 50
-"""depth of the subscriptions to joint states [messages]"""
 
 
 class Following:
@@ -39,7 +37,7 @@ class Following:
         self.inputs = FrameInputs(node, self._frame_id, take, node.command_queue.refuse)
         self._joint_states: dict = {}    # by topic
         self._topics: dict = {}    # subscribed topics of other programs, by name in the scene
-        self._subscriptions: list = []
+        self._inlets: list[Inlet] = []
         try:
             self._followers = Followers(simulation, scene, self, now_ns=self._now_ns,
                                         warn=node.get_logger().warning)
@@ -64,11 +62,11 @@ class Following:
         from xpbd_ros.ros.robots import JointStates
         node, topic = self._node, self._node.resolve_topic_name(robot.keys.joint_states)
         if topic not in self._joint_states:
-            states = JointStates(topic, node.command_queue.refuse, node.now_ns)
+            states = JointStates(topic, node.now_ns)
             self._joint_states[topic] = states
-            self._subscriptions.append(node.create_subscription(
-                JointState, topic, states.take,
-                QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)))
+            self._inlets.append(Inlet(node, topic, JointState,
+                                      lambda raw: node.command_queue.take_state(
+                                          topic, raw, JointState, states.take)))
         return self._joint_states[topic]
 
     def transforms(self) -> PoseSource:
@@ -85,6 +83,10 @@ class Following:
     def commands(self, groups: Sequence[tuple]) -> list[tuple]:
         """Return the commands of followers before a frame, to act after the ``groups``."""
         return self._followers.commands(groups)
+
+    def source_of(self, command: Command) -> str | None:
+        """Return the source that a pin or collider of a command follows; None if it does not."""
+        return self._followers.source_of(command)
 
     @property
     def finding(self) -> str:
@@ -106,7 +108,7 @@ class Following:
     def close(self) -> None:
         """Destroy the subscriptions."""
         self.inputs.close()
-        for subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription)
+        for inlet in self._inlets:
+            inlet.close()
         for topic in self._topics.values():
             topic.close()

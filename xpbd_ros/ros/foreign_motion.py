@@ -111,7 +111,7 @@ class ForeignMotion:
         topic = robot.keys.joint_states
         if topic not in self._states:
             self._need(topic, (JOINT_STATE,), f'robots.{robot.name}.joint_states')
-            states = self._states[topic] = JointStates(topic, self._refuse, lambda: self._now_ns)
+            states = self._states[topic] = JointStates(topic, lambda: self._now_ns)
             self._takers[topic] = lambda raw: states.take(unpacked(raw, JointState))
         return self._states[topic]
 

@@ -14,7 +14,6 @@ from rclpy.clock import Clock, ClockType
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.frame_follower import PoseSource
 from xpbd_ros.ros.inlet import Inlet
-from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.ros.pose_messages import TYPES
 from xpbd_ros.ros.topic_poses import TopicPoses
 
@@ -73,15 +72,8 @@ class ForeignTopic:
                                 lambda raw: self._take(usable[0], kind, raw))
 
     def _take(self, type_name: str, kind: type, raw: bytes) -> None:
-        queue = self._node.command_queue
-        try:
-            if len(raw) > queue.max_message_bytes:
-                raise InputError(f'{len(raw)} bytes are more than max_message_bytes '
-                                 f'({queue.max_message_bytes})')
-            self.poses.take(type_name, unpacked(raw, kind))
-            queue.put(self._name)
-        except InputError as error:
-            queue.refuse(self._name, str(error))
+        self._node.command_queue.take_state(
+            self._name, raw, kind, lambda message: self.poses.take(type_name, message))
 
     def close(self) -> None:
         """Destroy the subscription."""

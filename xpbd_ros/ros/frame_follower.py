@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.frames import Follower
+from xpbd_ros.scene.frames import Follower, topic_of_frame
 from xpbd_ros.sim.commands import (
     Command,
     Grasp,
@@ -32,7 +32,10 @@ from xpbd_ros.sim.simulation import Simulation
 
 
 class PoseSource(Protocol):
-    """Poses of TF frames: ``ros.tf.Transforms``, or the kinematics of a robot."""
+    """Poses of TF frames: ``ros.tf.Transforms``, the kinematics of a robot, or a topic."""
+
+    name: str
+    """in reports: 'TF', or the topic"""
 
     def latest_ns(self, frame: str, source: str) -> int:
         """Return the time of the latest pose [ns]; 0 for a static one."""
@@ -87,6 +90,12 @@ class Track:
         new = stamp_ns != self.stamp_ns or pose != self.pose
         self.pose, self.stamp_ns, self.seen_ns, self.reason = pose, stamp_ns, now_ns, ''
         return new
+
+    @property
+    def label(self) -> str:
+        """Name of the frame in reports; of a topic its joint, empty if it has only one."""
+        topic = topic_of_frame(self.frame)
+        return self.frame if topic is None else topic[1] or ''
 
     def silence(self, now_ns: int) -> float:
         """Return the time since the latest change [s]."""
@@ -203,24 +212,41 @@ class FrameFollower:
         return self._simulation.effects[effect]
 
     def _report(self, silent: list[Track], back: list[Track]) -> None:
-        """Warn about frames that fell silent or returned, in one line each."""
-        unknown = [track for track in silent if track.pose is None]
-        if unknown:
-            self._warn(f'TF: no transform of {_frames(unknown)} in {unknown[0].timeout:g} s: '
-                       f'{_parts(unknown)}; {unknown[0].reason}')
-        stale = [track for track in silent if track.pose is not None]
-        if stale:
-            reason = next((f'; {track.reason}' for track in stale if track.reason), '')
-            self._warn(f'TF: {_frames(stale)} silent for more than {stale[0].timeout:g} s: '
-                       f'{_parts(stale)}{reason}')
-        if back:
-            self._warn(f'TF: {_frames(back)} back')
+        """Warn about frames that fell silent or returned, in one line for each source."""
+        for name, tracks in _by_source(silent):
+            unknown = [track for track in tracks if track.pose is None]
+            if unknown:
+                what = 'transform' if name == 'TF' else 'pose'
+                of = f' of {frames}' if (frames := _frames(unknown)) else ''
+                self._warn(f'{name}: no {what}{of} in {unknown[0].timeout:g} s: '
+                           f'{self._parts(unknown)}; {unknown[0].reason}')
+            stale = [track for track in tracks if track.pose is not None]
+            if stale:
+                reason = next((f'; {track.reason}' for track in stale if track.reason), '')
+                self._warn(f'{name}: {_frames(stale, " ")}silent for more than '
+                           f'{stale[0].timeout:g} s: {self._parts(stale)}{reason}')
+        for name, tracks in _by_source(back):
+            self._warn(f'{name}: {_frames(tracks, " ")}back')
 
     @property
     def finding(self) -> str:
         """Present warning for ``/diagnostics``; empty if no frame is silent."""
         silent = [track for track in self._tracks if track.silent]
-        return f'TF: {_frames(silent)} silent: {_parts(silent)}' if silent else ''
+        return '; '.join(f'{name}: {_frames(tracks, " ")}silent: {self._parts(tracks)}'
+                         for name, tracks in _by_source(silent))
+
+    def _parts(self, tracks: list[Track]) -> str:
+        """Return the state of the parts of silent frames, such as 'collider a held'."""
+        return ', '.join(f'{part.about.section.removesuffix("s")} {part.about.name} '
+                         f'{self._state(part)}' for track in tracks for part in track.parts)
+
+    def _state(self, part: Part) -> str:
+        if part.absent:
+            return 'absent'
+        if part.lost:
+            return 'released'
+        held = part.about.section == 'colliders' or self.holds(part.about.name)
+        return 'held' if held else 'holds nothing'
 
     def diagnostics(self) -> dict[str, float]:
         """Return the age of each followed frame's latest transform [s]."""
@@ -228,17 +254,13 @@ class FrameFollower:
         return {f'frame_age_s {track.frame}': track.silence(now_ns) for track in self._tracks}
 
 
-def _frames(tracks: list[Track]) -> str:
-    return ', '.join(track.frame for track in tracks)
+def _by_source(tracks: list[Track]) -> list[tuple[str, list[Track]]]:
+    """Return the tracks of each source, by its name."""
+    names = dict.fromkeys(track.source.name for track in tracks)
+    return [(name, [track for track in tracks if track.source.name == name]) for name in names]
 
 
-def _parts(tracks: list[Track]) -> str:
-    """Return the state of the parts of silent frames, such as 'collider a held'."""
-    return ', '.join(
-        f'{part.about.section.removesuffix("s")} {part.about.name} '
-        + ('absent' if part.absent else 'released' if _releases(track, part) else 'held')
-        for track in tracks for part in track.parts)
-
-
-def _releases(track: Track, part: Part) -> bool:
-    return part.lost or track.pose is not None and part.about.section == 'pins'
+def _frames(tracks: list[Track], end: str = '') -> str:
+    """Return the names of frames with ``end`` behind them; nothing if they have none."""
+    names = ', '.join(filter(None, (track.label for track in tracks)))
+    return names + end if names else ''

@@ -63,6 +63,8 @@ class Edge:
 class LoggedTransforms:
     """A ``PoseSource`` of transforms that are given message by message."""
 
+    name = 'TF'
+
     def __init__(self):
         self._edges: dict[str, Edge] = {}    # by child
 

@@ -52,14 +52,12 @@ class JointStates:
     Parameters
     ----------
     topic : full name; several publishers may share it
-    refuse : is given (topic, reason)
     now_ns : clock for messages without a stamp [ns]
 
     """
 
-    def __init__(self, topic: str, refuse: Callable[[str, str], None],
-                 now_ns: Callable[[], int]):
-        self.topic, self._refuse, self._now_ns = topic, refuse, now_ns
+    def __init__(self, topic: str, now_ns: Callable[[], int]):
+        self.topic, self._now_ns = topic, now_ns
         self.latest: tuple[int, Mapping[str, float]] = 0, {}
         """stamp [ns], and positions [m, rad] by joint; replaced as a whole"""
 
@@ -69,10 +67,8 @@ class JointStates:
         if not message.position:
             return    # velocities or efforts alone
         if len(message.position) != len(message.name) or not all(map(isfinite, message.position)):
-            self._refuse(
-                self.topic, f'{len(message.name)} names and {len(message.position)} positions, '
-                'or some are not finite')
-            return
+            raise InputError(f'{len(message.name)} names and {len(message.position)} positions, '
+                             'or some are not finite')
         sent_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         self.latest = (max(stamp_ns, sent_ns or self._now_ns()),
                        {**known, **dict(zip(message.name, message.position))})
@@ -93,7 +89,7 @@ class Kinematics:
     """
 
     def __init__(self, robot: Robot, states: JointStates):
-        self._states, self._base = states, robot.pose
+        self.name, self._states, self._base = states.topic, states, robot.pose
         self._prefix = robot.keys.frame_prefix or ''
         self._description = Description(Path(robot.file), robot.text)
         self._computed_ns = 0

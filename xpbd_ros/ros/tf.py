@@ -29,6 +29,8 @@ class Transforms:
 
     """
 
+    name = 'TF'
+
     def __init__(self, node):
         try:
             import tf2_ros

@@ -36,7 +36,7 @@ class TopicPoses:
 
     def __init__(self, topic: str, frame_id: str, transforms: Callable[[], PoseSource],
                  now_ns: Callable[[], int]):
-        self._topic, self._frame_id = topic, frame_id
+        self.name, self._topic, self._frame_id = topic, topic, frame_id
         self._transforms, self._now_ns = transforms, now_ns
         self._samples: dict[str, tuple[Sample, ...]] = {}    # by joint; replaced as a whole
         self._trajectory: tuple[int, Trajectory, tuple[Pose, ...]] | None = None
