@@ -64,6 +64,15 @@ def test_one_version_everywhere(setup_arguments):
     assert manifest.findtext('name') == setup_arguments['name'] == 'xpbd_ros'
 
 
+def test_rosdep_installs_the_ros_packages_that_are_imported():
+    """In messages of other programs, found by name at run time, those programs bring the types."""
+    manifest = ElementTree.parse(ROOT / 'package.xml').getroot()
+    needed = {element.text for element in manifest.findall('exec_depend')}
+    files = [file for folder in ('xpbd_ros', 'config') for file in (ROOT / folder).rglob('*.py')]
+    found = {name.split('.')[0] for file in files for name in imported(file)}
+    assert {name for name in found if is_ros(name)} <= {*needed, 'tf2_ros'}, 'tf2_ros: tf2_ros_py'
+
+
 def test_pip_of_any_age_builds_a_wheel():
     """Without a build system, pip 23.0 (Debian 12) runs setup.py, and no script gets to bin/."""
     assert "build-backend = 'setuptools.build_meta'" in (ROOT / 'pyproject.toml').read_text()
@@ -190,7 +199,7 @@ def test_imports_point_one_way():
 
 def is_ros(package: str) -> bool:
     return package in {'rclpy', 'launch', 'launch_ros', 'ament_index_python'} or package.endswith(
-        ('_msgs', '_srvs'))
+        ('_msgs', '_srvs', '_interfaces'))
 
 
 @pytest.mark.smoke

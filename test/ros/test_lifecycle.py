@@ -127,6 +127,7 @@ BAD_STARTS = {
     'live key': (['-p', 'solver.substeps:=-3'], 'solver.substeps'),
     'record': (['-p', 'scene:=good.yaml', '-p', 'record.path:=.'], 'exists already'),
     'file': (['--params-file', 'nothing.yaml'], 'nothing.yaml'),
+    'argument': (['--remp', 'a:=b'], "unknown ROS arguments: ['--remp', 'a:=b']"),
 }
 
 

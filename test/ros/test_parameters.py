@@ -50,6 +50,8 @@ def test_every_one_has_a_description_and_a_range(cloth):
         assert about.description, about.name
         assert about.type != ParameterType.PARAMETER_NOT_SET, about.name
         assert not about.dynamic_typing, about.name
+        assert ('read when the node is configured' in about.additional_constraints) == (
+            about.name in {row.name for row in TABLE if not row.live}), about.name
         ranged = about.floating_point_range or about.integer_range
         if about.name in live - {'gravity'}:
             assert ranged, about.name

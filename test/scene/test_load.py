@@ -103,6 +103,7 @@ def test_a_mistake_in_a_cloth_names_key_value_unit_and_remedy(before, after, tex
     ('frame_rate: 0.5', 'frame_rate: must be at least 1 Hz (got 0.5)'),
     ('frame_rate: 20000', 'frame_rate: must be at most 10000 Hz (got 20000)'),
     ('frame_id: ""', "frame_id: must be text (got '')"),
+    ('frame_id: /map', "frame_id: TF frames have no leading '/'; take 'map'"),
     ('duration: 0', 'duration: must be > 0 s (got 0)'),
     ('solver: {substeps: 0}', 'solver.substeps: must be at least 1 (got 0)'),
     ('solver: {method: gauss_siedel}', "solver.method: unknown value; did you mean "

@@ -64,10 +64,9 @@ TABLE = (
 def descriptor(row: Row) -> ParameterDescriptor:
     """Return the descriptor of a parameter of the node, as ``ros2 param describe`` shows it."""
     found = ParameterDescriptor(description=row.description, read_only=False)
-    if row.choices:
-        found.additional_constraints = f'one of {", ".join(row.choices)}'
-    elif not row.live:
-        found.additional_constraints = 'read when the node is configured'
+    found.additional_constraints = '; '.join(filter(None, (
+        f'one of {", ".join(row.choices)}' if row.choices else '',
+        '' if row.live else 'read when the node is configured')))
     _set_range(found, isinstance(row.default, int), row.minimum, row.maximum)
     return found
 

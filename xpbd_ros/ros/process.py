@@ -5,6 +5,7 @@ import sys
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals
@@ -72,7 +73,10 @@ def run(create, args: list[str] | None = None) -> int:
         return 2
     except RuntimeError as error:
         if node is None:
-            print(f'cloth_node: {str(error).splitlines()[0]}', file=sys.stderr)
+            told = str(error).splitlines()[0]
+            if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+                told = f'unknown ROS arguments: {told}'
+            print(f'cloth_node: {told}', file=sys.stderr)
             return 2
         if rclpy.ok():    # otherwise the context was shut down during a call
             raise

@@ -7,7 +7,7 @@ from typing import Any
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.materials import Isotropic
-from xpbd_ros.sim.parameters import check_static, quantity
+from xpbd_ros.sim.parameters import check_frame_name, check_static, quantity
 
 MOST_THREADS = 64
 """threads of a simulation, at most"""
@@ -122,6 +122,9 @@ class TopKeys:
     frame_rate: float = quantity(60.0, unit='Hz', minimum=1.0, maximum=10_000.0)
     duration: float = quantity(4.0, unit='s', above=0.0, doc='used by run and accuracy')
     solver: SolverKeys = quantity(SolverKeys())
+
+    def __post_init__(self):
+        check_frame_name('frame_id', self.frame_id)
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def read(kind: type, value: Any, path: str, *, left_to_others: tuple[str, ...] =
     try:
         return kind(**arguments)
     except InputError as error:
-        raise InputError(f'{path}: {error}') from None
+        raise InputError(f'{path}: {error}' if path else str(error)) from None
 
 
 def _value(kind: Any, value: Any, path: str, metadata) -> Any:

@@ -47,14 +47,19 @@ def check_place(at: str | tuple[int, ...] | None) -> None:
                          'particle indices)')
 
 
+def check_frame_name(key: str, frame: str) -> None:
+    """Raise InputError if the name of a TF frame begins with a slash, which tf2 refuses."""
+    if frame.startswith('/'):
+        raise InputError(f"{key}: TF frames have no leading '/'; take '{frame.lstrip('/')}'")
+
+
 def check_frame(entry) -> None:
     """Raise InputError unless an entry's TF frame, if it names one, goes with its other keys."""
     if entry.frame is None:
         if entry.frame_timeout is not None:
             raise InputError("frame_timeout: needs 'frame', the TF frame to follow")
         return
-    if entry.frame.startswith('/'):
-        raise InputError(f"frame: TF frames have no leading '/'; take '{entry.frame.lstrip('/')}'")
+    check_frame_name('frame', entry.frame)
     if entry.motion is not None:
         raise InputError("needs either 'motion' or 'frame', not both")
 
