@@ -308,6 +308,9 @@ def test_a_particle_that_flies_at_a_shape_is_met_from_any_side(shape):
      'colliders.s.orientation: must be a unit quaternion x y z w (got length 3)'),
     ({'plane': {}, 'friction': -0.1}, 'colliders.s.friction: must be at least 0 (got -0.1)'),
     ({'plane': {}, 'restitution': 1.1}, 'colliders.s.restitution: must be at most 1 (got 1.1)'),
+    ({'box': {'size': [1, 1, 1]}, 'position': [0, 0, 1], 'motion': [[0, 0, 0, 0], [1, 0, 0, 2]]},
+     "colliders.s: position: has no effect beside 'motion', whose points are positions; leave it "
+     'out'),
     ({'plane': {}, 'static_friction': 0.4},
      'colliders.s: static_friction: must be at least friction (0.5) (got 0.4)')])
 def test_a_collider_without_sense_is_refused(collider, text):

@@ -87,7 +87,7 @@ def test_a_compliance_is_that_of_every_edge():
 
 
 @pytest.mark.parametrize('stretch, text', [
-    ({}, 'needs either warp and weft (N/m) or compliance (m/N), not both'),
+    ({}, 'needs either warp and weft (N/m) or compliance (m/N), and has none'),
     ({'warp': 1, 'weft': 1, 'compliance': 0},
      'needs either warp and weft (N/m) or compliance (m/N), not both'),
     ({'weft': 1, 'compliance': 0},

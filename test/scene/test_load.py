@@ -47,7 +47,8 @@ def refusal(text, **options):
      'cloths.flag.effects.stretch.warp: must be finite N/m (got nan)'),
     ('warp: 800.0', 'warp: soft',
      "cloths.flag.effects.stretch.warp: must be a number in N/m (got 'soft')"),
-    ('warp: 800.0', 'warp: ', 'cloths.flag.effects.stretch.warp: has no value'),
+    ('warp: 800.0', 'warp: ', 'cloths.flag.effects.stretch.warp: has no value; give it one (N/m), '
+     'or leave it out'),
     ('warp: 800.0', 'warp: [1]',
      'cloths.flag.effects.stretch.warp: must be a number in N/m (got [1])'),
     ('density: 0.15', 'density: -0.15', 'cloths.flag.density: must be > 0 kg/m² (got -0.15)'),
@@ -93,8 +94,10 @@ def test_a_mistake_in_a_cloth_names_key_value_unit_and_remedy(before, after, tex
     ('effects: {damping: {rate: -1}}', 'effects.damping.rate: must be at least 0 1/s (got -1)'),
     ('colliders: {floor: {plane: {}}}',
      'colliders: needs effects.contact, and the scene does not name it'),
+    ('effects: {contact: {thickness: 0.01}}\ncolliders: {floor: {plane: }}',
+     'colliders.floor.plane: has no value; give it {}, or leave it out'),
     ('pins: [left]', "pins: must be a mapping (got ['left'])"),
-    ('pins: {left: {cloth: flag, at: 3}}', 'pins.left.at: must be text (got 3)'),
+    ('pins: {left: {cloth: flag, at: 3}}', 'pins.left.at: must be text or a list (got 3)'),
     ('pins: {left: {at: corner_00}}', 'pins.left.cloth: missing'),
     ('pins: {left: {cloth: flag, at: [0, x]}}',
      "pins.left.at[1]: must be a number (got 'x')"),
@@ -128,7 +131,10 @@ def test_a_mistake_in_the_rest_is_told_too(added, text):
     (FLAG + '\tx: 1\n',
      "line 7, column 1: found character '\\t' that cannot start any token"),
     (FLAG + 'gravity: [0, 0\n', "line 8, column 1: expected ',' or ']', but got '<stream end>'"),
-    (FLAG + '---\n' + FLAG, 'line 7, column 1: but found another document'),
+    (FLAG + '---\n' + FLAG, 'line 7, column 1: expected a single document in the stream, but '
+     'found another document'),
+    (FLAG.replace('grid:', '<<: {density: 1}\n    grid:'),
+     "line 3, column 5: merge keys ('<<') are not supported; write their keys out"),
     (FLAG.replace('0.15', '!!python/object/apply:os.getcwd []'),
      'line 4, column 14: could not determine a constructor for the tag '
      "'tag:yaml.org,2002:python/object/apply:os.getcwd'")])

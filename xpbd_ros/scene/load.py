@@ -30,6 +30,10 @@ def _mapping_once(loader, node, deep=False):
         if not isinstance(key_node, yaml.ScalarNode):
             raise yaml.constructor.ConstructorError(
                 None, None, 'a key must be a name', key_node.start_mark)
+        if key_node.tag == 'tag:yaml.org,2002:merge':
+            raise yaml.constructor.ConstructorError(
+                None, None, "merge keys ('<<') are not supported; write their keys out",
+                key_node.start_mark)
         key = loader.construct_object(key_node, deep=True)
         if key in seen:
             raise yaml.constructor.ConstructorError(
@@ -97,6 +101,8 @@ def parse_yaml(text: str, where: str) -> Any:
         mark = getattr(error, 'problem_mark', None)
         at = f'line {mark.line + 1}, column {mark.column + 1}: ' if mark else ''
         problem = getattr(error, 'problem', None) or str(error).splitlines()[0]
+        if problem.startswith('but '):
+            problem = f'{error.context}, {problem}'
         raise InputError(f'{where}: {at}{problem}') from error
     except (RecursionError, ValueError, OverflowError) as error:
         raise InputError(f'{where}: cannot be read as YAML ({error})') from error

@@ -79,11 +79,14 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
     if get_origin(kind) in (Union, types.UnionType):
         kinds = [k for k in get_args(kind) if k is not type(None)]
         if value is None:
-            form = _form(kinds[0])
-            raise InputError(f'{path}: has no value' + (
-                f'; give it {form}, or leave it out' if form else ''))
+            unit = f' ({metadata["unit"]})' if metadata.get('unit') else ''
+            form = _form(kinds[0]) or ('{}' if is_dataclass(kinds[0]) else f'one{unit}')
+            raise InputError(f'{path}: has no value; give it {form}, or leave it out')
         fits = [k for k in kinds if (get_origin(k) is tuple and isinstance(value, list))
                 or (is_dataclass(k) and isinstance(value, dict))]
+        if not fits and kinds[0] is str and not isinstance(value, str) and any(
+                get_origin(k) is tuple for k in kinds):
+            raise InputError(f'{path}: must be text or a list (got {_short(value)})')
         kind = fits[0] if fits else kinds[0]
     if isinstance(kind, type) and is_dataclass(kind):
         if value is not None and not isinstance(value, dict) and _form(kind):

@@ -83,7 +83,9 @@ def need_one_or_two(alone: float | None, pair: tuple[float | None, float | None]
     either, both : names of the alternatives and of the pair, for the message
 
     """
-    if (alone is None) == (pair == (None, None)):
+    if alone is None and pair == (None, None):
+        raise InputError(f'needs either {either}, and has none')
+    if alone is not None and pair != (None, None):
         raise InputError(f'needs either {either}, not both')
     if alone is None and None in pair:
         raise InputError(f'needs {both}, and only one of them is given')

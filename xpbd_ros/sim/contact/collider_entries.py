@@ -118,14 +118,15 @@ class Start:
 class Entry:
     """One entry of the scene's ``colliders``: exactly one shape, its pose and surface."""
 
-    plane: Plane | None = quantity(None)
-    sphere: Sphere | None = quantity(None)
-    capsule: Capsule | None = quantity(None)
-    cylinder: Cylinder | None = quantity(None)
-    box: Box | None = quantity(None)
-    mesh: Body | None = quantity(None)
-    heights: Ground | None = quantity(None)
-    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
+    plane: Plane | None = quantity(None, doc='the half space below a plane')
+    sphere: Sphere | None = quantity(None, doc='around the position')
+    capsule: Capsule | None = quantity(None, doc='along its z, around the position')
+    cylinder: Cylinder | None = quantity(None, doc='along its z, around the position')
+    box: Box | None = quantity(None, doc='around the position')
+    mesh: Body | None = quantity(None, doc='the interior of a closed surface')
+    heights: Ground | None = quantity(None, doc='the region below a height field')
+    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m',
+                                                    doc="of the shape's or the file's origin")
     orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
                                                               doc='quaternion x y z w')
     friction: float = quantity(0.5, minimum=0.0, live=True, doc='coefficient μ')
@@ -135,7 +136,8 @@ class Entry:
                                   doc='speed after a bounce / speed before')
     pad: Pad | None = quantity(None, doc='a soft surface; rigid unless given')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
-        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+        None, unit='s, m', doc='points [t, x, y, z] in place of position, joined by monotone '
+        'cubics; at rest before the first and after the last')
     frame: str | None = quantity(None, doc=(
         'TF frame that it follows, with position and orientation in that frame'))
     start: Start | None = quantity(None, doc='its pose where there is no TF')
@@ -151,6 +153,9 @@ class Entry:
                              f'(got {", ".join(given) or "none"})')
         check_static(self.static_friction, self.friction)
         check_motion(self.motion)
+        if self.motion and any(self.position) and self.position != self.motion[0][1:]:
+            raise InputError("position: has no effect beside 'motion', whose points are "
+                             'positions; leave it out')
         check_frame(self)
         if self.start is not None and self.frame is None:
             raise InputError("start: needs 'frame', the TF frame to follow")
