@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import yaml
 
+from support.keys import tables
 from support.meshes import disc, obj_text
 from support.tiers import slow
 from xpbd_ros.demo.domain import private_environment
@@ -57,6 +58,25 @@ def effects_table() -> str:
 
 def test_table_of_effects_is_what_their_files_say():
     assert effects_table() in text('effects'), f'doc/effects.md should hold\n{effects_table()}'
+
+
+def test_table_of_keys_is_what_their_declarations_say():
+    assert tables() in text('keys'), f'doc/keys.md should hold\n{tables()}'
+
+
+def test_table_of_places_is_where_pins_hold():
+    cloth = yaml.safe_load(block('yaml', 'scenes'))['cloths']['towel']
+    rows = '\n'.join(re.findall(r'^\| `(?:corner|edge)_.*$', text('scenes'), re.M))
+    points = re.findall(r'\((.*?)\)|([xy]) = ([0-9.]+)', rows)
+    for at, (corner, axis, value) in zip(re.findall(r'`(\w+)`', rows), points, strict=True):
+        frame = compile_scene(scene_from_text(yaml.safe_dump(
+            {'cloths': {'towel': cloth}, 'pins': {'a': {'cloth': 'towel', 'at': at}}}),
+            where='README', name='readme')).frame()
+        held = frame.x[frame.inv_mass == 0.0]
+        if corner:
+            np.testing.assert_allclose(held, [[*map(float, corner.split(',')), 0.0]])
+        else:
+            np.testing.assert_allclose(held[:, 'xy'.index(axis)], float(value))
 
 
 def test_shipped_scenes_are_named_and_have_a_picture():

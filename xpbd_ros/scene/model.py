@@ -20,13 +20,15 @@ class SolverKeys:
     """The ``solver`` section, and a settings file."""
 
     method: str = quantity('auto', choices=('auto', 'gauss_seidel', 'gauss_seidel_symmetric',
-                                            'line', 'jacobi', 'explicit'))
+                                            'line', 'jacobi', 'explicit'),
+                             doc='auto: line, or explicit in calm frames and line in others')
     integrator: str | None = quantity(None, choices=('backward_euler', 'bdf2', 'ndf2', 'leapfrog'),
                                       doc="chosen by auto, or the method's default, unless given")
     substeps: int | None = quantity(None, minimum=1, maximum=10_000, live=True,
                                     doc='per frame; chosen by auto unless given')
     iterations: int = quantity(1, minimum=1, maximum=10_000, live=True, doc='per substep')
-    precision: str = quantity('float64', choices=('float64', 'float32'))
+    precision: str = quantity('float64', choices=('float64', 'float32'),
+                              doc='of the arithmetic')
     order: str = quantity('sequential', choices=('sequential', 'coloured'),
                           doc='of the constraints in a sweep: neighbours one after another, or '
                           'batches without a common particle')
@@ -87,7 +89,8 @@ class MeshKeys:
 class PoseKeys:
     """The key ``pose`` of a cloth: its initial pose."""
 
-    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m')
+    position: tuple[float, float, float] = quantity((0.0, 0.0, 0.0), unit='m',
+                                                    doc="of the grid's or the file's origin")
     orientation: tuple[float, float, float, float] = quantity((0.0, 0.0, 0.0, 1.0),
                                                               doc='quaternion x y z w')
 
@@ -117,9 +120,11 @@ class ClothKeys:
 class TopKeys:
     """The top-level keys of a scene, without its sections."""
 
-    gravity: tuple[float, float, float] = quantity((0.0, 0.0, -9.80665), unit='m/s²', live=True)
-    frame_id: str = quantity('world')
-    frame_rate: float = quantity(60.0, unit='Hz', minimum=1.0, maximum=10_000.0)
+    gravity: tuple[float, float, float] = quantity((0.0, 0.0, -9.80665), unit='m/s²', live=True,
+                                                   doc='acceleration of all particles')
+    frame_id: str = quantity('world', doc='TF frame of all positions')
+    frame_rate: float = quantity(60.0, unit='Hz', minimum=1.0, maximum=10_000.0,
+                                 doc='frames per second of simulated time')
     duration: float = quantity(4.0, unit='s', above=0.0, doc='used by run and accuracy')
     solver: SolverKeys = quantity(SolverKeys())
 

@@ -13,12 +13,16 @@ class Entry:
     """One entry of the scene's ``pins``: a pin that holds cloth from the start."""
 
     cloth: str = quantity(doc='the cloth that it holds')
-    at: str | tuple[int, ...] | None = quantity(None, doc='corner_00 …, edge_0x …, or indices')
-    near: tuple[float, float, float] | None = quantity(None, unit='m', doc='point to hold around')
+    at: str | tuple[int, ...] | None = quantity(
+        None, doc='corner_00 …, edge_0x …, or numbers of particles')
+    near: tuple[float, float, float] | None = quantity(
+        None, unit='m', doc='point around which it holds')
     radius: float = quantity(0.01, unit='m', above=0.0, doc='radius around that point')
-    target: tuple[float, float, float] | None = quantity(None, unit='m', doc='where it moves to')
+    target: tuple[float, float, float] | None = quantity(
+        None, unit='m', doc='where it moves to, at max_speed')
     motion: tuple[tuple[float, ...], ...] | None = quantity(
-        None, unit='s, m', doc='points t, x, y, z, joined by monotone cubics')
+        None, unit='s, m', doc='points [t, x, y, z] that it passes, joined by monotone cubics; at '
+        'rest before the first and after the last')
     frame: str | None = quantity(None, doc='TF frame that it follows')
     position: tuple[float, float, float] | None = quantity(None, unit='m',
                                                            doc='offset in that frame')
