@@ -135,19 +135,33 @@ def test_a_state_that_is_set_is_at_rest_and_pinned_particles_stay(integrator):
     assert not simulation.pending
 
 
+def test_a_state_is_set_to_the_positions_of_a_frame_as_they_are():
+    simulation, other = sheet(), sheet()
+    x = simulation.frame().x + [0.0, 0.0, 0.25]
+    for positions in (x, x.tolist(), tuple(map(tuple, x))):
+        assert simulation.apply([SetState('c', positions)]) == []
+        other.apply([SetState('c', flat(x))])
+        assert simulation.hash() == other.hash()
+        assert simulation.step().applied == (SetState('c', flat(x)),)
+        other.step()
+
+
 def test_states_that_fit_no_cloth_are_refused():
     simulation = sheet()
     before = simulation.hash()
     for command, text in [
             (SetState('d', (0.0,) * 60), "unknown cloth 'd' (known: c)"),
             (SetState('c', (0.0,) * 57), '19 positions, and c has 20 particles'),
-            (SetState('c', (0.0,) * 58), 'x, y, z of each particle must be 57 numbers'),
-            (SetState('c', (1.0, 2.0)), 'x, y, z of each particle must be 3 numbers'),
+            (SetState('c', (0.0,) * 58), 'positions must be x, y, z of each particle'),
+            (SetState('c', (1.0, 2.0)), 'positions must be x, y, z of each particle'),
+            (SetState('c', np.zeros((3, 20))), 'of shape (particles, 3) or flat (got (3, 20))'),
+            (SetState('c', [[0.0, 0.0, 0.0], [0.0]]), 'a value is not a number'),
             (SetState('c', (float('nan'),) * 60), 'further than 1e+06 m away, or not finite'),
             (Click((0.0, float('inf'), 0.0)), 'is not finite'),
             (Click((0.0, 0.0)), 'must be 3 numbers')]:
         (_, reason), = simulation.apply([command])
         assert text in reason
+        assert len(reason) < 300
     assert simulation.hash() == before
     assert not simulation.pending
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from math import inf, isfinite, sqrt
+import reprlib
 from typing import Any
 
 import numpy as np
@@ -113,8 +114,14 @@ def _click(command: Click, what: str) -> dict[str, Any]:
 
 
 def _set_state(command: SetState, what: str) -> dict[str, Any]:
-    places = numbers(command.positions, len(command.positions) // 3 * 3 or 3, what,
-                     'positions: x, y, z of each particle')
+    places: Any = command.positions
+    shape = np.shape(places)
+    if len(shape) == 2 and shape[1] == 3:
+        places = tuple(np.asarray(places, float).ravel().tolist())
+    elif len(shape) != 1 or len(places) % 3:
+        raise InputError(f'{what}: positions must be x, y, z of each particle, of shape '
+                         f'(particles, 3) or flat (got {shape})')
+    places = numbers(places, len(places), what, 'positions')
     if not all(-FAR <= c <= FAR for c in places):
         raise InputError(f'{what}: a position is further than {FAR:g} m away, or not finite')
     return {'positions': places}
@@ -201,5 +208,5 @@ def numbers(values: Iterable[float], count: int, what: str, key: str) -> Any:
     """Return values as a tuple of ``count`` items; raise InputError for another count."""
     found = values if isinstance(values, tuple) else tuple(map(float, values))
     if len(found) != count:
-        raise InputError(f'{what}: {key} must be {count} numbers (got {values!r})')
+        raise InputError(f'{what}: {key} must be {count} numbers (got {reprlib.repr(values)})')
     return found

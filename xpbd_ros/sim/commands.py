@@ -157,7 +157,7 @@ class SetState:
 
     cloth: str
     positions: tuple[float, ...]
-    """x, y, z of each particle in natural order [m]"""
+    """x, y, z of each particle in natural order [m]; an array (particles, 3) is taken as well"""
 
 
 Command = (Grasp | Click | Release | ReleaseAll | MovePin | MoveCollider | PlaceCollider
