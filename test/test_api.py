@@ -2,6 +2,7 @@
 
 import inspect
 from pathlib import Path
+import pickle
 import re
 import subprocess
 import sys
@@ -47,6 +48,20 @@ def test_a_restored_state_continues_to_the_same_bits():
         again = [(other.step([Release('b')]).x.tobytes(), other.hash()) for _ in range(5)]
         assert again == first
     assert saved.index == 3
+
+
+@pytest.mark.parametrize('simulation', [
+    lambda: xpbd_ros.load(STRIP), lambda: xpbd_ros.load({**STRIP, 'pins': {}}), with_effects],
+    ids=['pins', 'neither', 'both'])
+def test_a_frame_is_data_that_pickles(simulation):
+    """Such as the answer of a process of a pool, or an entry of a data set."""
+    frame = simulation().frame()
+    other = pickle.loads(pickle.dumps(frame))
+    assert other.index == frame.index
+    np.testing.assert_array_equal(other.x, frame.x)
+    assert {name: pin.pose for name, pin in other.pins.items()} == {
+        name: pin.pose for name, pin in frame.pins.items()}
+    assert set(other.colliders) == set(frame.colliders)
 
 
 def test_a_state_of_another_scene_is_refused():

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 import copy
 from fractions import Fraction
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -252,7 +251,7 @@ class Simulation:
             gather(state.x, state.v, state.inv_mass, self.slot[part], x[part], v[part],
                    inv_mass[part])
         self.by_parts(bring, particles)
-        reported: dict[str, Any] = dict.fromkeys(('pins', 'colliders'), MappingProxyType({}))
+        reported: dict[str, Any] = {'pins': {}, 'colliders': {}}
         for built in self.effects.values():
             reported.update(built.reported(self.frame_dt))
         return Frame(self.index, self.time_ns(self.index), x, v, inv_mass, **reported,
