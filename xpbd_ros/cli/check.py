@@ -69,6 +69,7 @@ def lines(name: str, found) -> list[str]:
                     f'per second from the amplitude of a {row.mode} of {row.frequency_hz:.2g} Hz')
     counts = ', '.join(f'{100 * float(error):g} %: {count or "out of reach"}'
                        for error, count in found.substeps_for.items())
-    text += ['', f'substeps for an error of the stretch of  {counts}']
+    if counts:
+        text += ['', f'substeps for an error of the stretch of  {counts}']
     return text + [*(f'note: {note}' for note in found.notes),
                    *(f'warning: {warning}' for warning in found.warnings)]

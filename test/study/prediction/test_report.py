@@ -12,6 +12,7 @@ import pytest
 from support.meshes import box_surface, disc, obj_text
 from support.shipped_scenes import each_scene, WITH_MESHIO
 from support.tiers import slow
+from xpbd_ros.cli.check import lines
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
@@ -66,8 +67,11 @@ def test_the_pressure_of_a_pad_is_said():
 
 @WITH_MESHIO
 def test_what_nothing_is_predicted_of_is_said():
-    (note,) = check(load_scene('softbox')).notes
+    found = check(load_scene('softbox'))
+    (note,) = found.notes
     assert note.startswith('volume: no stiffness is predicted: its constraints have no direction')
+    assert found.substeps_for == {}
+    assert not any('substeps for' in line for line in lines('softbox', found))
 
 
 def test_the_substeps_asked_for_are_the_fewest_that_do():

@@ -40,7 +40,8 @@ class Report:
     stiffness: list[Row]
     decay: list[Decay]
     substeps_for: dict[str, int | None]
-    """substeps by relative error of the stretch; None if out of reach"""
+    """substeps by relative error of the stretch; None if out of reach; empty for cloth without a
+    prediction of it"""
     frame_ms: float
     """expected time of a frame on the CPU of the cost table [ms]"""
     frame_dt_ms: float
@@ -60,10 +61,11 @@ def check(scene: Scene) -> Report:
     simulation = compile_scene(scene)
     solver = simulation.solver
     rows = stiffness(scene, simulation, solver)
-    counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS}
+    counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS
+              if any(row.effect in ('shear', *STRETCH) for row in rows)}
     expected = frame_ms(simulation, solver, table_of(scene.top.solver))
     frame_dt_ms = 1e3 * simulation.frame_dt
-    warnings = [*_soft(scene, simulation, rows, counts['0.1']), *_slow(expected, frame_dt_ms),
+    warnings = [*_soft(scene, simulation, rows, counts.get('0.1')), *_slow(expected, frame_dt_ms),
                 *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
