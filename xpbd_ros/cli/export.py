@@ -50,8 +50,8 @@ def run(arguments) -> int:
     if arguments.json != '-':
         size = sum(file.stat().st_size for file in files)
         print(f'{states.path}: {len(states)} frames of {particles} particles')
-        print(f'{files[0]}' + (f' and {len(files) - 1} more files' if len(files) > 1 else '')
-              + f', {1e-6 * size:.2f} MB')
+        more = f' and {len(files) - 1} more' if len(files) > 1 else ''
+        print(f'{files[0]}{more}, {1e-6 * size:.2f} MB')
     return 0
 
 

@@ -74,8 +74,8 @@ def run_verb(name: str, argv: list[str]) -> int:
     except OSError as error:
         print(f'xpbd_ros {name}: {brief(str(error.filename))}: {error.strerror}', file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(f'xpbd_ros {name}: interrupted', file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(f'xpbd_ros {name}: interrupted {interrupt}'.rstrip(), file=sys.stderr)
         return 130
 
 

@@ -101,7 +101,7 @@ def run(arguments) -> int:
                 recorder.frame(frame)
                 recorder.values(monitor.values(), frame)
                 if signals:
-                    raise KeyboardInterrupt
+                    raise KeyboardInterrupt(f'after frame {index}; its log is {folder}')
     finally:
         monitor.close()
         recorder.close()

@@ -180,7 +180,8 @@ def lines(numbers: dict, rows, failed: list[dict]) -> list[str]:
     """Return the printed summary."""
     text = [f"{numbers['runs']} runs, {numbers['failed']} without an outcome, in "
             f"{numbers['wall_s']:.1f} s"
-            + (f" with {numbers['workers']} workers" if numbers['workers'] else '')
+            + (f" with {numbers['workers']} worker{'s' * (numbers['workers'] > 1)}"
+               if numbers['workers'] else '')
             + (f" ({numbers['resumed']} from before)" if numbers['resumed'] else '')]
     for name in SHOWN:
         found = [row[name] for row in rows if row.get(name) is not None]

@@ -226,6 +226,13 @@ def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
                                                               chosen.setting.integrator)
 
 
+@pytest.mark.parametrize('p95', [1.9, 2.1])
+def test_a_rerun_beyond_the_budget_is_said(found, p95):
+    row = next(row for row in found.rows if row.timing)
+    said = dict(facts(found, row, 2.0, None, (row.errors, replace(row.timing, ms_p95=p95))))
+    assert said['rerun'].endswith(f'{p95} ms p95' + ', over the budget' * (p95 > 2.0))
+
+
 @pytest.mark.parametrize('share', [0.99, 0.4])
 def test_a_busy_machine_is_said(found, share):
     rows = [replace(row, timing=replace(row.timing, cpu_share=share)) for row in found.rows

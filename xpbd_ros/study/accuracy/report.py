@@ -154,8 +154,9 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
     if again is not None:
         errors, timing = again
         error = Row(chosen.setting, errors).error(study.by)
+        over = budget is not None and timing.ms_p95 > budget
         said.append(('rerun', f'{error:.3g} m, {timing.ms_p50:.3g} ms, {timing.ms_p95:.3g} ms '
-                     'p95'))
+                     'p95' + ', over the budget' * over))
     return said
 
 
