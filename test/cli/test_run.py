@@ -437,7 +437,8 @@ def test_an_interrupt_leaves_a_log_that_is_whole(number, scene, tmp_path):
     assert (said, process.returncode) == ('', 130)
     reader = LogReader(tmp_path / 'out')
     last = reader.topics['/cloth/particles'].count - 1
-    assert error == f"xpbd_ros run: interrupted after frame {last}; its log is {tmp_path / 'out'}\n"
+    assert error == (f'xpbd_ros run: interrupted after frame {last}; its log is '
+                     f'{tmp_path / "out"}\n')
     assert reader.whole, reader.damage
     assert reader.topics['/cloth/particles'].count > 100
 
