@@ -121,11 +121,11 @@ def lines(name: str, found, machine: str, most: dict) -> list[str]:
     text = [f'{name}: {found.particles} particles, {found.substeps} substeps, {found.frames} '
             f'frames, {found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
             machine, '',
-            f'  {"effect":<12} {"µs/substep":>15} {"share":>7} {"constraints":>11} '
+            f'  {"effect":<14} {"µs/substep":>15} {"share":>7} {"constraints":>11} '
             f'{"ns each":>8} {"least":>6} {"flops":>6} {"KiB":>8} {"kernels":>7}']
     for row in found.effects + found.others:
         if not row.present:
-            text.append(f'  {row.name:<12} {"absent":>15} {"0 %":>7} {0:>11} {"":>22} {0:>8} '
+            text.append(f'  {row.name:<14} {"absent":>15} {"0 %":>7} {0:>11} {"":>22} {0:>8} '
                         f'{0:>7}')
             continue
         each = f'{"":>22}' if not row.constraints else (
@@ -136,10 +136,12 @@ def lines(name: str, found, machine: str, most: dict) -> list[str]:
         else:
             amounts = (f' {row.constraints:>11} {each} {row.bytes / 1024:>8.0f} '
                        f'{row.kernels:>7}')
-        text.append(f'  {row.name:<12} {row.us_per_substep:>8.2f} ± {row.us_spread:<4.2f} '
+        text.append(f'  {row.name:<14} {row.us_per_substep:>8.2f} ± {row.us_spread:<4.2f} '
                     f'{100 * row.share:>5.1f} %{amounts}')
     text += ['', '  least: ns for its memory traffic from cache; flops: operations possible in '
              '"ns each"',
+             '  integration: prediction and velocities; python: of a frame, what is outside the '
+             'native call; rest: neither',
              f'  state of the particles: {found.state_bytes / 1024:.0f} KiB',
              f'  one core of this machine: {most["memory_gb_s"]:.0f} GB/s from memory, '
              f'{most["cache_gb_s"]:.0f} GB/s from cache, {most["fma_gflop_s"]:.0f} Gflop/s']

@@ -153,6 +153,7 @@ def test_the_verb_prints_what_it_writes(tmp_path, monkeypatch, capsys):
     for row in numbers['effects']:
         line = next(line for line in said.splitlines() if line.split()[:1] == [row['name']])
         assert ('absent' in line) == (not row['present'])
+    assert len({line.index('absent') for line in said.splitlines() if 'absent' in line}) == 1
     assert numbers['machine']['name'] in said
 
 
