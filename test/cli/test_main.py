@@ -3,6 +3,7 @@
 import importlib
 import os
 from pathlib import Path
+import re
 import subprocess
 import sys
 
@@ -89,6 +90,9 @@ def test_every_verb_explains_itself_with_an_example(verb, capsys):
     assert f'example:\n  {module.EXAMPLE}' in said
     assert module.EXAMPLE.startswith(f'xpbd_ros {verb} ')
     assert module.__doc__.strip().splitlines()[0] in said
+    options = re.findall(r'^  (--(?:set|vary|beside)) (.*(?:\n {10}.*)*)', said, re.M)
+    for option, about in options:    # those that gather
+        assert 'may be given several times' in ' '.join(about.split()), option
 
 
 def test_a_mistake_of_the_user_is_one_line(monkeypatch, capsys):

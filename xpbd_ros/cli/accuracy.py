@@ -58,7 +58,8 @@ def add_arguments(parser):
                              'always use one')
     add_scheduler_argument(parser)
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as gravity=[0,0,-1.62]')
+                        help='override one key of the scene, such as gravity=[0,0,-1.62]; may be '
+                             'given several times')
     add_json_argument(parser)
 
 

@@ -35,7 +35,8 @@ def add_arguments(parser):
     parser.add_argument('--commands', metavar='LOG',
                         help='apply the inputs of this log, a folder or an .mcap file')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32')
+                        help='override one key of the scene, such as solver.substeps=32; may be '
+                             'given several times')
     parser.add_argument('--picture', metavar='FILE',
                         help='draw the table to this new PNG file')
     add_json_argument(parser)

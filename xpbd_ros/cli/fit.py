@@ -32,7 +32,8 @@ def add_arguments(parser):
     parser.add_argument('--log', required=True, metavar='RUN',
                         help='the recording: a folder or an .mcap file')
     parser.add_argument('--vary', action='append', required=True, metavar='KEY[=LOW:HIGH]',
-                        help='a key to fit, such as cloths.towel.effects.bend.stiffness')
+                        help='a key to fit, such as cloths.towel.effects.bend.stiffness; may be '
+                             'given several times')
     parser.add_argument('--cloud', metavar='TOPIC',
                         help='topic of the clouds; default: those named particles, or the only '
                              'one')
@@ -41,7 +42,7 @@ def add_arguments(parser):
     parser.add_argument('--duration', type=float, metavar='S',
                         help='compare only the first S seconds')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene')
+                        help='override one key of the scene; may be given several times')
     parser.add_argument('-o', '--output', metavar='DIR',
                         help='new folder for the picture; default: one named by time')
     add_json_argument(parser)

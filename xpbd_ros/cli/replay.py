@@ -5,9 +5,9 @@ Each message is published with its recorded bytes and quality of service, at its
 services ~/pause, ~/resume, ~/toggle_paused, ~/is_paused, ~/play_next and ~/stop
 (std_srvs/srv/Trigger) and the parameters rate, seek and burst control the replay, as do keys in a
 terminal: space pauses, right publishes the next message while paused, up and down change the rate
-by 10 %. A damaged log is played as far as it is readable. Inputs in the
-log (pins, colliders, wind, parameters) are left out, since they would drive a running node;
---inputs publishes them, as does --topics with their names.
+by 10 %. A damaged log is played as far as it is readable. Inputs in the log (pins, colliders,
+wind, parameters) are left out, since they would drive a running node; --inputs publishes them, as
+does --topics with their names.
 """
 
 import argparse

@@ -37,7 +37,8 @@ def add_arguments(parser):
     parser.add_argument('-o', '--output', metavar='RUN2',
                         help='new folder for a log of the new run, with its deviation from RUN')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='change one key of the scene, such as solver.substeps=32')
+                        help='change one key of the scene, such as solver.substeps=32; may be '
+                             'given several times')
     parser.add_argument('--from', type=float, default=0.0, metavar='S', dest='start',
                         help='time in the log from which --set acts, in s; needs live keys')
     parser.add_argument('--threads', type=int, metavar='N',

@@ -44,7 +44,8 @@ def add_arguments(parser):
     parser.add_argument('--settings', metavar='FILE',
                         help="a file with a 'solver:' block, which overrides the scene's keys")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32')
+                        help='override one key of the scene, such as solver.substeps=32; may be '
+                             'given several times')
     parser.add_argument('--picture', metavar='FILE',
                         help='draw three instants of the run to this new PNG file; needs the '
                              'extra view')

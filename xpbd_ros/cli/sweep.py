@@ -37,7 +37,8 @@ def add_arguments(parser):
                         help='values of each run: columns are keys such as solver.substeps; an '
                              'empty cell leaves the value of the scene')
     parser.add_argument('--vary', action='append', default=[], metavar='KEY=LOW:HIGH[:log]',
-                        help='draw a key from a range, uniformly, or with :log its logarithm')
+                        help='draw a key from a range, uniformly, or with :log its logarithm; '
+                             'may be given several times')
     parser.add_argument('--runs', type=int, metavar='N', help='number of runs of --vary')
     parser.add_argument('--seed', type=int, default=0, metavar='S',
                         help='of the random values (default: 0)')
@@ -49,7 +50,8 @@ def add_arguments(parser):
     parser.add_argument('--duration', type=float, metavar='S',
                         help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene in all runs')
+                        help='override one key of the scene in all runs; may be given several '
+                             'times')
     parser.add_argument('--workers', type=int, metavar='N',
                         help='number of local processes (default: all cores)')
     add_scheduler_argument(parser)

@@ -54,7 +54,8 @@ def add_arguments(parser):
     parser.add_argument('--host', default='127.0.0.1', metavar='H',
                         help='address to serve on (default: this machine only)')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32')
+                        help='override one key of the scene, such as solver.substeps=32; may be '
+                             'given several times')
     parser.add_argument('--duration', type=float, metavar='S',
                         help='end after this wall time in s (default: on Ctrl-C)')
     parser.add_argument('--no-browser', action='store_true', help='open no browser')
