@@ -124,6 +124,11 @@ def test_lines_that_cannot_follow_the_waves_are_warned_about():
       'effects': {'contact': {'thickness': 0.001}}},
      'colliders.rod: 0.02 m across, and particles are 0.25 m apart: it can pass between them; use '
      'a finer cloth'),
+    ({'effects': {'contact': {'thickness': 4}}},
+     'effects.contact.thickness: 4 m, and the largest cloth is 1 m; thicknesses are in metres'),
+    ({'effects': {'self_collision': {'thickness': 0.3}}},
+     'effects.self_collision.thickness: 0.3 m, and particles are 0.25 m apart: its time grows '
+     'with the square of the ratio; choose a smaller one'),
     ({'solver': {'substeps': 9000, 'method': 'line'},
       'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [64, 64]}, 'density': 0.2,
                        'effects': {'stretch': {'warp': 1, 'weft': 1}}}}}, 'would hold real time'),

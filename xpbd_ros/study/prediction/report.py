@@ -66,7 +66,8 @@ def check(scene: Scene) -> Report:
     expected = frame_ms(simulation, solver, table_of(scene.top.solver))
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts.get('0.1')), *_slow(expected, frame_dt_ms),
-                *_unsupported(scene), *_thin(scene, simulation), *_coarse(scene, simulation)]
+                *_unsupported(scene), *_thin(scene, simulation), *_thick(scene, simulation),
+                *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
                   (*notes_without_tf(scene), *simulation.notes, *_unpredicted(simulation),
@@ -196,6 +197,22 @@ def _thin(scene: Scene, simulation: Simulation) -> list[str]:
         if size < spacing:
             found.append(f'colliders.{name}: {size:g} m across, and particles are {spacing:.3g} m '
                          'apart: it can pass between them; use a finer cloth')
+    return found
+
+
+def _thick(scene: Scene, simulation: Simulation) -> list[str]:
+    """Return warnings about thicknesses in millimetres, and about those that cost much."""
+    found = []
+    contact, selves = (scene.effects.get(name) for name in ('contact', 'self_collision'))
+    size = max(float(np.ptp(cloth.mesh.positions, 0).max()) for cloth in simulation.cloths)
+    spacing = max(cloth.mesh.gap for cloth in simulation.cloths)
+    if contact is not None and contact.thickness > size:
+        found.append(f'effects.contact.thickness: {contact.thickness:g} m, and the largest cloth '
+                     f'is {size:.3g} m; thicknesses are in metres')
+    if selves is not None and selves.thickness > spacing:
+        found.append(f'effects.self_collision.thickness: {selves.thickness:g} m, and particles '
+                     f'are {spacing:.3g} m apart: its time grows with the square of the ratio; '
+                     'choose a smaller one')
     return found
 
 
