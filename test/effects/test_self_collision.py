@@ -408,13 +408,26 @@ def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, sticks):
         assert moved == pytest.approx(slide, rel=0.15)
 
 
-def test_what_lies_on_pinned_cloth_weighs_on_its_pins():
+@pytest.mark.parametrize('compliance', [0.0, 1e-6])
+def test_what_lies_on_pinned_cloth_weighs_on_its_pins(compliance):
+    """On the springs of a compliant pin too: pushes load them as they would a rigid pin."""
     simulation = scene({'a': square(0.0), 'b': square(0.01, 5, 0.1, x=0.06, y=0.07)},
-                       pins={'all': {'cloth': 'a', 'at': list(range(36))}})
+                       pins={'all': {'cloth': 'a', 'at': list(range(36)),
+                                     'compliance': compliance}})
     force = run(simulation, 60).pins['all'].force
     own, weight = (simulation.state.mass[cloth.slots].sum() * GRAVITY
                    for cloth in simulation.cloths)
     np.testing.assert_allclose(force, [0.0, 0.0, -own - weight], atol=0.02 * weight)
+
+
+def test_an_overlap_with_pinned_cloth_presses_on_nothing():
+    """The push that separates it leaves no momentum, and pins no force."""
+    simulation = scene({'a': square(0.0), 'b': square(0.2 * THICKNESS, x=0.01, y=0.01)},
+                       pins={'all': {'cloth': 'a', 'at': list(range(36))}}, gravity=0.0)
+    mass = simulation.state.mass[simulation.cloths[1].slots].sum()
+    for _ in range(20):
+        force = simulation.step().pins['all'].force
+        assert np.linalg.norm(force) * simulation.frame_dt < 0.02 * mass * DEPENETRATION
 
 
 @pytest.mark.parametrize(('room', 'finds'), [(24, False), (None, True)])

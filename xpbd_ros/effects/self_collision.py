@@ -48,6 +48,7 @@ from xpbd_ros.sim.self_collision.backing import (
     store_backing,
 )
 from xpbd_ros.sim.self_collision.clamped_pairs import project_again
+from xpbd_ros.sim.self_collision.inverse_mass import note_length
 from xpbd_ros.sim.self_collision.motion_limit import (
     go_share,
     hold_back,
@@ -150,6 +151,7 @@ def forget_pairs(effect, state, substep):
         effect.near.count[:] = 0
         effect.pairs.count[1] = 0
     effect.pairs.count[0] = NOT_SOUGHT
+    note_length(effect.near.h, substep.h)
 
 
 @stage(project_inequalities, SelfCollision, shared=True)
@@ -376,7 +378,8 @@ class BuiltSelfCollision(Built):
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(), kin(world), world.threads,
-                                  world.on_device)
+                                  world.on_device, springs='pin' in world.built
+                                  and bool(world.built['pin'].also))
         self.data = SelfCollision(
             np.array([parameters.thickness]), near,
             new_pair_contacts(NEAR * room, count, 0 if world.on_device else world.threads),

@@ -22,6 +22,7 @@ from xpbd_ros.sim.backend.threads import alone, count_up, turns, wait_uneven, wo
 from xpbd_ros.sim.geometry.box_tree import BoxTree, new_box_tree
 from xpbd_ros.sim.geometry.closest_points import dot
 from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.self_collision.inverse_mass import inverse_mass
 from xpbd_ros.sim.self_collision.list_order import Moves, new_moves
 
 POINTS, TRIANGLES, EDGES = range(3)
@@ -77,7 +78,7 @@ class NeighbourList(NamedTuple):
     move: np.ndarray
     """
     records in float32, shape (particles + 1, 4): displacement in this substep less ``step`` [m],
-    inverse mass times ``unit``
+    ``inverse_mass`` times ``unit``
     """
     precise_move: np.ndarray
     """the same records in float64: what pairs add conserves momentum to its rounding"""
@@ -153,6 +154,8 @@ class NeighbourList(NamedTuple):
     """None if only particles collide"""
     kin: np.ndarray | None
     """weld group: equal for particles that a seam joins, shape (particles,); None without seams"""
+    h: np.ndarray | None
+    """length of the substep [s], shape (1,); None in a scene without compliant pins"""
 
 
 def spacing_of(cloths) -> float:
@@ -164,7 +167,7 @@ def spacing_of(cloths) -> float:
 
 def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
                        kin: np.ndarray | None = None, threads: int = 1,
-                       on_device: bool = False) -> NeighbourList:
+                       on_device: bool = False, springs: bool = False) -> NeighbourList:
     """
     Return an empty list.
 
@@ -177,6 +180,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
     kin : weld groups, shape (particles,), or None
     threads : that seek pairs at once
     on_device : True for those of a GPU
+    springs : True if compliant pins may hold particles
 
     """
     rest = np.concatenate([cloth.mesh.positions for cloth in cloths])
@@ -210,7 +214,8 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros((2, -(-most // PACK)), np.int64),
         np.zeros((threads, 4, max(room // threads, CANDIDATES) + CANDIDATES), np.int32)
         if threads > 1 else None,
-        new_moves(room) if on_device else None, tree(points[:, None]), trees, kin)
+        new_moves(room) if on_device else None, tree(points[:, None]), trees, kin,
+        np.zeros(1) if springs else None)
 
 
 @jit(inline=True)
@@ -408,12 +413,11 @@ def load_moves(near, state):
 @jit(inline=True)
 def load_move(near, state, i):
     """Do so for one particle."""
-    move, x, w, start, step = (near.precise_move, state.x, state.inv_mass, near.x,
-                               near.step)
+    move, x, start, step = near.precise_move, state.x, near.x, near.step
     j = near.slot[i]
     for a in range(3):
         move[i, a] = near.move[i, a] = near.loaded[i, a] = x[a, j] - start[i, a] - step[a]
-    move[i, INV_MASS] = near.move[i, INV_MASS] = near.unit * w[j]
+    move[i, INV_MASS] = near.move[i, INV_MASS] = near.unit * inverse_mass(near.h, state, j)
 
 
 @jit

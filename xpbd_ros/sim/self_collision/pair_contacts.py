@@ -51,6 +51,7 @@ from xpbd_ros.sim.self_collision.backing import (
     prevented,
     take_part,
 )
+from xpbd_ros.sim.self_collision.inverse_mass import inverse_mass
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, next_marked
 
 NEVER = -1e30
@@ -320,12 +321,12 @@ def rub_of(friction, pairs, q, push, slip, part, way):
 
 @jit
 def mobility_of_pair(pairs, k, near, state):
-    """Return W = Σ w b² of pair k [1/kg]."""
+    """Return W of pair k [1/kg]."""
     total = 0.0
     for p in range(4):
         i = pairs.particles[p, k]
         if i < len(near.slot):
-            total += state.inv_mass[near.slot[i]] * pairs.weight[p, k]**2
+            total += inverse_mass(near.h, state, near.slot[i]) * pairs.weight[p, k]**2
     return total
 
 
@@ -377,7 +378,7 @@ def calm_pair(pairs, k, near, state, substep):
         i = pairs.particles[p, k]
         if i < len(near.slot):
             j = near.slot[i]
-            share = state.inv_mass[j] * b * excess
+            share = inverse_mass(near.h, state, j) * b * excess
             for a in range(3):
                 v[a, j] -= share * n[a, k]
 
@@ -398,12 +399,13 @@ def press(pairs, near, state, substep):
 def press_by_pair(pairs, k, near, state, part):
     """Add those of pair k."""
     scale = part / mobility_of_pair(pairs, k, near, state)
+    load = pairs.push[k] - min(pairs.overlap[k], pairs.push[k])    # the rest leaves no velocity
     for p in range(4):
         i = pairs.particles[p, k]
         if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
             continue
         for a in range(3):
-            along = pairs.normal[a, k] * pairs.push[k] + slip_of(pairs.friction, k, a)
+            along = pairs.normal[a, k] * load + slip_of(pairs.friction, k, a)
             state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
 
 

@@ -16,6 +16,7 @@ from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, is_on_device, turns
 from xpbd_ros.sim.particles.history import invalidate_history
+from xpbd_ros.sim.self_collision.inverse_mass import inverse_mass
 from xpbd_ros.sim.self_collision.neighbour_list import any_thread, next_marked, told
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 
@@ -191,20 +192,21 @@ def push_sides(planes, m, near, state):
     """Push apart the sides of pair m."""
     for p in range(planes.side[m]):
         for q in range(planes.side[m], 4):
-            push_pair(planes, m, near.slot[planes.number[m, p]], near.slot[planes.number[m, q]],
-                      state)
+            push_pair(planes, m, near, near.slot[planes.number[m, p]],
+                      near.slot[planes.number[m, q]], state)
 
 
 @jit
-def push_pair(planes, m, i, j, state):
+def push_pair(planes, m, near, i, j, state):
     """Push particles i and j, on either side of pair m, to AIM need apart along its direction."""
-    x, w, n = state.x, state.inv_mass, planes.normal
-    total = w[i] + w[j]
+    x, n = state.x, planes.normal
+    wi, wj = inverse_mass(near.h, state, i), inverse_mass(near.h, state, j)
+    total = wi + wj
     missing = AIM * planes.need[m] - (n[m, 0] * (x[0, i] - x[0, j]) + n[m, 1] * (x[1, i] - x[1, j])
                                       + n[m, 2] * (x[2, i] - x[2, j]))
     if total > 0.0 and missing > 0.0:
         for a in range(3):
-            x[a, i] += n[m, a] * missing * w[i] / total
-            x[a, j] -= n[m, a] * missing * w[j] / total
+            x[a, i] += n[m, a] * missing * wi / total
+            x[a, j] -= n[m, a] * missing * wj / total
         invalidate_history(state.history, i)
         invalidate_history(state.history, j)
