@@ -9,6 +9,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import Reset, SetKey, SetWind
+from xpbd_ros.sim.particles.history import NONE
 
 AIR, NORMAL, SKIN = 1.2, 1.2, 0.01
 STILL = (0.0, 0.0, 0.0)
@@ -96,6 +97,27 @@ def test_a_free_sheet_across_a_storm_is_monotone(integrator):
     speeds = [simulation.step().v[:, 2].mean() for _ in range(30)]
     assert (np.diff([0.0, *speeds]) > -1e-9).all()
     assert 25.0 < speeds[-1] <= 30.0
+
+
+@pytest.mark.parametrize('integrator', ['bdf2', slow('ndf2')])
+def test_where_drag_is_too_fast_a_particle_takes_a_step_of_backward_euler(integrator):
+    """Along a flat sheet, where the wind has no force, it moves as one without a history."""
+    found = []
+    for storm in (0.0, 60.0):
+        simulation = sheet(STILL, drag={'tangential': 0.0}, integrator=integrator,
+                           method=METHOD[integrator], rate=240.0, gravity=(2.0, 1.0, 0.0),
+                           effects={'stretch': {'warp': 20.0, 'weft': 20.0}})
+        state = simulation.state
+        state.x[:2] *= 1.1
+        run(simulation, 5)
+        assert (state.history.fresh[simulation.slot] < NONE).all()
+        if not storm:
+            state.history.fresh[simulation.slot] = NONE
+        found.append(simulation.step([SetWind((0.0, 0.0, storm))]))
+    still, blown = found
+    assert blown.v[:, 2].min() > 1.0
+    np.testing.assert_allclose(blown.v[:, :2], still.v[:, :2], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(blown.x[:, :2], still.x[:, :2], rtol=0.0, atol=1e-14)
 
 
 def held(density, solver=None):

@@ -19,7 +19,7 @@ So cloth that is held feels the whole force, and no particle gains more than u_i
 step: light cloth in a storm takes on the wind's velocity and keeps it, where an explicit force
 would overshoot (doc/numerics.md 6.2). A step with trace Z > 1 is too long, and its force too small
 by that factor. ``auto`` chooses the substeps so that trace Z stays below RESOLVED in the scene's
-wind; particles above it continue with backward Euler, since the v̄ of BDF2 would overshoot.
+wind; particles above it take steps of backward Euler, since the v̄ of BDF2 would overshoot.
 
 The expected velocity continues the present acceleration. A step of BDF2 or NDF2 starts from v̄,
 which a constant acceleration has at t_n + h - H, so at the end it has v_n + h / (h - H) (v̄ - v_n).
@@ -140,11 +140,25 @@ def drag_triangles(drag, state, substep):
         i = drag.slots[0] + n
         step = step_at(state.history, i, substep.h)
         (dx, dy, dz), trace = _change(drag, state, i, step)
+        if trace > RESOLVED:
+            if step < substep.h:
+                _begin_again(state.history, drag, state, i, substep.h)
+                (dx, dy, dz), _ = _change(drag, state, i, substep.h)
+            discard_history(state.history, i)
         state.v[0, i] += dx
         state.v[1, i] += dy
         state.v[2, i] += dz
-        if trace > RESOLVED:
-            discard_history(state.history, i)
+
+
+@jit
+def _begin_again(history, drag, state, i, h):
+    """Predict the velocity of a particle by backward Euler, v_n + h g, with its mobility and u."""
+    if history is not None:
+        state.mobility[i] = state.inv_mass[i] * (h * h)
+        for k in range(3):
+            v = history.v[k, i]
+            state.v[k, i] = v + h * state.gravity[k]
+            drag.u[i, k] = _air(drag.wind, k) - v
 
 
 @stage(add_explicit_forces, Drag)
