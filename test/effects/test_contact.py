@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.scenes import GRAVITY, run, simulate, with_effects
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
     MoveCollider,
@@ -458,6 +459,20 @@ def test_without_restitution_no_bounce_and_no_arrays():
 def test_what_lies_does_not_hum_however_elastic():
     height, _ = bounces(0.5, 8, frames=400)
     assert np.abs(height[300:]).max() < 1e-9
+
+
+@pytest.mark.parametrize('integrator', ['backward_euler', slow('bdf2')])
+def test_what_wind_presses_on_does_not_hum_either(integrator):
+    """The floor bears the weight and ½ ρ A c u², and nothing moves."""
+    simulation = simulate((4, 3), (0.6, 0.4), density=0.1, substeps=7, integrator=integrator,
+                          colliders={'s': {'plane': {}, 'restitution': 0.8}},
+                          pose={'position': [0.0, 0.0, R]}, scene_effects={
+                              'contact': {'thickness': R}, 'drag': {'density': 1.2, 'normal': 1.2},
+                              'wind': {'velocity': [0.0, 0.0, -15.0]}})
+    frame = run(simulation, 20)
+    assert np.abs(frame.v).max() < 1e-12
+    force = -0.24 * (0.1 * GRAVITY + 0.5 * 1.2 * 1.2 * 15.0**2)
+    np.testing.assert_allclose(frame.colliders['s'].force, [0.0, 0.0, force], atol=1e-9)
 
 
 def test_a_bat_gives_twice_its_speed():

@@ -57,13 +57,20 @@ from xpbd_ros.sim.contact.collider_motion import move_colliders
 from xpbd_ros.sim.contact.colliders import Colliders, new_colliders
 from xpbd_ros.sim.contact.contacts import Contacts, count_penetrating, new_contacts, push_all
 from xpbd_ros.sim.contact.device_search import new_marks
-from xpbd_ros.sim.contact.distance_field import distance_field, Field, MOST_NODES, NoRoomError
+from xpbd_ros.sim.contact.distance_field import Field
 from xpbd_ros.sim.contact.impulses import add_impulses
 from xpbd_ros.sim.contact.last_iteration import begin_waiting, waits
 from xpbd_ros.sim.contact.multistep_impulses import begin_multistep
 from xpbd_ros.sim.contact.pads import areas, new_pads, pad_forces
-from xpbd_ros.sim.contact.restitution import Bounce, calm_overlaps, calm_pads, rebound
-from xpbd_ros.sim.contact.shape_data import for_thickness, shape_data
+from xpbd_ros.sim.contact.restitution import (
+    Bounce,
+    calm_overlaps,
+    calm_pads,
+    new_bounce,
+    note_start,
+    rebound,
+)
+from xpbd_ros.sim.contact.shape_data import for_thickness, placed_field, shape_data
 from xpbd_ros.sim.contact.wrenches import (
     bear_half_kick,
     begin_wrenches,
@@ -76,6 +83,7 @@ from xpbd_ros.sim.stepping.stages import (
     accumulate_impulses,
     add_explicit_forces,
     finish,
+    force,
     prepare,
     project_inequalities,
     stage,
@@ -111,6 +119,13 @@ class Contact(NamedTuple):
     """None in a scene without restitution"""
     wait: np.ndarray | None
     """iterations done in this substep, and their number; None with ``when: sweep``"""
+
+
+@stage(force, Bounce, on_device=True)
+@jit
+def note_velocities(bounce, state, substep):
+    """Note the velocities with which particles may approach colliders."""
+    note_start(bounce, state, substep.h)
 
 
 @stage(prepare, Contact, shared=True)
@@ -206,9 +221,10 @@ class BuiltContact(Built):
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
         bounces = any(entry.restitution > 0.0 for entry in self.entries.values())
-        bounce = Bounce(np.zeros(capacity), np.zeros((room, 3))) if bounces else None
+        bounce = new_bounce(capacity, room, world.slots) if bounces else None
         self.data = Contact(self.contacts, bounce, None if parameters.when == 'sweep'
                             else np.array([0, world.iterations]))
+        self.also = () if bounce is None else (bounce,)
         self.placed: dict[str, Placed] = {}
         self._fields: dict[tuple, Field] = {}    # of meshes about to be placed
         self.changes = 0
@@ -300,7 +316,8 @@ class BuiltContact(Built):
                 nodes[name] = nodes.get(name, 0) if self._has_shape(command) else 0
                 if command.shape == 'mesh' and not nodes[name]:
                     try:
-                        field = self._field(command.size, sum(nodes.values()))
+                        field = placed_field(command.size, self.thickness,
+                                             self._nodes - sum(nodes.values()))
                     except InputError as error:
                         return f"collider '{name}': {error}"
                     self._fields[name, command.size] = field
@@ -357,20 +374,6 @@ class BuiltContact(Built):
             placed.field, placed.heights = self._fields.get((name, command.size)), None
             placed.motion.lever = max(placed.reach, 0.0) or 1.0
             self._changed()
-
-    def _field(self, corners: tuple[float, ...], taken: int) -> Field:
-        """Return the distance field of a new mesh; raise InputError without room for it."""
-        room = self._nodes - taken
-        vertices = np.array(corners).reshape(-1, 3)
-        try:
-            return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3),
-                                  gap=self.thickness, room=min(room, MOST_NODES))
-        except NoRoomError as error:
-            if error.nodes > MOST_NODES:
-                raise
-            raise InputError(f'its grid has {error.nodes} nodes, and there is room for {room}; '
-                             'raise effects.contact.mesh_nodes by '
-                             f'{error.nodes - room}') from None
 
     def remove(self, command, clock, state) -> None:
         """Remove a collider."""

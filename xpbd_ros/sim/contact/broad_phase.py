@@ -160,7 +160,7 @@ def enter(contacts, bounce, state, substep, c, q, chosen, begin, limit):
         end = enter_lanes(contacts, state.team, c, q, chosen, gap, overlap, begin, limit)
     begin_pads(contacts.pads, contacts, state.team, begin, end, q, start, most)
     for k in range(begin, end if bounce is not None else begin):
-        note_approach(bounce, contacts, k, state, substep)
+        note_approach(bounce, contacts, k)
     return end
 
 

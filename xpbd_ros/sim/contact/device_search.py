@@ -150,4 +150,4 @@ def enter(contacts, bounce, state, substep, c, i, k):
         contacts.slip[k, a] = 0.0
     contacts.earlier[k], contacts.latest[i] = contacts.latest[i], k
     begin_pad(contacts.pads, contacts, k, highest(start), highest(limit))
-    note_approach(bounce, contacts, k, state, substep)
+    note_approach(bounce, contacts, k)

@@ -12,7 +12,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
-from xpbd_ros.sim.backend.threads import wait, worker, workers
+from xpbd_ros.sim.backend.threads import turns_on_device, wait, worker, workers
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.colliders import is_soft
 from xpbd_ros.sim.contact.contacts import wait_for_others
@@ -27,17 +27,41 @@ class Bounce(NamedTuple):
 
     restitution: np.ndarray
     """e of each collider, shape (capacity,)"""
+    start: np.ndarray
+    """velocities at the substep's start [m/s], shape (3, slots)"""
     approach: np.ndarray
-    """velocity of each candidate before the substep [m/s], shape (candidates, 3)"""
+    """those of the candidates, shape (candidates, 3)"""
+
+
+def new_bounce(capacity: int, room: int, slots: int) -> Bounce:
+    """Return room for ``capacity`` colliders and ``room`` candidates."""
+    return Bounce(np.zeros(capacity), np.zeros((3, slots)), np.zeros((room, 3)))
 
 
 @jit
-def note_approach(bounce, contacts, k, state, substep):
+def note_start(bounce, state, h):
+    """Store v_n, which no force has changed; x is still that of the first prediction."""
+    begin, end, turn = turns_on_device(state.team, len(state.inv_mass))
+    for i in range(begin, end, turn):
+        for a in range(3):
+            bounce.start[a, i] = start_velocity(state.history, state, a, i, h)
+
+
+@jit(inline=True)
+def start_velocity(history, state, a, i, h):
+    """Return component a of v_n of slot i."""
+    if history is None:    # x = x_n + h (v_n + h g)
+        return (np.float64(state.x[a, i]) - state.x_prev[a, i]) / h - h * state.gravity[a]
+    else:    # Numba prunes the branch that is not taken
+        return history.v[a, i]
+
+
+@jit
+def note_approach(bounce, contacts, k):
     """Store the velocity of approach of candidate k."""
     if bounce is not None:
         for a in range(3):
-            bounce.approach[k, a] = (state.v[a, contacts.particle[k]]
-                                     - substep.h * state.gravity[a])
+            bounce.approach[k, a] = bounce.start[a, contacts.particle[k]]
 
 
 @jit(inline=True)

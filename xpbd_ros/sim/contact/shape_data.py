@@ -7,7 +7,12 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.contact.collider import Placed
 from xpbd_ros.sim.contact.collider_entries import Body, Entry, table
-from xpbd_ros.sim.contact.distance_field import distance_field, Field
+from xpbd_ros.sim.contact.distance_field import (
+    distance_field,
+    Field,
+    MOST_NODES,
+    NoRoomError,
+)
 
 
 def shape_data(entries: Mapping[str, Entry], thickness: float,
@@ -77,3 +82,29 @@ def for_thickness(shapes: Mapping[str, Field | np.ndarray], placed: Mapping[str,
         raise InputError(f'effects.contact.thickness: the grids of meshes for {thickness:g} m '
                          f'have no room; raise effects.contact.mesh_nodes by {missing}')
     return found, fields
+
+
+def placed_field(corners: tuple[float, ...], thickness: float, room: int) -> Field:
+    """
+    Return the distance field of a mesh that a command places.
+
+    Parameters
+    ----------
+    corners : x, y, z of each triangle's corners [m]
+    thickness : distance kept from surfaces [m]
+    room : for nodes of its grid
+
+    Raises
+    ------
+    InputError : it cannot be a collider, or has no room
+
+    """
+    vertices = np.array(corners).reshape(-1, 3)
+    try:
+        return distance_field(vertices, np.arange(len(vertices)).reshape(-1, 3), gap=thickness,
+                              room=min(room, MOST_NODES))
+    except NoRoomError as error:
+        if error.nodes > MOST_NODES:
+            raise
+        raise InputError(f'its grid has {error.nodes} nodes, and there is room for {room}; '
+                         f'raise effects.contact.mesh_nodes by {error.nodes - room}') from None
