@@ -64,6 +64,15 @@ def look(names, cache, **more):
     return json.loads(child.stdout)
 
 
+@pytest.mark.parametrize('module', ['cli.run', 'ros.cloth_node', 'view.live'])
+def test_a_program_imports_no_effect_before_it_has_a_scene(module):
+    found = subprocess.run(
+        [sys.executable, '-c', f'import sys, xpbd_ros.{module}; print(*sys.modules)'],
+        check=True, capture_output=True, text=True, cwd=ROOT, timeout=300).stdout.split()
+    assert not [name for name in found if name.startswith('xpbd_ros.effects.')]
+    assert 'xpbd_ros.sim.contact.broad_phase' not in found
+
+
 def test_every_effect_has_kernels_of_its_own_name():
     assert all(kernels([name]) for name in EFFECTS)
     assert sum(len(kernels([name])) for name in EFFECTS) == len(kernels())

@@ -51,9 +51,10 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, count_up, wait, wait_within
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, RemoveAllColliders, RemoveCollider
 from xpbd_ros.sim.contact.broad_phase import find_candidates
-from xpbd_ros.sim.contact.collider import ColliderStates, motion_of, Placed, write_shape
+from xpbd_ros.sim.contact.collider import motion_of, Placed, write_shape
 from xpbd_ros.sim.contact.collider_entries import Entry, shape_of
 from xpbd_ros.sim.contact.collider_motion import move_colliders
+from xpbd_ros.sim.contact.collider_states import ColliderStates
 from xpbd_ros.sim.contact.colliders import Colliders, new_colliders
 from xpbd_ros.sim.contact.contacts import Contacts, count_penetrating, new_contacts, push_all
 from xpbd_ros.sim.contact.device_search import new_marks
@@ -71,12 +72,7 @@ from xpbd_ros.sim.contact.restitution import (
     rebound,
 )
 from xpbd_ros.sim.contact.shape_data import for_thickness, placed_field, shape_data
-from xpbd_ros.sim.contact.wrenches import (
-    bear_half_kick,
-    begin_wrenches,
-    sum_up,
-    work_of_colliders,
-)
+from xpbd_ros.sim.contact.wrenches import bear_half_kick, begin_wrenches, sum_up, work_of_colliders
 from xpbd_ros.sim.effect import Built, Effect, overdue
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.stepping.stages import (

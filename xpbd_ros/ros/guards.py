@@ -2,16 +2,13 @@
 
 from collections.abc import Mapping
 
-from xpbd_ros.effects.contact import CANDIDATES, ON_DEVICE
-
 TOTALS = {'frames_taken_back': 'were not finite and were rolled back',
           'explicit_redone': 'were unstable with explicit and were computed again with line'}
 """counters of frames since the start, each with a text about so many frames"""
 LOST = {'self_without_room': 'pairs of cloth were left out for lack of room, and may cross; raise '
                              'effects.self_collision.room',
-        'contacts_without_room': 'contacts with colliders were left out for lack of room, which '
-                                 f'is for {CANDIDATES} per particle ({ON_DEVICE} with '
-                                 'solver.device: cuda); take fewer colliders, or thinner contact'}
+        'contacts_without_room': 'contacts with colliders were left out for lack of room '
+                                 '(doc/robustness.md); take fewer colliders, or thinner contact'}
 """counters of a frame that spoil its result, each with a text and the way out"""
 IN_FRAME = {**LOST,
             'self_squeezed': 'pairs of cloth that pins or colliders left no room for',

@@ -27,7 +27,7 @@ from shape_msgs.msg import Mesh, MeshTriangle
 from std_msgs.msg import ColorRGBA, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.sim.contact.collider import ColliderStates
+from xpbd_ros.sim.contact.collider_states import ColliderStates
 from xpbd_ros.sim.effect import Cloth
 from xpbd_ros.sim.pins.states import PinState, PinStates
 

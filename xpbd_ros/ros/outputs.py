@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.ros import messages, particle_fields
-from xpbd_ros.sim.contact.collider import ColliderStates
+from xpbd_ros.sim.contact.collider_states import ColliderStates
 from xpbd_ros.sim.measure import has_tensions, strains, tensions
 from xpbd_ros.sim.particles.state import history_arrays
 from xpbd_ros.sim.pins.states import PinStates

@@ -1,7 +1,6 @@
-"""Colliders outside the kernels: shape, motion and lifetime of each, and states after a frame."""
+"""Colliders outside the kernels: shape, motion and lifetime of each."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
 
 import numpy as np
@@ -17,7 +16,6 @@ from xpbd_ros.sim.contact.colliders import (
     write_heights,
 )
 from xpbd_ros.sim.contact.distance_field import Field
-from xpbd_ros.sim.geometry.quaternion import turns
 from xpbd_ros.sim.target_motion import MonotoneCubic, Motion
 
 
@@ -69,65 +67,6 @@ class Placed:
         if self.field is not None:
             return 0.5 * max(self.field.spacing, -float(self.field.values.min()))
         return inf if self.heights is not None else self.inner
-
-
-@dataclass(frozen=True)
-class ColliderState:
-    """One collider after a frame."""
-
-    entry: Entry
-    pose: Pose
-    linear: np.ndarray = field(compare=False)
-    """velocity [m/s], shape (3,)"""
-    angular: np.ndarray = field(compare=False)
-    """angular velocity, world axes [rad/s], shape (3,)"""
-    force: np.ndarray = field(compare=False)
-    """of the cloth on the collider, mean over the frame [N], shape (3,)"""
-    torque: np.ndarray = field(compare=False)
-    """about its position, world axes [N m], shape (3,)"""
-
-
-class ColliderStates(Mapping[str, ColliderState]):
-    """
-    All colliders after a frame, by name, stored as arrays: cheap where nothing reads them.
-
-    Parameters
-    ----------
-    placed : colliders by name
-    start, goal : poses x, y, z, qx, qy, qz, qw at the frame's start and end, shape (colliders, 7)
-    impulses : that the cloth gave each collider in the frame [N s, N m s], shape (colliders, 6)
-    dt : length of the frame [s]
-
-    """
-
-    def __init__(self, placed: Mapping[str, Placed], start: np.ndarray, goal: np.ndarray,
-                 impulses: np.ndarray, dt: float):
-        self.names = tuple(placed)
-        self.poses = goal
-        """at the frame's end, shape (colliders, 7)"""
-        way = goal[:, :3] - start[:, :3]
-        self.twists = np.hstack([way, turns(start[:, 3:], goal[:, 3:])]) / dt
-        """[m/s, rad/s], shape (colliders, 6)"""
-        self.wrenches = impulses / dt
-        """force and torque of the cloth on each collider [N, N m], shape (colliders, 6)"""
-        self._index = {name: k for k, name in enumerate(self.names)}
-        self._entries = [each.entry for each in placed.values()]
-        self._pose = [each.motion.pose for each in placed.values()]
-
-    def __getitem__(self, name: str) -> ColliderState:
-        """Return the state of one collider."""
-        k = self._index[name]
-        twist, wrench = self.twists[k].copy(), self.wrenches[k].copy()
-        return ColliderState(self._entries[k], self._pose[k], twist[:3], twist[3:], wrench[:3],
-                             wrench[3:])
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the names."""
-        return iter(self.names)
-
-    def __len__(self) -> int:
-        """Return the number of colliders."""
-        return len(self.names)
 
 
 def motion_of(entry: Entry) -> Motion:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from math import ceil, prod, sqrt
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
@@ -120,6 +119,7 @@ def _is_resolved(field: Field, usual: float) -> bool:
 
     ``usual`` is the spacing of the unrefined grid [m].
     """
+    from scipy.ndimage import distance_transform_edt
     values, spacing = field.values, field.spacing
     deep = values <= -DEEP * spacing
     if not deep.any():
