@@ -212,7 +212,7 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
     rough = lines if keys.substeps is None else _choose(
         replace(keys, substeps=None), effects, state, frame_dt, live=live)
     per = cost('explicit', 1, effects, state, table_of(keys))
-    wanted = _stable_substeps(effects, state, frame_dt)
+    wanted = stable_substeps(effects, state, frame_dt)
     affordable = max(1, int(EXCESS * keys.budget_ms * 1e6 / per))
     substeps = keys.substeps or _bounded(wanted, affordable)
     fits = (keys.iterations == 1 and MAX_SUBSTEPS >= substeps >= wanted
@@ -232,7 +232,7 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
 def _is_stable(keys: SolverKeys, effects, state, frame_dt: float) -> bool:
     """Return True if ``explicit`` is stable with the given substeps, or they are left open."""
     return keys.substeps is None or keys.iterations == 1 and (
-        keys.substeps >= _stable_substeps(effects, state, frame_dt))
+        keys.substeps >= stable_substeps(effects, state, frame_dt))
 
 
 def _lines_as_given(keys: SolverKeys) -> Solver:
@@ -244,7 +244,7 @@ def _lines_as_given(keys: SolverKeys) -> Solver:
                   integrator, keys.rough_substeps or keys.substeps)
 
 
-def _stable_substeps(effects, state, frame_dt: float) -> float:
+def stable_substeps(effects, state, frame_dt: float) -> float:
     """Return the substeps that ``explicit`` needs; infinite with rigid constraints."""
     if any((built.constraints.compliance == 0.0).any() for built in effects.values()
            if built.constraints is not None):

@@ -84,6 +84,73 @@ def test_the_substeps_asked_for_are_the_fewest_that_do():
         assert at <= float(error) < below
 
 
+def cloth(grid, effects, **keys):
+    """Return what is predicted of a cloth of 1 m that hangs from a corner."""
+    return check(scene_from_mapping(
+        {'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': grid}, 'density': 0.2,
+                          'effects': effects}},
+         'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}, **keys}, where='x', name='x'))
+
+
+SPRINGS = {'stretch': {'warp': 1000.0, 'weft': 1000.0}}
+
+
+@pytest.mark.parametrize('grid, effects', [
+    ([1, 5], SPRINGS), ([5, 1], SPRINGS), ([6, 6], {**SPRINGS, 'bend': {'stiffness': 100.0}}),
+    ([6, 6], {'membrane': {'warp': 1000.0, 'weft': 1000.0, 'shear': 300.0, 'poisson': 0.3}})])
+def test_explicit_is_told_to_take_the_substeps_that_are_stable(grid, effects):
+    found = cloth(grid, effects)
+    assert found.solver.method == 'explicit' and found.ok, found.warnings
+    assert set(found.substeps_for.values()) == {found.solver.substeps}
+
+
+@pytest.mark.parametrize('grid, count', [([1, 5], 1), ([5, 1], 1), ([5, 5], 1), ([2, 2], 0)])
+def test_a_strip_bends_along_its_length_and_a_single_cell_not_at_all(grid, count):
+    rows = [row for row in cloth(grid, {**SPRINGS, 'bend': {'stiffness': 1e-4}}).stiffness
+            if row.effect == 'bend']
+    assert [row.effective for row in rows] == [pytest.approx(1e-4)] * count
+
+
+def test_two_rigidities_have_a_row_each():
+    found = cloth([11, 11], {**SPRINGS, 'bend': {'warp': 1e-4, 'weft': 1.0}},
+                  solver={'method': 'gauss_seidel', 'substeps': 4})
+    warp, weft = (row for row in found.stiffness if row.effect == 'bend')
+    assert (warp.direction, warp.asked, weft.direction, weft.asked) == ('warp', 1e-4, 'weft', 1.0)
+    assert abs(warp.error) < 0.1 < weft.error
+    assert any(text.startswith('c: 11x11 at 4 substeps behaves like ') and
+               ' N m along weft (bend), not 1; about ' in text for text in found.warnings)
+
+
+def test_substeps_that_are_said_to_do_do():
+    """A sweep of jacobi is as far from the solution with any substeps; others are not."""
+    for method, substeps, most in (('gauss_seidel', 2, 0.2), ('jacobi', 1, None)):
+        def told(substeps, method=method):
+            return cloth([6, 6], {**SPRINGS, 'shear': {'stiffness': 50.0},
+                                  'bend': {'stiffness': 0.1}},
+                         solver={'method': method, 'substeps': substeps})
+        (text,) = [text for text in told(substeps).warnings if '(shear)' in text]
+        if most is None:
+            assert text.endswith('; more substeps would not do; take more iterations or another '
+                                 'method')
+        else:
+            again = told(int(text.split('; about ')[1].split(' substeps would do')[0]))
+            assert abs(next(row.error for row in again.stiffness if row.effect == 'shear')) <= most
+
+
+def test_a_compliance_scale_slows_the_waves_of_stretch():
+    def wave(**solver):
+        (found,) = [row for row in cloth([6, 6], SPRINGS, solver=solver).decay
+                    if row.mode == 'stretch']
+        return found.frequency_hz
+    assert wave(compliance_scale=4.0) == pytest.approx(0.5 * wave())
+
+
+def test_a_cloth_that_sweeps_compress_is_not_taken_for_right():
+    found = cloth([11, 11], {'stretch': {'warp': 1e7, 'weft': 1e7}, 'shear': {'stiffness': 2e5}},
+                  frame_rate=5.0, solver={'method': 'line', 'integrator': 'bdf2', 'substeps': 5})
+    assert any('along warp (stretch), not 1e+07' in text for text in found.warnings)
+
+
 def test_what_is_rigid_is_out_of_reach_or_there_already():
     rigid = {'cloths.c.effects.stretch': {'compliance': 0.0}}
     for grid, method, counts in (([5, 4], 'gauss_seidel', [None] * 3), ([2, 2], 'line', [1] * 3)):

@@ -237,6 +237,24 @@ def test_a_pin_that_turns_is_refused():
         problem_of(simulation)
 
 
+def test_a_strip_has_no_cells_and_is_solved():
+    strip, plain = (problem_of(compile_scene(scene_from_mapping(
+        {'cloths': {'rope': {'grid': {'size': [1.0, 0.1], 'resolution': [5, 1]}, 'density': 0.2,
+                             'effects': {'stretch': {'warp': 30.0, 'weft': 30.0}, **more}}},
+         'pins': {'end': {'cloth': 'rope', 'at': 'corner_00'}}}, where='test', name='test')))
+        for more in ({'shear': {'stiffness': 5.0}}, {}))
+    for method in ('explicit', 'bdf2'):
+        found, same = (limit(one, 0.1, 1e-3, method=method, levels=4) for one in (strip, plain))
+        np.testing.assert_array_equal(found.x, same.x)
+
+
+def test_a_cloth_that_is_all_pinned_is_refused():
+    with pytest.raises(InputError, match='pins: no particle is free'):
+        problem_of(compile_scene(scene_from_mapping(
+            {'cloths': {'c': {'grid': {'size': [1.0, 0.1], 'resolution': [2, 1]}, 'density': 0.2}},
+             'pins': {'end': {'cloth': 'c', 'at': [0, 1]}}}, where='test', name='test')))
+
+
 def test_rigid_edges_are_refused():
     raw = {'cloths': {'rope': {'grid': {'size': [1.0, 0.1], 'resolution': [5, 1]}, 'density': 0.2,
                                'effects': {'stretch': {'compliance': 0.0}}}}}

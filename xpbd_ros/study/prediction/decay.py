@@ -47,6 +47,7 @@ def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
     """
     found = []
     g = sqrt(sum(c * c for c in scene.top.gravity))
+    scale = scene.top.solver.compliance_scale
     h = simulation.frame_dt / solver.substeps
     for cloth in simulation.cloths:
         effects = scene.cloth_effects[cloth.name]
@@ -59,8 +60,8 @@ def decays(scene: Scene, simulation: Simulation, solver: Solver) -> list[Decay]:
         stretch = effects.get('stretch')
         if long > 0.0 and stretch is not None and stretch.warp is not None:
             modes['stretch'] = 0.5 * pi / long * sqrt(max(stretch.warp, stretch.weft)
-                                                      / density)
+                                                      / (scale * density))
         found += [Decay(cloth.name, mode, omega / (2.0 * pi),
-                        1.0 - factor(solver.integrator, omega * h)**(1.0 / h))
+                        max(0.0, 1.0 - factor(solver.integrator, omega * h)**(1.0 / h)))
                   for mode, omega in modes.items()]
     return found

@@ -64,7 +64,9 @@ class Row:
     @property
     def error(self) -> float:
         """Relative error of the strain, asked / effective - 1; inf for rigid constraints."""
-        return 0.0 if np.isinf(self.effective) else self.asked / self.effective - 1.0
+        if np.isinf(self.effective):
+            return 0.0 if np.isinf(self.asked) else -1.0
+        return self.asked / self.effective - 1.0
 
 
 def step_length(solver: Solver, frame_dt: float) -> float:
@@ -163,18 +165,15 @@ class _LoadedSheet:
         sheet, parts = self.sheet, self.sheet.effects
         plane, found = [name for name in IN_PLANE if name in parts], []
         if 'bend' in parts:
-            curved = np.zeros(3 * len(sheet.rest))
-            curved[2::3] = 0.5 * sheet.rest[:, 0]**2
-            found.append(self.displaced('bend', 'N m', parts['bend'].jacobian @ curved, ['bend']))
+            found += self.bent()
         if 'hinge' in parts:
-            found.append(self.displaced('hinge', 'N m', np.ones(len(parts['hinge'].blocks)),
-                                        ['hinge']))
+            found += self.displaced('hinge', 'N m', np.ones(len(parts['hinge'].blocks)), ['hinge'])
         if 'area' in parts:    # α is the rest area over the stiffness
-            found.append(self.displaced('area', 'N/m', parts['area'].blocks.ravel(), plane))
+            found += self.displaced('area', 'N/m', parts['area'].blocks.ravel(), plane)
         if 'shear' in parts:
             sheared = np.zeros(3 * len(sheet.rest))
             sheared[0::3] = sheet.rest[:, 1]
-            found.append(self.displaced('shear', 'N/m', parts['shear'].jacobian @ sheared, plane))
+            found += self.displaced('shear', 'N/m', parts['shear'].jacobian @ sheared, plane)
         inflatable = 'pressure' in parts and len(plane) > 1
         return found + (self.inflated(plane) if inflatable else self.hanging(plane))
 
@@ -189,13 +188,35 @@ class _LoadedSheet:
         first = sum(sizes[n] for n in names[:names.index(name)])
         return first + np.arange(sizes[name])
 
-    def displaced(self, name: str, unit: str, residual: np.ndarray, names: list[str]) -> Row:
-        """Return the row of an effect with given residuals, while others have no tension."""
+    def bent(self) -> list[Row]:
+        """
+        Return the rows of ``bend`` under uniform curvature, one each for two rigidities.
+
+        A single rigidity is that along warp, or along weft where rows are too short to bend.
+        """
+        asked, found = self.asked['bend'], []
+        for axis, direction in ((WARP, 'warp'), (WEFT, 'weft')):
+            curved = np.zeros(3 * len(self.sheet.rest))
+            curved[2::3] = 0.5 * self.sheet.rest[:, axis]**2
+            found += self.displaced('bend', 'N m', self.sheet.effects['bend'].jacobian @ curved,
+                                    ['bend'], None if asked.stiffness else direction)
+        return found[:1] if asked.stiffness else found
+
+    def displaced(self, name: str, unit: str, residual: np.ndarray, names: list[str],
+                  direction: str | None = None) -> list[Row]:
+        """
+        Return the row of an effect with given residuals, while others have no tension.
+
+        Empty if the residuals are 0.
+        """
         response, rows = self.response(names), self.rows_of(names, name)
         tension = np.zeros(response.coupling.shape[0])
         tension[rows] = self.sheet.effects[name].stiffness @ residual
-        modulus = self.asked[name].stiffness or self.asked[name].warp
-        return self.row(name, None, unit, modulus, response, tension, rows)
+        if not tension.any():
+            return []
+        asked = self.asked[name]
+        modulus = asked.stiffness or getattr(asked, direction or 'warp')
+        return [self.row(name, direction, unit, modulus, response, tension, rows)]
 
     def directions(self, names: list[str]):
         """Yield effect, direction, axis, modulus and rows for warp and weft."""

@@ -10,7 +10,7 @@ order, √10 fewer substeps make it 10 times as large (doc/numerics.md 3.2).
 from dataclasses import replace
 from math import ceil, inf, sqrt
 
-from xpbd_ros.scene.auto import largest_rate, substep_ratio
+from xpbd_ros.scene.auto import largest_rate, stable_substeps, substep_ratio
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping.solver import Solver
@@ -56,13 +56,13 @@ def resolving(simulation: Simulation, solver: Solver, error: float) -> float:
     """Return the substeps that resolve stretch waves; 1 if only the stiffness matters."""
     if solver.integrator == 'backward_euler':
         return 1.0
+    if solver.method == 'explicit':    # required for stability
+        return stable_substeps(simulation.effects, simulation.state, simulation.frame_dt)
     rate = sum(max(largest_rate(these, simulation.state.mass) for these in built.by_part)
                for name, built in simulation.effects.items() if name in ('shear', 'stretch'))
     if rate == inf:
         return 1.0
     wanted = substep_ratio(solver.method, solver.integrator) * simulation.frame_dt * sqrt(rate)
-    if solver.method == 'explicit':    # required for stability
-        return wanted
     return wanted * min(1.0, sqrt(RESOLVED / error))
 
 

@@ -77,6 +77,8 @@ def problem_of(simulation: Any) -> Problem:
         motion = held.motion
         if motion.keyframes is not None or motion.target != motion.pose:
             moving.append((rows[mine], copy.deepcopy(motion)))
+    if pinned.all():
+        raise InputError('pins: no particle is free')
     path = _Path(simulation, x[pinned], moving) if moving else None
     damping, force = simulation.effects.get('damping'), simulation.effects.get('force')
     push = np.zeros(x.shape)

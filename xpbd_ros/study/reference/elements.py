@@ -80,7 +80,8 @@ class Elements:
 
     def evaluated(self, x: Array, order: int) -> Any:
         """Return ``energies`` at positions x, with derivatives by z up to an order."""
-        columns = variables(self.vectors(x).reshape(len(self.particles), -1), order)
+        vectors = self.vectors(x)
+        columns = variables(vectors.reshape(len(vectors), 3 * vectors.shape[1]), order)
         return self.energies([columns[k:k + 3] for k in range(0, len(columns), 3)])
 
     def energy(self, x: Array) -> float:
@@ -90,7 +91,7 @@ class Elements:
     def slope(self, x: Array) -> Array:
         """Return the gradient of each energy by its particles [N], shape (m, k, 3)."""
         first = self.evaluated(x, 1).first
-        return self.shares.swapaxes(1, 2) @ first.reshape(len(first), -1, 3)
+        return self.shares.swapaxes(1, 2) @ first.reshape(len(first), first.shape[1] // 3, 3)
 
     def curvature(self, x: Array) -> Array:
         """Return the Hessian of each energy by z [N/m], shape (m, 3 vectors, 3 vectors)."""
