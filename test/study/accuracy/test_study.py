@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from support.meshes import disc, obj_text
 from support.scenes import DOWN
 from xpbd_ros.cli.accuracy import lines
 from xpbd_ros.cli.main import main
@@ -199,6 +200,22 @@ def test_a_study_of_something_else_is_refused(found, folder, tmp_path):
         study(sheet(), FRAMES, tmp_path / 'mine')
 
 
+def test_a_study_of_another_mesh_is_refused(tmp_path):
+    def interrupted(items, what):
+        raise RuntimeError
+
+    mesh = tmp_path / 'disc.obj'
+    mesh.write_text(obj_text(*disc(1)))
+    scene = scene_from_mapping({'cloths': {'c': {'mesh': {'file': str(mesh)}, 'density': 0.2}}},
+                               where='disc.yaml', name='disc')
+    for _ in range(2):
+        with pytest.raises(RuntimeError):
+            study(scene, 2, tmp_path / 's', progress=interrupted)
+    mesh.write_text(obj_text(*disc(2)))
+    with pytest.raises(InputError, match='holds a study with another scene; name another'):
+        study(scene, 2, tmp_path / 's', progress=interrupted)
+
+
 def test_the_report_holds_all_and_needs_no_other_file(found, tmp_path):
     chosen = recommend(found.rows, found.by, budget=50.0, floor=found.floor)
     picture = draw(found, tmp_path / 'a.png', chosen=chosen, budget=50.0)
@@ -231,6 +248,13 @@ def test_a_rerun_beyond_the_budget_is_said(found, p95):
     row = next(row for row in found.rows if row.timing)
     said = dict(facts(found, row, 2.0, None, (row.errors, replace(row.timing, ms_p95=p95))))
     assert said['rerun'].endswith(f'{p95} ms p95' + ', over the budget' * (p95 > 2.0))
+
+
+@pytest.mark.parametrize('factor', [0.5, 2.0])
+def test_an_error_below_what_the_truth_is_known_to_is_said(found, factor):
+    said = facts(found, None, None, factor * found.floor, None)
+    assert (('note', f'the truth is known to {found.floor:.2g} m only: whether an error is '
+             'smaller than that is not known') in said) == (factor < 1.0)
 
 
 @pytest.mark.parametrize('share', [0.99, 0.4])

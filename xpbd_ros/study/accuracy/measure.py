@@ -12,6 +12,7 @@ from typing import Any
 from xpbd_ros import __version__
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
@@ -138,7 +139,7 @@ def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
     simulation = compile_scene(scene)
     here = machine()
     store = ResultsStore(folder, {
-        'scene': _hash(scene.raw), 'duration': str(frames), 'times': str(list(times)),
+        'scene': _hash(scene), 'duration': str(frames), 'times': str(list(times)),
         'inputs': hashlib.blake2b(pickle.dumps(commands), digest_size=8).hexdigest(),
         'version': f'{__version__} {FORMAT} {CACHE_FOLDER.name}', 'machine': here['name']})
     job = Job(scene, frames, commands, folder.absolute())
@@ -246,9 +247,13 @@ def _in_order(settings: list[Setting]) -> list[Setting]:
             *sorted(others, key=lambda one: -one.substeps * one.iterations)]
 
 
-def _hash(raw: dict) -> str:
-    return hashlib.blake2b(json.dumps(raw, sort_keys=True, default=str).encode(),
-                           digest_size=8).hexdigest()
+def _hash(scene: Scene) -> str:
+    """Return a hash of a scene and of the files that it names."""
+    digest = hashlib.blake2b(json.dumps(scene.raw, sort_keys=True, default=str).encode(),
+                             digest_size=8)
+    for name, content in as_attachments(scene).items():
+        digest.update(f'{name} {len(content)} '.encode() + content)
+    return digest.hexdigest()
 
 
 def again(scene: Scene, truth: Truth, frames: int, commands: dict[int, list],
