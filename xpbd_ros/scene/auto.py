@@ -34,7 +34,7 @@ MIN_SUBSTEPS = 4
 ROUGH = ('rough_frames', 'rough_integrator', 'rough_substeps')
 """keys of the frames where ``explicit`` is unstable"""
 MAX_SUBSTEPS = 10_000
-"""substeps of ``explicit`` that ``auto`` chooses at most, as ``solver.substeps`` allows"""
+"""substeps that ``auto`` chooses at most, as ``solver.substeps`` allows"""
 EXCESS = 1.1
 """time of ``explicit`` over ``budget_ms`` that a mix may have at most: the cost table cannot tell
 so little, and the error is several times smaller than that of ``line``"""
@@ -185,7 +185,8 @@ def _what_they_meet(wanted: float, affordable: int, budget_ms: float, costly: li
     if costly:
         return (f'exceed the budget of {budget_ms:g} ms, but fewer take no less time with '
                 f'{", ".join(costly)}')
-    fill = f'fill the budget of {budget_ms:g} ms; '
+    fill = (f'fill the budget of {budget_ms:g} ms; ' if affordable < MAX_SUBSTEPS else
+            'are the most there may be; ')
     if wanted < 1e9:
         return f'{fill}{ceil(wanted)} would resolve it'
     return f'{fill}no number resolves rigid edges'
@@ -277,7 +278,7 @@ def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float,
         per = cost(method, keys.iterations, effects, state, table_of(keys), h)
         return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt, live)
 
-    most, found = fitting(0.0), 0
+    most, found = min(fitting(0.0), MAX_SUBSTEPS), 0
     while found != most:    # fewer are longer, so that the number only falls
         found, most = most, min(most, fitting(frame_dt / most))
     return most

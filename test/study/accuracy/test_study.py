@@ -26,9 +26,15 @@ from xpbd_ros.study.accuracy.measure import remarks, without_solver
 from xpbd_ros.study.accuracy.picture import draw
 from xpbd_ros.study.accuracy.report import facts, settings_text, write_csv, write_page
 from xpbd_ros.study.accuracy.results_store import FILE
-from xpbd_ros.study.accuracy.solver_setting import BASELINES, ladder, METHODS, Setting
+from xpbd_ros.study.accuracy.solver_setting import (
+    BASELINES,
+    ladder,
+    METHODS,
+    Setting,
+    with_solver,
+)
 from xpbd_ros.study.accuracy.trajectory import play
-from xpbd_ros.study.accuracy.truth import extrapolated, independent, Truth
+from xpbd_ros.study.accuracy.truth import extrapolated, independent, own_rungs, Truth
 
 FRAMES = 24
 SHEET = {'duration': 0.4, 'cloths': {'sheet': {
@@ -274,6 +280,17 @@ def test_what_a_scene_cannot_have_is_listed_with_the_reason():
     assert refused[0].reason.startswith('solver.method: explicit cannot do rigid constraints')
     assert {one.method for one in settings} == set(METHODS) - {'explicit'}
     assert len({one.key for one in settings}) == len(settings)
+
+
+@pytest.mark.parametrize('keys', [
+    {'cloths.sheet.effects.stretch': {'compliance': 0.0}},
+    {'cloths.sheet.density': 1e-6, 'frame_rate': 5.0}])
+def test_no_setting_has_more_substeps_than_a_scene_may(keys):
+    scene = scene_from_mapping(SHEET, where='sheet.yaml', name='sheet', overrides=keys)
+    settings = [one for one in ladder(scene)[0] if not one.is_baseline]
+    for setting in (*own_rungs(scene), *settings):
+        compile_scene(with_solver(scene, setting.block()))
+    assert max(setting.substeps for setting in settings) > 1000
 
 
 def test_a_target_for_the_error_is_no_part_of_a_setting(found):

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from math import log2
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost, ROUGH
+from xpbd_ros.scene.auto import cost, MAX_SUBSTEPS, ROUGH
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import Scene
@@ -150,7 +150,8 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
             continue
         if method == 'explicit':
             for factor in (1, 2, 4):
-                add(Setting(method, 'leapfrog', factor * simulation.solver.substeps))
+                if factor * simulation.solver.substeps <= MAX_SUBSTEPS:
+                    add(Setting(method, 'leapfrog', factor * simulation.solver.substeps))
             add(Setting(method, 'leapfrog', simulation.solver.substeps, precision='float32'))
             continue
         rungs = rungs_of(simulation, method, usual)
@@ -176,7 +177,7 @@ def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = 
                                                        'integrator': 'backward_euler'}))
         for setting in baseline_ladder(rungs_of(simulation, 'gauss_seidel', usual)):
             add(setting)
-    finest = with_substeps(usual, FINEST * usual.substeps)
+    finest = with_substeps(usual, min(FINEST * usual.substeps, MAX_SUBSTEPS))
     return [one for one in found.values() if one.key != finest.key], refused    # true solution
 
 
@@ -191,7 +192,7 @@ def baseline_ladder(rungs: Sequence[int]) -> list[Setting]:
 def rungs_of(simulation: Simulation, method: str, usual: Setting) -> list[int]:
     """Return powers of two up to FINEST, or to the substeps that fit into a frame period."""
     most = 1e9 * simulation.frame_dt / cost(method, 1, simulation.effects, simulation.state)
-    top = max(3, int(log2(max(min(most, FINEST * usual.substeps), 1.0))))
+    top = max(3, int(log2(max(min(most, FINEST * usual.substeps, MAX_SUBSTEPS), 1.0))))
     low = max(int(log2(FEWEST)), top - RUNGS + 1)
     return [2**k for k in range(low, top + 1)]
 

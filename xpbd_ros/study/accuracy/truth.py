@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost
+from xpbd_ros.scene.auto import cost, MAX_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
@@ -107,7 +107,7 @@ def own_rungs(scene: Scene) -> list[Setting]:
     simulation = compile_scene(with_solver(scene, base.block()))
     per = cost(base.method, 1, simulation.effects, simulation.state)
     most = SLOWEST * 1e9 * simulation.frame_dt / per
-    finest = max(4, min(FACTORS[-1] * base.substeps, int(most)))
+    finest = max(4, min(FACTORS[-1] * base.substeps, int(most), MAX_SUBSTEPS))
     return [with_substeps(base, max(1, finest * factor // FACTORS[-1])) for factor in FACTORS]
 
 
