@@ -88,6 +88,18 @@ def test_what_cannot_be_held_is_said():
     assert 'max_substeps 6' in watch.warning
 
 
+def test_a_target_that_is_not_held_yet_is_said():
+    """Substeps double at most with each estimate, so that it takes several to get there."""
+    watch, _ = watched(swing(4), 45, target=1e-7)
+    assert watch.warning == (
+        f'error_target 1e-07 m is not held yet: the error of a frame is {watch.latest.rms:.2g} m '
+        'with 4 substeps, and the next have 8')
+    assert str(watch).endswith(' of 1 estimated, 1 of them above error_target 1e-07 m')
+    watch, _ = watched(swing(), 45, target=0.1)
+    assert not watch.warning
+    assert str(watch).endswith(' of 1 estimated, none of them above error_target 0.1 m')
+
+
 def test_what_is_not_resolved_is_said():
     simulation = swing()
     watch = ErrorMonitor(simulation, target=None, most=64)

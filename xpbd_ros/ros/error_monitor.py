@@ -117,9 +117,14 @@ class ErrorMonitor:
         if not latest.resolved:
             return (f'under-resolved: with {substeps} substeps the cloth is softer than asked; '
                     'increase them, or see xpbd_ros check')
-        if self._target is not None and latest.rms > self._target and substeps >= self._most:
-            return (f'error_target {self._target:g} m is not held: the error of a frame is '
-                    f'{latest.rms:.2g} m with max_substeps {self._most}')
+        if self._target is not None and latest.rms > self._target:
+            text = f'error_target {self._target:g} m is not held'
+            error = f'the error of a frame is {latest.rms:.2g} m with'
+            if substeps >= self._most:
+                return f'{text}: {error} max_substeps {self._most}'
+            if latest.substeps < substeps:
+                text += ' yet'
+            return f'{text}: {error} {latest.substeps} substeps, and the next have {substeps}'
         return ''
 
     def diagnostics(self) -> dict[str, float | int | str]:
@@ -151,8 +156,12 @@ class ErrorMonitor:
         if told['under_resolved']:
             return (f"under-resolved in {told['under_resolved']} of {told['estimates']} frames "
                     'estimated; see xpbd_ros check')
-        return (f"{told['frame_rms_m']:.2g} m in a frame at most (RMS), of {told['estimates']} "
+        text = (f"{told['frame_rms_m']:.2g} m in a frame at most (RMS), of {told['estimates']} "
                 'estimated')
+        if self._target is None:
+            return text
+        over = sum(found.rms > self._target for found in self.all)
+        return f'{text}, {over or "none"} of them above error_target {self._target:g} m'
 
     def close(self) -> None:
         """Stop the thread."""
