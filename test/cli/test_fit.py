@@ -10,11 +10,13 @@ from rclpy.serialization import serialize_message
 from support.logs import COMMANDS, recorded, SHEET
 from support.scenes import DOWN
 from xpbd_ros import load
+from xpbd_ros.cli.fit import lines, unit_of
 from xpbd_ros.cli.main import main
 from xpbd_ros.fit.surface import to_points
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
 from xpbd_ros.ros.clouds import cloud_of
+from xpbd_ros.scene.load import scene_from_text
 
 NOISE = 0.002
 """standard deviation of each coordinate [m]"""
@@ -120,6 +122,7 @@ def test_a_value_comes_back_within_a_tenth(what, tmp_path, capsys):
     assert value['determined'], value['why_not']
     assert value['value'] == pytest.approx(expected, rel=0.1)
     assert value['low'] < value['value'] < value['high'] < 1.2 * value['low']
+    assert value['unit'] == {'stretch': 'N/m', 'bend': 'N m', 'friction': ''}[what]
     assert found['organised']
     assert found['residual_m'] == pytest.approx(NOISE, rel=0.1)
     assert Path(found['pictures'][0]).stat().st_size > 10_000
@@ -159,6 +162,28 @@ def test_a_value_comes_back_from_points_anywhere_on_the_cloth(tmp_path, capsys):
     assert not found['organised']
     assert found['values'][key]['value'] == pytest.approx(4e-3, rel=0.1)
     assert found['residual_m'] == pytest.approx(NOISE, rel=0.15)
+
+
+@pytest.mark.parametrize('unit, said', [('N m', '0.004 N m, 95 %: 0.0039 to 0.0041 N m'),
+                                        ('', '0.004, 95 %: 0.0039 to 0.0041')])
+def test_a_value_is_printed_with_its_unit(unit, said):
+    value = {'value': 4e-3, 'low': 3.9e-3, 'high': 4.1e-3, 'unit': unit, 'determined': True}
+    first, *_ = lines({
+        'values': {'k': value}, 'residual_m': 0.0, 'points': 1, 'clouds': 1, 'organised': True,
+        'solver': {'method': 'line', 'integrator': 'bdf2', 'substeps': 1, 'iterations': 1},
+        'runs': 1, 'pictures': ['p']})
+    assert first == f'k  {said}'
+
+
+def test_units_of_keys_also_of_those_that_are_not_live():
+    scene = scene_from_text(FRICTION + 'pins: {p: {cloth: c, at: corner_00}}',
+                            where='here', name='here')
+    assert {key: unit_of(scene, key) for key in (
+        'cloths.c.density', 'cloths.c.friction', 'cloths.c.effects.stretch.warp',
+        'pins.p.compliance', 'effects.damping.rate', 'pins.p.none')} == {
+            'cloths.c.density': 'kg/m²', 'cloths.c.friction': '',
+            'cloths.c.effects.stretch.warp': 'N/m', 'pins.p.compliance': 'm/N',
+            'effects.damping.rate': '1/s', 'pins.p.none': ''}
 
 
 def test_a_value_that_the_motion_does_not_depend_on_is_not_determined(tmp_path, capsys):

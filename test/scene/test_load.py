@@ -135,11 +135,25 @@ def test_a_mistake_in_the_rest_is_told_too(added, text):
      'found another document'),
     (FLAG.replace('grid:', '<<: {density: 1}\n    grid:'),
      "line 3, column 5: merge keys ('<<') are not supported; write their keys out"),
+    (FLAG + 'duration: 010\n',
+     'line 7, column 11: 010 is 8 in YAML 1.1 (base 8); write 8, or 10'),
+    (FLAG + 'gravity: [0, 0, -0_12]\n',
+     'line 7, column 17: -0_12 is -10 in YAML 1.1 (base 8); write -10, or -12'),
+    (FLAG + 'duration: 1:30\n',
+     "line 7, column 11: 1:30 is 90 in YAML 1.1 (base 60); write 90, or '1:30' for text"),
+    (FLAG + 'duration: 1:30.5\n',
+     "line 7, column 11: 1:30.5 is 90.5 in YAML 1.1 (base 60); write 90.5, or '1:30.5' for text"),
     (FLAG.replace('0.15', '!!python/object/apply:os.getcwd []'),
      'line 4, column 14: could not determine a constructor for the tag '
      "'tag:yaml.org,2002:python/object/apply:os.getcwd'")])
 def test_what_is_no_scene_at_all_is_told_with_its_place(scene, text):
     assert refusal(scene) == f'flag.yaml: {text}'
+
+
+def test_numbers_that_mean_the_same_to_any_base_are_taken():
+    scene = read(FLAG + 'duration: 007\ngravity: [00, -0.0, -01.5]\nframe_rate: 0x40\n')
+    assert (scene.top.duration, scene.top.gravity, scene.top.frame_rate) == (
+        7.0, (0.0, 0.0, -1.5), 64.0)
 
 
 def bomb(levels=9):

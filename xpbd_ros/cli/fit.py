@@ -86,7 +86,7 @@ def run(arguments) -> int:
         picture = draw(found, folder / 'residuals.png')
     numbers = {
         'values': {key: {'value': value.value, 'low': value.low, 'high': value.high,
-                         'determined': value.determined, 'why_not': value.why_not}
+                         'unit': unit_of(scene, key), 'determined': value.determined, 'why_not': value.why_not}
                    for key, value in found.values.items()},
         'residual_m': found.residual_m, 'clouds': len(clouds), 'points': model.points,
         'organised': all(cloud.particles is not None for cloud in clouds),
@@ -147,6 +147,13 @@ def value_of(scene, name: str) -> float | None:
     return number
 
 
+def unit_of(scene, name: str) -> str:
+    """Return the unit of a key; empty if it has none."""
+    from xpbd_ros.scene.model import all_keys
+    known = all_keys(scene)
+    return (known[name][0].metadata.get('unit') or '') if name in known else ''
+
+
 def fitted(model, keys):
     """
     Return the fit, and the solver setting of its runs.
@@ -179,7 +186,9 @@ def lines(numbers: dict) -> list[str]:
     text = []
     for key, found in numbers['values'].items():
         if found['determined']:
-            said = f"{found['value']:.4g}, 95 %: {found['low']:.4g} to {found['high']:.4g}"
+            unit = f" {found['unit']}" if found['unit'] else ''
+            said = (f"{found['value']:.4g}{unit}, 95 %: {found['low']:.4g} to "
+                    f"{found['high']:.4g}{unit}")
         else:
             said = f"not determined: {found['why_not']}"
         text.append(f'{key:<{width}}  {said}')

@@ -20,7 +20,7 @@ LARGEST_FILE = 16 * 2**20
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML that refuses duplicate keys."""
+    """Safe YAML that refuses duplicate keys, and numbers to base 8 or 60."""
 
 
 def _mapping_once(loader, node, deep=False):
@@ -42,7 +42,24 @@ def _mapping_once(loader, node, deep=False):
     return loader.construct_mapping(node, deep)
 
 
+def _decimal(loader, node):
+    """Construct a number; refuse what YAML 1.1 reads to base 8 (010) or 60 (1:30)."""
+    value = getattr(loader, f'construct_yaml_{node.tag.rpartition(":")[2]}')(node)
+    text = node.value.replace('_', '')
+    if ':' in text:
+        base, other = 60, f"or '{node.value}' for text"
+    elif text.lstrip('+-').isdecimal() and int(text) != value:
+        base, other = 8, f'or {int(text)}'
+    else:
+        return value
+    raise yaml.constructor.ConstructorError(
+        None, None, f'{node.value} is {value} in YAML 1.1 (base {base}); write {value}, {other}',
+        node.start_mark)
+
+
 _Loader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _mapping_once)
+_Loader.add_constructor('tag:yaml.org,2002:int', _decimal)
+_Loader.add_constructor('tag:yaml.org,2002:float', _decimal)
 
 
 def find_scene(name: str) -> Path:

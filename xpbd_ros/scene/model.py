@@ -165,26 +165,32 @@ class Scene:
 
 def live_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
     """Return (dataclass field, present value) of the live keys, by dotted key."""
-    found = dict(_live_fields('', scene.top))
+    return {key: (field, value) for key, (field, value) in all_keys(scene).items()
+            if field.metadata.get('live') and value is not None}
+
+
+def all_keys(scene: Scene) -> dict[str, tuple[Any, Any]]:
+    """Return (dataclass field, present value) of the keys of what a scene has, by dotted key."""
+    found = dict(_fields('', scene.top))
     for name, cloth in scene.cloths.items():
-        found.update(_live_fields(f'cloths.{name}.', cloth))
+        found.update(_fields(f'cloths.{name}.', cloth))
         for effect, parameters in scene.cloth_effects[name].items():
-            found.update(_live_fields(f'cloths.{name}.effects.{effect}.', parameters))
+            found.update(_fields(f'cloths.{name}.effects.{effect}.', parameters))
     for section, entries in scene.sections.items():
         for name, entry in entries.items():
-            found.update(_live_fields(f'{section}.{name}.', entry))
+            found.update(_fields(f'{section}.{name}.', entry))
     for effect, parameters in scene.effects.items():
-        found.update(_live_fields(f'effects.{effect}.', parameters))
+        found.update(_fields(f'effects.{effect}.', parameters))
     return found
 
 
-def _live_fields(prefix: str, values: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
+def _fields(prefix: str, values: Any) -> Iterator[tuple[str, tuple[Any, Any]]]:
     """Yield dotted keys and (field, value) of a dataclass and of those in it."""
     for field in fields(values):
         value = getattr(values, field.name)
         if is_dataclass(value):
-            yield from _live_fields(f'{prefix}{field.name}.', value)
-        elif field.metadata.get('live') and value is not None:
+            yield from _fields(f'{prefix}{field.name}.', value)
+        else:
             yield f'{prefix}{field.name}', (field, value)
 
 
