@@ -153,10 +153,10 @@ class Entry:
                              f'(got {", ".join(given) or "none"})')
         check_static(self.static_friction, self.friction)
         check_motion(self.motion)
+        check_frame(self)
         if self.motion and any(self.position) and self.position != self.motion[0][1:]:
             raise InputError("position: has no effect beside 'motion', whose points are "
                              'positions; leave it out')
-        check_frame(self)
         if self.start is not None and self.frame is None:
             raise InputError("start: needs 'frame', the TF frame to follow")
         if self.pad is not None and self.restitution > 0.0:
