@@ -178,8 +178,12 @@ def test_a_lifetime_ends_by_itself_unless_renewed():
     grasp = Grasp('hand', Pose(), 0.01, lifetime_ns=100_000_000)
     simulation.step([grasp])
     for frame in range(2, 7):
-        assert 'hand' in simulation.step().pins, frame
-    assert 'hand' not in simulation.step().pins
+        held = simulation.step()
+        assert ('hand' in held.pins, held.news) == (True, ()), frame
+    frame = simulation.step()
+    assert 'hand' not in frame.pins
+    assert frame.news == ("pin 'hand' released: no command within its lifetime of 0.1 s",)
+    assert simulation.step().news == ()
     assert simulation.state.inv_mass[0] > 0.0
     start = simulation.frame().x[0]
     grasp = Grasp('hand', Pose(tuple(start)), 0.01, lifetime_ns=100_000_000)

@@ -175,7 +175,14 @@ def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):
         assert not cloth.node.said(f'recorded {folder}'), 'it is not whole'
     finally:
         resource.prlimit(process, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
-    cloth.status(lambda status: int(status['bytes_recorded']) == 0)
+    for _ in range(2):    # also a second later
+        cloth.statuses.clear()
+        status = cloth.status(lambda status: int(status['bytes_recorded']) == 0)
+        assert (status['level'], status['message'].split(':')[0]) == (b'\2', 'recording stopped')
+    assert cloth.record(True)[0]
+    cloth.statuses.clear()
+    cloth.status(lambda status: status['level'] != b'\2')
+    assert cloth.record(False)[0]
 
 
 def test_a_log_that_cannot_be_finished_is_no_success(cloth):

@@ -37,14 +37,15 @@ def states():
 def test_joint_states_of_several_publishers_add_up(states):
     states.take(state(3, reach=0.1, lift=0.2))
     states.take(state(2, finger=0.03))
-    assert states.latest == (3 * 10**9, {'reach': 0.1, 'lift': 0.2, 'finger': 0.03})
+    assert states.latest == {'reach': (3 * 10**9, 0.1), 'lift': (3 * 10**9, 0.2),
+                             'finger': (2 * 10**9, 0.03)}
     states.take(state(finger=0.02))
-    assert states.latest == (5 * 10**9, {'reach': 0.1, 'lift': 0.2, 'finger': 0.02}), 'now'
+    assert states.latest['finger'] == (5 * 10**9, 0.02), 'now'
     states.take(JointState(name=['finger'], velocity=[1.0]))
     for bad in state(6, finger=float('nan')), JointState(name=['finger'], position=[1.0, 2.0]):
         with pytest.raises(InputError, match='positions, or some are not finite'):
             states.take(bad)
-    assert states.latest[1]['finger'] == 0.02
+    assert states.latest['finger'] == (5 * 10**9, 0.02)
 
 
 def test_links_have_a_pose_once_all_joints_are_known(states, robot):
@@ -56,6 +57,32 @@ def test_links_have_a_pose_once_all_joints_are_known(states, robot):
     assert source.latest_ns('world', 'palm') == 4 * 10**9
     assert source.pose('world', 'right_finger', 4 * 10**9).position == pytest.approx(
         (0.1, -0.03, 0.3))
+
+
+def test_a_stamp_far_ahead_holds_no_later_positions_up(states, robot):
+    """As after a clock was set back: positions count by arrival, with their own stamp."""
+    source = Kinematics(robot, states)
+    states.take(state(3600, reach=0.1, lift=0.2, finger=0.03))
+    states.take(state(4, reach=0.2, lift=0.2, finger=0.03))
+    assert source.latest_ns('world', 'palm') == 4 * 10**9
+    assert source.pose('world', 'palm', 4 * 10**9).position == pytest.approx((0.2, 0.0, 0.3))
+
+
+def test_robots_on_one_topic_are_told_apart(states, robot):
+    """Joints of another robot are no news of this one, which may be silent."""
+    source = Kinematics(robot, states)
+    states.take(state(3, reach=0.1, lift=0.2, finger=0.03))
+    states.take(state(4, other_joint=1.0))
+    assert source.latest_ns('world', 'palm') == 3 * 10**9
+
+
+def test_new_positions_with_an_old_stamp_move_the_links(states, robot):
+    """As after a simulator began again."""
+    source = Kinematics(robot, states)
+    for reach in (0.1, 0.3):
+        states.take(state(3, reach=reach, lift=0.2, finger=0.03))
+        assert source.pose('world', 'palm', 3 * 10**9).position[0] == pytest.approx(reach)
+        states.clear()
 
 
 @pytest.fixture

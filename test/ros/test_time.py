@@ -89,7 +89,10 @@ def test_what_cannot_be_recorded_is_said_while_it_waits_for_the_clock(start, pee
     run = tmp_path / 'run'
     assert cloth.set(record__path=str(run)) == (True, '')
     assert cloth.go('activate')
-    assert cloth.record(True) == (False, 'use_sim_time: waiting for /clock')
+    waiting = False, 'use_sim_time: waiting for /clock'
+    assert cloth.record(True) == waiting
+    assert cloth.trigger('reset') == waiting, 'no frame without a time to stamp it with'
+    assert cloth.trigger('save_state') == waiting
     assert not run.exists(), 'no log without a time to begin at'
     run.mkdir()
     simulator = Simulator(peer)
@@ -101,6 +104,22 @@ def test_what_cannot_be_recorded_is_said_while_it_waits_for_the_clock(start, pee
     assert good, folder
     assert cloth.record(False) == (True, folder)
     assert LogReader(folder).start_ns >= BEGIN
+    assert cloth.node.end() == 0
+    peer.company.clear()
+
+
+def test_in_lockstep_all_services_act_before_the_clock(start, peer, towel, tmp_path):
+    """A simulator may tell its first time after the first step; the log has the start."""
+    run = tmp_path / 'run'
+    cloth = Cloth(peer, start('-r', '__node:=locked', scene=towel, use_sim_time='true',
+                              mode='lockstep'), '/locked')
+    cloth.node.wait_for('running')
+    assert cloth.set(record__path=str(run)) == (True, '')
+    assert cloth.record(True) == (True, str(run))
+    assert cloth.trigger('save_state') == (True, 'saved the state of frame 0')
+    assert cloth.trigger('step') == (True, 'at frame 1')
+    assert cloth.record(False)[0]
+    assert LogReader(run).frames == 2
     assert cloth.node.end() == 0
     peer.company.clear()
 

@@ -86,7 +86,8 @@ def run(arguments) -> int:
         picture = draw(found, folder / 'residuals.png')
     numbers = {
         'values': {key: {'value': value.value, 'low': value.low, 'high': value.high,
-                         'unit': unit_of(scene, key), 'determined': value.determined, 'why_not': value.why_not}
+                         'unit': unit_of(scene, key), 'determined': value.determined,
+                         'why_not': value.why_not}
                    for key, value in found.values.items()},
         'residual_m': found.residual_m, 'clouds': len(clouds), 'points': model.points,
         'organised': all(cloud.particles is not None for cloud in clouds),

@@ -368,6 +368,8 @@ class BuiltPin(Built):
 
     def begin(self, clock, state):
         for name in self.expired(clock):
+            self._news.append(f"pin '{name}' released: no command within its lifetime of "
+                              f'{1e-9 * self.held[name].lifetime_ns:g} s')
             self._let_go(name, state)
         motions = [held.motion for held in self.held.values()]
         for motion in (*motions, *self.open.values()):

@@ -170,7 +170,7 @@ class ClothNode(LifecycleNode):
                     check_absent(folder)
                 self.get_logger().info(WAITING)
             else:
-                self._publish_initial_state()
+                self.publish_initial_state()
         except InputError as error:
             self.get_logger().error(str(error))
             super().on_deactivate(state)
@@ -204,7 +204,7 @@ class ClothNode(LifecycleNode):
         """Return the clock to step on (a function, [ns]) and the period to read it at [s]."""
         return (self.now_ns, POLL) if self.follows_clock else (time.monotonic_ns, IDLE)
 
-    def _publish_initial_state(self) -> None:
+    def publish_initial_state(self) -> None:
         """Open the log and publish the initial state, once there is a time to stamp it with."""
         assert self.simulation is not None and self.topics is not None
         frame = self.simulation.frame()
@@ -215,7 +215,7 @@ class ClothNode(LifecycleNode):
         except InputError as error:
             if self.stepper is None:    # not active yet, and will not be
                 raise
-            self.get_logger().error(f'not recording: {error}')
+            self.status.log_lost(f'not recording: {error}')
         self._publish(self.outputs.start())
         self._publish_recording()
         self._publish(self.outputs.frame(frame, self.stamps.last_ns))
@@ -282,7 +282,7 @@ class ClothNode(LifecycleNode):
     def step(self, late_ns=None) -> None:
         """Compute, publish and record one frame; ``late_ns()`` is how long ago it was due."""
         if not self.begun:
-            self._publish_initial_state()
+            self.publish_initial_state()
         assert self.simulation is not None and self.topics is not None
         assert self.error_monitor is not None and self.following is not None
         begin = time.perf_counter()
@@ -322,7 +322,7 @@ class ClothNode(LifecycleNode):
                 self.recorder.frame(frame, encoded, stamp_ns)
                 self.recorder.values(self.error_monitor.values(), frame)
             except InputError as error:
-                self.get_logger().error(
+                self.status.log_lost(
                     f"recording stopped: {error}; 'xpbd_ros recover {self.recorder.folder}' "
                     'writes a whole log of what it holds')
                 self.stop_recording()
@@ -357,7 +357,7 @@ class ClothNode(LifecycleNode):
 
     def _idle(self) -> None:
         if not self.begun and not self.waits:
-            self._publish_initial_state()
+            self.publish_initial_state()
         if self.recorder is not None:
             self.recorder.flush_if_due()
         self._publish_on_wall_time(None)
@@ -413,6 +413,7 @@ class ClothNode(LifecycleNode):
                       'mode': self.value('mode')},
             files=as_attachments(self.scene))
         self._recorded.add(folder.absolute())
+        self.status.lost_log = ''
         self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')
 

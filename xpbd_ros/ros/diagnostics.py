@@ -61,10 +61,17 @@ class Status:
         self._dropped_before = self._rolled_back_before = self._alone_before = 0
         self._warned = ''
         self._now_ns = None
+        self.lost_log = ''
+        """why there is no log that should be, until there is one again; else empty"""
 
     def jumped(self, by_ns: int) -> None:
         """Count a jump of the clock [ns]."""
         self._jumps_ns.append(by_ns)
+
+    def log_lost(self, why: str) -> None:
+        """Log why there is no log, and report it until there is one again."""
+        self.lost_log = why
+        self._node.get_logger().error(why)
 
     def look(self, *, heard: bool) -> DiagnosticArray | None:
         """Log new errors and warnings; return the status as a message if it is heard."""
@@ -115,6 +122,8 @@ class Status:
             errors.append(f'{rolled_back - self._rolled_back_before} frames were not finite and '
                           'were rolled back: the cloth stands still')
             log.error(errors[-1])
+        if self.lost_log:
+            errors.append(self.lost_log)
         if node.waits:
             warnings.append(WAITING)
         if self._jumps_ns:

@@ -37,7 +37,7 @@ class Followers:
     simulation, scene : have the pins and colliders
     sources : of their poses
     now_ns : clock that silence is measured with [ns]
-    warn : is given each warning
+    warn, tell : are given each warning, and each return of what was silent
 
     Raises
     ------
@@ -46,7 +46,8 @@ class Followers:
     """
 
     def __init__(self, simulation: Simulation, scene: Scene, sources: Sources, *,
-                 now_ns: Callable[[], int], warn: Callable[[str], None]):
+                 now_ns: Callable[[], int], warn: Callable[[str], None],
+                 tell: Callable[[str], None]):
         self._simulation = simulation
         self._topics, self._now_ns, self._warn = sources, now_ns, warn
         self._frame_id = scene.top.frame_id
@@ -54,7 +55,7 @@ class Followers:
         self.sources = self._all(scene)
         """each follower with the source of its poses"""
         self._follower = FrameFollower(simulation, self._frame_id, self.sources, now_ns=now_ns,
-                                       warn=warn)
+                                       warn=warn, tell=tell)
 
     def _all(self, scene: Scene) -> list[tuple[Follower, PoseSource]]:
         """Return each follower with the source of its poses."""

@@ -40,7 +40,8 @@ class Following:
         self._inlets: list[Inlet] = []
         try:
             self._followers = Followers(simulation, scene, self, now_ns=self._now_ns,
-                                        warn=node.get_logger().warning)
+                                        warn=node.get_logger().warning,
+                                        tell=node.get_logger().info)
         except InputError as error:
             self.close()
             raise InputError(f'{scene.where}: {error}') from None

@@ -69,7 +69,7 @@ class ForeignMotion:
             if any(entry.frame is not None for entry in entries):
                 self._need(topic, (TF_MESSAGE,), f'inputs.{topic}')
         self._followers = Followers(simulation, scene, self, now_ns=lambda: self._now_ns,
-                                    warn=self._notes.append)
+                                    warn=self._notes.append, tell=self._notes.append)
         if not self._takers:
             raise InputError(f'{log.path}: is not a log of xpbd_ros, and the scene maps none of '
                              f"its topics to a pin or collider under 'inputs' ({self._usable()})")

@@ -112,15 +112,15 @@ class FrameFollower:
     frame_id : TF frame of the scene
     sources : each follower with the source of its poses
     now_ns : clock that silence is measured with [ns]
-    warn : is given each warning
+    warn, tell : are given each warning, and each return of a silent frame
 
     """
 
     def __init__(self, simulation: Simulation, frame_id: str,
                  sources: Iterable[tuple[Follower, PoseSource]], *, now_ns: Callable[[], int],
-                 warn: Callable[[str], None]):
+                 warn: Callable[[str], None], tell: Callable[[str], None]):
         self._simulation, self._frame_id = simulation, frame_id
-        self._now_ns, self._warn = now_ns, warn
+        self._now_ns, self._warn, self._tell = now_ns, warn, tell
         tracks: dict[tuple, Track] = {}
         for about, source in sources:
             key = id(source), about.frame, about.timeout
@@ -226,7 +226,7 @@ class FrameFollower:
                 self._warn(f'{name}: {_frames(stale, " ")}silent for more than '
                            f'{stale[0].timeout:g} s: {self._parts(stale)}{reason}')
         for name, tracks in _by_source(back):
-            self._warn(f'{name}: {_frames(tracks, " ")}back')
+            self._tell(f'{name}: {_frames(tracks, " ")}back')
 
     @property
     def finding(self) -> str:

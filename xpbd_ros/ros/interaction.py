@@ -9,7 +9,7 @@ from concurrent import futures
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.pin_handles import PinHandles
 from xpbd_ros.ros.pin_services import PinServices
-from xpbd_ros.ros.services import ANSWER_SECONDS, WAITING
+from xpbd_ros.ros.services import ANSWER_SECONDS, begin
 from xpbd_ros.ros.set_state import CloudStates
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.simulation import SavedState
@@ -55,12 +55,11 @@ class Interaction:
 
         Raises
         ------
-        InputError : one is refused
+        InputError : one is refused, or the node steps by /clock, which has not begun
 
         """
         node = self._node
-        if not node.begun:
-            raise InputError(WAITING)
+        begin(node)
         for command, reason in node.simulation.apply(node.command_queue.drain()):
             node.refuse(command, reason)
         for _, reason in node.simulation.apply(commands):

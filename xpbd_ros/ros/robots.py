@@ -47,35 +47,35 @@ def description_on(node, topic: str) -> str:
 
 class JointStates:
     """
-    The latest positions of a robot's joints.
+    The latest positions of the joints on a topic.
 
     Parameters
     ----------
-    topic : full name; several publishers may share it
+    topic : full name; several publishers and robots may share it
     now_ns : clock for messages without a stamp [ns]
 
     """
 
     def __init__(self, topic: str, now_ns: Callable[[], int]):
         self.topic, self._now_ns = topic, now_ns
-        self.latest: tuple[int, Mapping[str, float]] = 0, {}
-        """stamp [ns], and positions [m, rad] by joint; replaced as a whole"""
+        self.latest: Mapping[str, tuple[int, float]] = {}
+        """stamp [ns] and position [m, rad] by joint; replaced as a whole"""
 
     def take(self, message: JointState) -> None:
         """Take the positions of a message; refuse it if they are not finite numbers, one each."""
-        stamp_ns, known = self.latest
         if not message.position:
             return    # velocities or efforts alone
         if len(message.position) != len(message.name) or not all(map(isfinite, message.position)):
             raise InputError(f'{len(message.name)} names and {len(message.position)} positions, '
                              'or some are not finite')
         sent_ns = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
-        self.latest = (max(stamp_ns, sent_ns or self._now_ns()),
-                       {**known, **dict(zip(message.name, message.position))})
+        stamp_ns = sent_ns or self._now_ns()
+        self.latest = {**self.latest, **{name: (stamp_ns, position) for name, position
+                                         in zip(message.name, message.position)}}
 
     def clear(self) -> None:
         """Forget all positions, after the clock went back."""
-        self.latest = 0, {}
+        self.latest = {}
 
 
 class Kinematics:
@@ -92,22 +92,24 @@ class Kinematics:
         self.name, self._states, self._base = states.topic, states, robot.pose
         self._prefix = robot.keys.frame_prefix or ''
         self._description = Description(Path(robot.file), robot.text)
-        self._computed_ns = 0
+        self._computed: Mapping[str, float] | None = None
+        """joint positions of the present poses"""
 
     def latest_ns(self, frame: str, source: str) -> int:
-        """Return the stamp of the latest joint positions [ns], once all are known."""
-        stamp_ns, positions = self._states.latest
-        missing = [name for name in self._description.joints if name not in positions]
+        """Return the stamp of its joints' latest positions [ns], once all are known."""
+        latest = self._states.latest
+        missing = [name for name in self._description.joints if name not in latest]
         if missing:
             raise InputError(f'no position of {", ".join(missing)} on {self._states.topic}')
-        return stamp_ns
+        return max((latest[name][0] for name in self._description.joints), default=0)
 
     def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
         """Return the latest pose of a link in the scene."""
-        stamp_ns, positions = self._states.latest
-        if stamp_ns != self._computed_ns:
+        latest = self._states.latest
+        positions = {name: latest[name][1] for name in self._description.joints}
+        if positions != self._computed:
             self._description.move(positions)
-            self._computed_ns = stamp_ns
+            self._computed = positions
         return compose(self._base, self._description.pose(source.removeprefix(self._prefix)))
 
 
@@ -146,7 +148,7 @@ class GripperFollower:
         reset : whether the scene is reset before that frame
 
         """
-        position = self._states.latest[1].get(self._gripper.joint)
+        _, position = self._states.latest.get(self._gripper.joint, (0, None))
         if reset:
             self._closed = False
         if position is None:

@@ -47,6 +47,22 @@ def answer(node, response, action, message: str):
     return response
 
 
+def begin(node) -> None:
+    """
+    Publish the initial state, if that is still due; on the stepper's thread.
+
+    Raises
+    ------
+    InputError : the node steps by /clock, which has not begun
+
+    """
+    if node.begun:
+        return
+    if node.waits and node.stepper.free_running:
+        raise InputError(WAITING)
+    node.publish_initial_state()
+
+
 class Services:
     """
     The services; each acts on the stepper's thread, between two frames, and answers when done.
@@ -104,6 +120,7 @@ class Services:
 
     def _reset(self, request, response):
         def reset():
+            begin(self._node)
             self._node.command_queue.put('reset', (Reset(),))
             self._node.step()
             return self._node.simulation.index
@@ -133,10 +150,11 @@ class Services:
                 if failure := node.stop_recording():
                     raise InputError(failure)
                 return folder.absolute()
-            if not node.begun:
-                raise InputError(WAITING)
             if node.recorder is not None:
                 raise InputError(f'already recording to {node.recorder.folder.absolute()}')
+            begin(node)
+            if node.recorder is not None:    # to record.path, from the start on
+                return node.recorder.folder.absolute()
             folder = folder_of(node.value('record.path'))
             if folder is None or folder.exists():
                 folder = fresh_folder('node')
