@@ -121,6 +121,45 @@ def test_mimicked_joints_follow():
     assert description.pose('right_finger').position[1] == pytest.approx(-0.02)
 
 
+def test_axes_count_by_their_direction_and_mimics_of_mimics_follow(folder):
+    """And joints that no joint state has, such as floating ones, are none and stay."""
+    more = """
+  <joint name="drift" type="floating"><origin xyz="0 0 1"/>
+    <parent link="base"/><child link="cart"/></joint><link name="cart"/>
+  <joint name="turn" """
+    tips = """
+  <joint name="half" type="prismatic"><axis xyz="0 0 0.5"/><parent link="arm"/>
+    <child link="a"/><mimic joint="slide" multiplier="0.5" offset="0.1"/></joint>
+  <joint name="back" type="prismatic"><axis xyz="0 0 3"/><parent link="arm"/>
+    <child link="b"/><mimic joint="half" multiplier="-2" offset="0.3"/></joint>
+  <link name="a"/><link name="b"/></robot>"""
+    text = (folder / 'r.urdf').read_text().replace('\n  <joint name="turn" ', more).replace(
+        'xyz="0 1 0"', 'xyz="0 2 0"').replace('</robot>', tips)
+    (folder / 'r.urdf').write_text(text)
+    description = Description(folder / 'r.urdf')
+    assert description.joints == ('turn', 'slide')
+    assert description.mimics == {'half': 'slide', 'back': 'slide'}
+    description.move({'turn': 0.0, 'slide': 0.4})
+    assert description.pose('jaw-1').position == pytest.approx((1.0, 0.4, 1.0))
+    assert description.pose('a').position == pytest.approx((0.0, 0.0, 1.0 + 0.5 * 0.4 + 0.1))
+    assert description.pose('b').position == pytest.approx((0.0, 0.0, 1.0 - 2 * 0.3 + 0.3))
+    assert description.pose('cart').position == pytest.approx((0.0, 0.0, 1.0))
+
+
+def test_links_whose_names_differ_by_a_sign_are_two_colliders(folder):
+    """So are a link's second shape and a link of that name; one named twice is one."""
+    text = (folder / 'r.urdf').read_text()
+    (folder / 'r.urdf').write_text(text.replace('</robot>', ''.join(f"""
+  <joint name="{link}" type="fixed"><parent link="base"/><child link="{link}"/></joint>
+  <link name="{link}"><collision><geometry><sphere radius="0.01"/></geometry></collision></link>
+  """ for link in ('jaw_1', 'arm_1')) + '</robot>'))
+    frames = {name: each.frame for name, each in scene(folder).sections['colliders'].items()}
+    assert frames == {'table': None, 'ball': None, 'arm_arm_0': 'arm', 'arm_arm_1': 'arm',
+                      'arm_jaw_1': 'jaw-1', 'arm_jaw_1_': 'jaw_1', 'arm_arm_1_': 'arm_1'}
+    found = scene(folder, 'description: r.urdf, links: [jaw_1, jaw_1]').robots['arm']
+    assert found.colliders == ('arm_jaw_1',)
+
+
 def test_matrices_become_poses_for_any_turn():
     rng = np.random.default_rng(1)
     for q in [*np.eye(4), *rng.normal(size=(100, 4)), *(np.eye(4)[[0, 1, 2]] + 1e-9)]:
@@ -151,6 +190,8 @@ def test_matrices_become_poses_for_any_turn():
      "robots.arm.gripper.frame: unknown link; did you mean 'jaw-1'?"),
     (f'description: r.urdf, {GRIPPER.replace("radius: 0.05", "radius: 0")}',
      'robots.arm.gripper.radius: must be > 0 m (got 0)'),
+    ('description: r.urdf, frame_prefix: /left/',
+     "robots.arm.frame_prefix: TF frames have no leading '/'; take 'left/'"),
     (f'description: r.urdf, {GRIPPER.replace("0.1", "0.1, open_above: 0.05")}',
      'robots.arm.gripper: open_above: must be at least closed_below (0.1) (got 0.05)'),
 ])
@@ -158,6 +199,12 @@ def test_what_a_robot_cannot_be(folder, keys, reason):
     with pytest.raises(InputError) as error:
         scene(folder, keys)
     assert reason in str(error.value)
+
+
+def test_a_gripper_is_read_from_the_joint_that_moves():
+    with pytest.raises(InputError, match="robots.arm.gripper.joint: 'finger_mirror' mimics "
+                                         "'finger'; take that one"):
+        load_scene(str(ROBOTS / 'robot.yaml'), {'robots.arm.gripper.joint': 'finger_mirror'})
 
 
 @pytest.mark.parametrize(('old', 'new', 'reason'), [
@@ -168,6 +215,23 @@ def test_what_a_robot_cannot_be(folder, keys, reason):
     ('radius="0.05"', 'radius="wide"', 'cannot be read as URDF (ValueError: '),
     ('jaw.obj', 'gone.obj', "r.urdf: link 'jaw-1': no such mesh file: "),
     ('jaw.obj', 'package://nowhere/jaw.obj', "ROS has no package 'nowhere'"),
+    ('<parent link="arm"/>', '<parent link="amr"/>', "r.urdf: joint 'slide': its parent 'amr': "
+     "unknown link; did you mean 'arm'? (known: base, arm, jaw-1)"),
+    ('<child link="jaw-1"/>', '', "joint 'slide': its child '': unknown link"),
+    ('<child link="arm"/>', '<child link="jaw-1"/>',
+     "link 'jaw-1' is the child of more than one joint"),
+    ('<parent link="base"/>', '<parent link="jaw-1"/>',
+     "link 'arm' is in or below a loop of joints"),
+    ('<link name="base"/>', '<link name="base"/><link name="other"/>',
+     'only one link can be without a parent, and base, other are; connect them by joints'),
+    ('<link name="base"/>', '<link name="base"/><link name="base"/>',
+     "link 'base' is there 2 times"),
+    ('name="slide"', 'name="turn"', "joint 'turn' is there 2 times"),
+    ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "joint 'slide': its axis has length 0"),
+    ('<axis xyz="0 1 0"/>', '<mimic joint="trun"/>', "joint 'slide': mimics 'trun': unknown "
+     "joint; did you mean 'turn'? (known: turn, slide)"),
+    ('<axis xyz="0 1 0"/>', '<mimic joint="slide"/>',
+     "joint 'slide': mimics itself (slide → slide)"),
     ('0.1 0.1 0.1', '0.1 0.1 0.2', "link 'jaw-1': a mesh is scaled by [0.1, 0.1, 0.2]"),
 ])
 def test_a_description_that_cannot_be_read(folder, old, new, reason):

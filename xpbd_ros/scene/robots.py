@@ -19,7 +19,7 @@ from xpbd_ros.scene.urdf import Description
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.contact.collider_entries import Pad
 from xpbd_ros.sim.geometry.pose import compose
-from xpbd_ros.sim.parameters import quantity
+from xpbd_ros.sim.parameters import check_frame_name, quantity
 
 TopicText = Callable[[str], str]
 """topic -> text on it; raises InputError if there is none"""
@@ -125,6 +125,8 @@ def with_robots(raw: dict, folder: Path, topic_text: TopicText | None = None) ->
     for name, value in names(raw['robots'], 'robots').items():
         path = f'robots.{name}'
         keys = read(RobotKeys, value, path)
+        if keys.frame_prefix is not None:
+            check_frame_name(f'{path}.frame_prefix', keys.frame_prefix)
         try:
             description = _description(keys.description, folder, topic_text)
         except InputError as error:
@@ -164,7 +166,7 @@ def _colliders(name: str, keys: RobotKeys, description: Description) -> dict[str
         if link not in description.solid_links:
             raise InputError(f"{path}.links[{k}]: '{link}' has no collision geometry (these have: "
                              f'{", ".join(description.solid_links) or "none"})')
-    chosen = description.solid_links if keys.links is None else keys.links
+    chosen = description.solid_links if keys.links is None else dict.fromkeys(keys.links)
     if not chosen and keys.gripper is None:
         raise InputError(f'{path}.description: {description.file}: no link has collision geometry')
     description.move({})
@@ -184,7 +186,10 @@ def _colliders(name: str, keys: RobotKeys, description: Description) -> dict[str
             if keys.pad is not None:
                 entry['pad'] = {'stiffness': keys.pad.stiffness}
             plain = re.sub(r'\W', '_', f'{name}_{link}', flags=re.ASCII)
-            found[plain if len(shapes) == 1 else f'{plain}_{k}'] = entry
+            plain = plain if len(shapes) == 1 else f'{plain}_{k}'
+            while plain in found:    # of another link, such as jaw-1 and jaw_1
+                plain += '_'
+            found[plain] = entry
     return found
 
 
@@ -196,7 +201,10 @@ def _check_gripper(robot: Robot, description: Description) -> None:
     gripper, path = robot.keys.gripper, f'robots.{robot.name}.gripper'
     assert gripper is not None
     if gripper.joint not in description.joints:
-        raise InputError(f'{path}.joint: {unknown(gripper.joint, description.joints, "joint")}')
+        other = description.mimics.get(gripper.joint)
+        raise InputError(f'{path}.joint: ' + (
+            f"'{gripper.joint}' mimics '{other}'; take that one" if other else
+            unknown(gripper.joint, description.joints, 'joint')))
     if robot.keys.follow != 'tf' and gripper.frame not in description.links:
         raise InputError(f'{path}.frame: {unknown(gripper.frame, description.links, "link")}; '
                          'any TF frame will do with follow: tf')

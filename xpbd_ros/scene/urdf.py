@@ -4,6 +4,7 @@ Robot descriptions: collision geometry and forward kinematics of a URDF, by your
 yourdfpy is imported with the first description; a scene without robots does not need it.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from io import BytesIO
 import logging
@@ -11,11 +12,16 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
+
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.read import unknown
 from xpbd_ros.share import package_share
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.geometry.pose import from_matrix
 
+UNCONTROLLED = 'floating', 'planar'
+"""types of joints that no joint state has; they stay at their origins"""
 UNIFORM = 1e-9
 """largest relative difference of a mesh's scales along its axes"""
 
@@ -43,6 +49,9 @@ class Description:
         self.links: tuple[str, ...] = tuple(self._urdf.link_map)
         self.joints: tuple[str, ...] = tuple(self._urdf.actuated_joint_names)
         """joints that move, but for those that mimic others"""
+        self.mimics: dict[str, str] = {joint.name: joint.mimic.joint
+                                       for joint in self._urdf.robot.joints if joint.mimic}
+        """joints that mimic others, with the joints that move them"""
 
     @property
     def solid_links(self) -> tuple[str, ...]:
@@ -124,11 +133,81 @@ def _load(file: Path, text: bytes):
     if any('xacro' in node.tag for node in root.iter()):
         raise InputError(f'{file}: holds xacro macros; expand it first: xacro {file.name} > '
                          f'{file.with_suffix("").stem}_expanded.urdf')
+    try:
+        _check_tree(root)
+        for joint in root.findall('joint'):
+            if joint.get('type') in UNCONTROLLED:
+                joint.set('type', 'fixed')
+    except InputError as error:
+        raise InputError(f'{file}: {error}') from None
     logger = logging.getLogger('yourdfpy')
     logger.setLevel(logging.CRITICAL)
     try:
-        return yourdfpy.URDF.load(BytesIO(text), build_scene_graph=True, load_meshes=False,
-                                  build_collision_scene_graph=False)
+        urdf = yourdfpy.URDF.load(
+            BytesIO(ElementTree.tostring(root)), build_scene_graph=True, load_meshes=False,
+            build_collision_scene_graph=False)
+        _resolve(urdf.robot.joints)
+        return urdf
+    except InputError as error:
+        raise InputError(f'{file}: {error}') from None
     except Exception as error:
         raise InputError(f'{file}: cannot be read as URDF ({type(error).__name__}: '
                          f'{error})') from None
+
+
+def _check_tree(root: ElementTree.Element) -> None:
+    """Raise InputError unless the joints connect all links to one tree."""
+    links = [link.get('name', '') for link in root.findall('link')]
+    joints = root.findall('joint')
+    for kind, found in (('link', links), ('joint', [each.get('name', '') for each in joints])):
+        name, count = max(Counter(found).items(), key=lambda each: each[1], default=('', 0))
+        if count > 1:
+            raise InputError(f"{kind} '{name}' is there {count} times")
+    parents: dict[str, str] = {}
+    for joint in joints:
+        ends = {role: getattr(joint.find(role), 'attrib', {}).get('link', '')
+                for role in ('parent', 'child')}
+        for role, link in ends.items():
+            if link not in links:
+                raise InputError(f"joint '{joint.get('name')}': its {role} '{link}': "
+                                 f'{unknown(link, links, "link")}')
+        if ends['child'] in parents:
+            raise InputError(f"link '{ends['child']}' is the child of more than one joint")
+        parents[ends['child']] = ends['parent']
+    roots = [link for link in links if link not in parents]
+    if len(roots) > 1:
+        raise InputError(f'only one link can be without a parent, and {", ".join(roots)} are; '
+                         'connect them by joints')
+    for link in links:
+        above = [link]
+        while above[-1] in parents:
+            above.append(parents[above[-1]])
+            if len(above) > len(links):
+                raise InputError(f"link '{link}' is in or below a loop of joints")
+
+
+def _resolve(joints) -> None:
+    """Normalize the axes of joints, and let mimic joints mimic joints that move by themselves."""
+    known = {joint.name: joint for joint in joints}
+    for joint in joints:
+        if joint.type != 'fixed':
+            norm = float(np.linalg.norm(joint.axis))
+            if norm == 0.0:
+                raise InputError(f"joint '{joint.name}': its axis has length 0")
+            joint.axis = joint.axis / norm
+    for joint in joints:
+        mimic, chain = joint.mimic, [joint.name]
+        while mimic is not None:
+            if mimic.joint not in known:
+                raise InputError(f"joint '{joint.name}': mimics '{mimic.joint}': "
+                                 f'{unknown(mimic.joint, known, "joint")}')
+            if mimic.joint in chain:
+                raise InputError(f"joint '{joint.name}': mimics itself "
+                                 f'({" → ".join([*chain, mimic.joint])})')
+            chain.append(mimic.joint)
+            other = known[mimic.joint].mimic
+            if other is None:
+                break
+            mimic.offset += mimic.multiplier * other.offset
+            mimic.multiplier *= other.multiplier
+            mimic.joint = other.joint
