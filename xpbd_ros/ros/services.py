@@ -150,9 +150,10 @@ class Services:
                 if failure := node.stop_recording():
                     raise InputError(failure)
                 return folder.absolute()
-            if node.recorder is not None:
-                raise InputError(f'already recording to {node.recorder.folder.absolute()}')
+            begun = node.begun
             begin(node)
+            if node.recorder is not None and begun:
+                raise InputError(f'already recording to {node.recorder.folder.absolute()}')
             if node.recorder is not None:    # to record.path, from the start on
                 return node.recorder.folder.absolute()
             folder = folder_of(node.value('record.path'))
