@@ -5,11 +5,23 @@ import zlib
 
 import pytest
 
+from support.logs import SHEET
 from support.scenes import FEW, with_effects
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import scene_from_text
 from xpbd_ros.sim.backend.simd import BITS
 from xpbd_ros.sim.checkpoint import checkpoint, restore
-from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Reset
+from xpbd_ros.sim.commands import (
+    Grasp,
+    LoadState,
+    MovePin,
+    Pose,
+    ReleaseAll,
+    Reset,
+    SaveState,
+    SetKey,
+)
 
 MOVE = MovePin('hand', Pose((0.5, 0.5, 0.4)))
 
@@ -39,6 +51,25 @@ def test_a_simulation_continues_from_a_checkpoint_bit_for_bit(method, integrator
         one, other = first.step(commands), second.step(commands)
         assert (other.time_ns, other.refused) == (one.time_ns, one.refused)
     assert second.hash() == first.hash()
+
+
+def test_a_kept_state_goes_along():
+    """``LoadState`` gives the same bits, also where a live key has changed since."""
+    def make():
+        return compile_scene(scene_from_text(SHEET, where='here', name='here'))
+    first, second = make(), make()
+    first.step([Grasp('hand', Pose((0.0, 0.0, 0.0)), 0.1)])
+    first.step([SaveState()])
+    first.step([SetKey('gravity', (0.0, 0.0, -5.0))])
+    first.step([ReleaseAll()])
+    restore(second, checkpoint(first))
+    faster = SetKey('gravity', (0.0, 0.0, -9.0))
+    for commands in ([LoadState()], [], [faster], [LoadState()], []):
+        one, other = first.step(commands), second.step(commands)
+        assert (other.refused, second.hash()) == ((), first.hash())
+        assert list(other.pins) == list(one.pins) == ['left', 'hand']
+    restore(second, checkpoint(make()))
+    assert second.step([LoadState()]).refused
 
 
 def test_the_simulation_that_was_saved_is_left_as_it_was():

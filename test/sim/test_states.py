@@ -110,10 +110,10 @@ def test_a_saved_state_stays_in_memory():
     """A pickle of a simulation that holds one, such as a log's checkpoint, holds no threads."""
     simulation = sheet()
     simulation.apply([SaveState()])
-    other = pickle.loads(pickle.dumps(simulation._saved))
+    other = pickle.loads(pickle.dumps(simulation.saved))
     with pytest.raises(InputError, match='in the memory of another process'):
         simulation.restore(other)
-    simulation._saved = other
+    simulation.saved = other
     assert simulation.step([LoadState()]).refused[0][1] == 'no state has been saved'
 
 

@@ -2,7 +2,8 @@
 A simulation's whole state as bytes, from which another process continues bit for bit.
 
 Besides positions and velocities it contains all that the next frame depends on: the integrator's
-history, pins and their targets, colliders and their motion, lists of candidates, counters. Meshes,
+history, pins and their targets, colliders and their motion, lists of candidates, counters, and a
+state kept by ``SaveState``, as a second pickle. Meshes,
 kernels and threads are left out; the simulation that restores it has its own. Arrays are stored as
 they lie in memory, which depends on the width of vectors: that must be the same. The bytes are a
 pickle whose classes are restricted to those of the simulation, so that a log of unknown origin
@@ -10,6 +11,7 @@ runs no code.
 """
 
 from collections.abc import Iterator
+import copy
 from io import BytesIO
 import pickle
 from types import MethodType
@@ -20,7 +22,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.simd import BITS, WIDTH_VARIABLE
-from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.simulation import SavedState, Simulation
 
 PROTOCOL = 5
 PACKAGES = ('xpbd_ros.sim.', 'xpbd_ros.effects.', 'scipy.sparse.')
@@ -39,6 +41,9 @@ def checkpoint(simulation: Simulation) -> bytes:
     simulation.fetch()
     stream = BytesIO()
     _Pickler(stream, simulation).dump((BITS, simulation.__dict__))
+    if simulation.saved:
+        saved = simulation.saved.simulation()
+        _Pickler(stream, saved).dump(saved.__dict__)
     return zlib.compress(stream.getbuffer(), 1)
 
 
@@ -59,7 +64,12 @@ def restore(simulation: Simulation, data: bytes) -> None:
     """
     try:
         raw = zlib.decompressobj().decompress(data, LARGEST)
-        bits, found = _Unpickler(BytesIO(raw), simulation).load()
+        stream = BytesIO(raw)
+        bits, found = _Unpickler(stream, simulation).load()
+        saved = None
+        if stream.tell() < len(raw):
+            saved = copy.deepcopy(simulation)
+            _adopt(saved, _Unpickler(stream, saved).load())
         same = (list(found) == list(simulation.__dict__)
                 and np.array_equal(found['slot'], simulation.slot)
                 and list(found['effects']) == list(simulation.effects))
@@ -71,6 +81,12 @@ def restore(simulation: Simulation, data: bytes) -> None:
                          f' of {BITS}; set the environment variable {WIDTH_VARIABLE}={bits}')
     if not same:
         raise InputError('the checkpoint is of another scene')
+    _adopt(simulation, found)
+    simulation.saved = None if saved is None else SavedState(saved)
+
+
+def _adopt(simulation: Simulation, found: dict[str, Any]) -> None:
+    """Give a simulation the attributes of another one of its scene."""
     simulation.__dict__.update(found)
     if simulation._retune is not None:
         simulation._retune.rebind(simulation.state, simulation.effects)

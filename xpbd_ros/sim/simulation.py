@@ -65,7 +65,8 @@ class Simulation:
             Reset: self._reset, SetKey: self._set, SaveState: self._keep_state,
             LoadState: self._load_state, SetState: self._set_state}
         self._pending: list[Command] = []    # applied since the last frame
-        self._saved: SavedState | None = None
+        self.saved: SavedState | None = None
+        """state that ``SaveState`` kept, for ``LoadState``"""
         self._lag = 0    # frames by which a loaded state is older than the index
         self._first = 0    # frame of the last reset, less the lag then
         self._keys: dict[str, Any] = {}    # live keys that were set
@@ -297,16 +298,16 @@ class Simulation:
             built.reset(self.state)
 
     def _keep_state(self, command: SaveState) -> None:
-        self._saved = None    # a state holds no other
-        self._saved = self.save()
+        self.saved = None    # a state holds no other
+        self.saved = self.save()
 
     def _load_state(self, command: LoadState) -> str | None:
-        if not self._saved:
+        if not self.saved:
             return 'no state has been saved'
-        index, saved, pending, keys = self.index, self._saved, self._pending, self._keys
+        index, saved, pending, keys = self.index, self.saved, self._pending, self._keys
         self.restore(saved)
         self._lag += index - self.index
-        self.index, self._saved, self._pending = index, saved, pending
+        self.index, self.saved, self._pending = index, saved, pending
         changed = {key: value for key, value in keys.items()
                    if key not in self._keys or self._keys[key] != value}
         for key, value in changed.items():
