@@ -377,8 +377,8 @@ def test_a_type_that_is_not_installed_is_left_out(tmp_path, ended):
 def test_bad_input_is_refused_in_one_line(write_log, capsys, flags, said):
     try:
         code = main(['replay', str(write_log()), *flags])
-    except SystemExit as exit:
-        code = exit.code
+    except SystemExit as end:
+        code = end.code
     out, err = capsys.readouterr()
     assert (code, out) == (2, '')
     assert said in err.splitlines()[-1]
