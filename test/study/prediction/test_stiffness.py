@@ -292,7 +292,7 @@ def test_the_law_of_jacobi_is_what_its_sweep_does_at_rest(iterations):
         stretch, force = gives + J @ push, np.zeros(n)
         start = stretch.copy()
         for _ in range(iterations):
-            force -= relaxation * (stretch + alpha * force) / (np.diag(A) + alpha)
+            force -= (stretch + alpha * force) / (np.diag(A) / relaxation + alpha)
             stretch = start + A @ force
         gives = stretch
     np.testing.assert_allclose(law.residuals(np.full(n, load)), gives, rtol=1e-8)

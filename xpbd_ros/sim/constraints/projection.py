@@ -5,7 +5,7 @@ Gauss-Seidel updates positions in place. Jacobi and explicit methods read x and 
 to the accumulator ``state.apart``, whose type selects the update:
 
     Gauss-Seidel    Δf = -(C + α f) / (W + α)          Macklin et al. 2016, eq 18
-    Jacobi          Δf = -ω (C + α f) / (W + α)        doc/numerics.md 3.5
+    Jacobi          Δf = -(C + α f) / (W / ω + α)      doc/numerics.md 3.5
     explicit        f  = -C / α                        the elastic force at x
 
 A multiplier of None is not stored; it is 0 before the only pass.
@@ -51,7 +51,7 @@ def xpbd_residual(residual, alpha, f):
 
 
 def denominator(apart, total, alpha):
-    """Return the method's denominator of C + α f: W + α, (W + α) / ω (Jacobi), α (explicit)."""
+    """Return the method's denominator of C + α f: W + α, W / ω + α (Jacobi), α (explicit)."""
 
 
 def at_the_end(apart):
@@ -113,7 +113,7 @@ def _xpbd_residual(residual, alpha, f):
 @inline(denominator)
 def _denominator(apart, total, alpha):
     if _kind(apart) is Jacobi:
-        return lambda apart, total, alpha: (total + alpha) * apart.per_relaxation[0]
+        return lambda apart, total, alpha: total * apart.per_relaxation[0] + alpha
     if _kind(apart) is Explicit:
         return lambda apart, total, alpha: alpha
     return lambda apart, total, alpha: total + alpha

@@ -108,11 +108,11 @@ def _factor(kind: str, A, alpha, block: np.ndarray, relaxation: float):
     if kind in SOFTEST:
         split = A + sparse.diags(np.maximum(alpha.diagonal(), SOFTEST[kind] * A.diagonal()))
         return splu(split.tocsc())
+    if kind == JACOBI:
+        return splu((_solved_part(A, block, kind) / relaxation + alpha).tocsc())
     if kind == ONCE:
         split = (_solved_part(A, block, FORWARD) - 0.5 * _solved_part(A, block, JACOBI) + alpha)
     else:
         split = _solved_part(A + alpha, block, kind)
-    if kind == JACOBI:
-        return splu((split / relaxation).tocsc())
     return splu(split.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0,
                 options={'SymmetricMode': True})
