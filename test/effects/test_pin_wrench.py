@@ -6,7 +6,7 @@ import pytest
 from support.meshes import ball, obj_text
 from support.scenes import GRAVITY, simulate
 from support.tiers import quick_only
-from xpbd_ros.sim.commands import MovePin, Pose
+from xpbd_ros.sim.commands import Grasp, MovePin, Pose
 
 LATTICE = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'shear': {'stiffness': 10.0},
            'bend': {'stiffness': 1e-4}}
@@ -55,6 +55,25 @@ def make(name, tmp_path, **options):
     if callable(given.get('mesh')):
         given['mesh'] = given['mesh'](tmp_path)
     return simulate(given.pop('grid', (13, 17)), (1.0, 0.8), **given)
+
+
+@pytest.mark.parametrize('compliance', [0.0, 1e-5])
+def test_a_radial_force_has_no_torque_about_the_axis(compliance):
+    """A particle on a pin's arm that turns evenly: within half a substep's turn."""
+    speed, arm, substeps = 6.0, 0.3, 16
+    simulation = simulate((2, 1), effects={'stretch': {'compliance': 1e300}}, density=2.0,
+                          gravity=(0.0, 0.0, 0.0), substeps=substeps,
+                          scene_effects={'pin': {'compliance': compliance}})
+    simulation.step([Grasp('hand', Pose((-arm, 0.0, 0.0)), arm + 0.01)])
+    for k in range(60):
+        half = 0.5 * speed * (k + 1) * simulation.frame_dt
+        pose = Pose((-arm, 0.0, 0.0), (0.0, 0.0, np.sin(half), np.cos(half)))
+        hand = simulation.step([MovePin('hand', pose)]).pins['hand']
+        if k > 30:
+            pull = np.linalg.norm(hand.force)
+            assert pull == pytest.approx(speed**2 * arm, rel=0.1)    # of 1 kg
+            turn = speed * simulation.frame_dt / substeps
+            assert abs(hand.torque[2]) < 0.6 * turn * arm * pull
 
 
 def pulls(frame):

@@ -17,7 +17,8 @@ A pin with a slip force releases at the end of a frame in which the cloth pulled
 
 The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, with f the
 constraint forces (mean over the frame) and a the acceleration that the pin imposes; the torque is
-about the pin's pose, in world axes. With springs it is Σ f, which includes the particles' weight.
+about the pin's position, in world axes, with the arms R q of the middle of the frame. With springs
+it is Σ f, which includes the particles' weight.
 Under an integrator with a history, a force acts on velocities over several substeps: with its
 weights a and b (``particles.history``), the impulse of a force f in substep n is
 
@@ -401,7 +402,7 @@ class BuiltPin(Built):
         self._wrench[:] = 0.0
         weigh_pinned(self.data, state, self._v_before, dt, self._wrench)
         for spring in self.also:
-            weigh_springs(spring, state, self._wrench)
+            weigh_springs(spring, self._wrench)
 
     def end(self, clock, state):
         self._weigh(state, clock.dt)

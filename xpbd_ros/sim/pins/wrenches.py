@@ -1,6 +1,7 @@
 """Wrenches of the cloth on pins, from the constraint forces on pinned particles."""
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.pins.held_places import place_of
 
 
 @jit(inline=True)
@@ -18,25 +19,32 @@ def weigh_pinned(pin, state, v_before, dt, wrench):
     m, v, g = state.mass, state.v, state.gravity
     for k in range(pin.count[0]):
         i, f = pin.particle[k], pin.force[k]
-        add_wrench(pin, state.x, k, (
+        add_wrench(pin, k, (
             f[0] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
             f[1] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
             f[2] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
 
 
 @jit
-def weigh_springs(spring, state, wrench):
+def weigh_springs(spring, wrench):
     """Add the forces of the springs and their torque to each pin's wrench."""
     for k in range(spring.pin.count[0]):
         f = spring.pin.force[k]
-        add_wrench(spring.pin, state.x, k, (f[0], f[1], f[2]), wrench)
+        add_wrench(spring.pin, k, (f[0], f[1], f[2]), wrench)
 
 
 @jit(inline=True)
-def add_wrench(pin, x, k, f, wrench):
-    """Add a force at a held particle, and its torque about the pin's pose at the frame's end."""
-    i, total, p = pin.particle[k], wrench[pin.slot[k]], pin.goal[pin.slot[k]]
-    rx, ry, rz = x[0, i] - p[0], x[1, i] - p[1], x[2, i] - p[2]
+def add_wrench(pin, k, f, wrench):
+    """
+    Add a mean force over the frame at a held particle, and its torque about the pin's position.
+
+    The arm R q is that in the middle of the frame: a pin that turns by θ in a frame has turned by
+    θ / 2 past the direction of a mean force that turns with it.
+    """
+    slot = pin.slot[k]
+    x, y, z = place_of(pin, k, 0.5)
+    total, p, q = wrench[slot], pin.start[slot], pin.goal[slot]
+    rx, ry, rz = x - 0.5 * (p[0] + q[0]), y - 0.5 * (p[1] + q[1]), z - 0.5 * (p[2] + q[2])
     total[0] += f[0]
     total[1] += f[1]
     total[2] += f[2]
