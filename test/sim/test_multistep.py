@@ -1,12 +1,10 @@
-"""Histories: motion that no substep resolves, and forces that change while a scene runs."""
+"""What NDF2 makes of motion that no substep resolves."""
 
 import numpy as np
 import pytest
 
-from support.scenes import run, simulate
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes
-from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.particles.history import FULL, HALF, History, NONE, REACH, with_order_reduction
 from xpbd_ros.sim.particles.memory_layout import zeros
 
@@ -50,16 +48,3 @@ def test_what_turns_smoothly_or_goes_on_does_not():
     assert freshness(FULL, 0.49 * a, -0.6 * a, -0.49 * a) == FULL, 'it does not go far'
     assert freshness(FULL, np.zeros(3), np.zeros(3), np.zeros(3)) == FULL
     assert freshness(FULL, a, np.full(3, np.nan), -a) == FULL
-
-
-@pytest.mark.parametrize('integrator', ['bdf2', 'ndf2'])
-@pytest.mark.parametrize('key', ['gravity', 'effects.force.per_mass'])
-def test_a_force_that_is_changed_acts_at_once(key, integrator):
-    """A free sheet has the velocity g t from then on; with its history it would lag by h g / 2."""
-    simulation = simulate((6, 5), (0.5, 0.4), effects={'stretch': {'warp': 300.0, 'weft': 300.0}},
-                          gravity=(0.0, 0.0, 0.0), substeps=4, rate=64.0, method='line',
-                          integrator=integrator,
-                          scene_effects={'force': {'per_mass': [0.0, 0.0, 0.0]}})
-    run(simulation, 8)
-    frame = run(simulation, 8, [SetKey(key, [0.0, 0.0, -8.0])])
-    np.testing.assert_allclose(frame.v, np.tile([0.0, 0.0, -1.0], (30, 1)), atol=1e-12)

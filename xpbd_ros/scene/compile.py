@@ -208,10 +208,8 @@ class Retune:
                 built.adopt(self.effects[name])
         solver = resolve(scene.top.solver, effects, self.state, float(1 / frame_rate(scene)),
                          live=True)
-        differs = any(getattr(scene, part) != getattr(self.scene, part) for part in (
-            'top', 'cloths', 'cloth_effects', 'effects', 'sections'))
         self.scene, self.cloths, self.effects = scene, cloths, effects
-        return Change(effects, solver, scene.top.gravity, differs)
+        return Change(effects, solver, scene.top.gravity)
 
     def rebind(self, state: State, effects: dict[str, Built]) -> None:
         """Continue with another state and effects of the same scene."""

@@ -15,8 +15,6 @@ class Change:
     effects: dict[str, Built]
     solver: Solver | None = None
     gravity: tuple[float, float, float] | None = None
-    differs: bool = True
-    """False if the key had this value already"""
 
 
 class Retune(Protocol):

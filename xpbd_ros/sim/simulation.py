@@ -312,6 +312,8 @@ class Simulation:
                    if key not in self._keys or self._keys[key] != value}
         for key, value in changed.items():
             self._set(SetKey(key, value))
+        if changed:
+            self._forget()
         return None
 
     def _set_state(self, command: SetState) -> str | None:
@@ -342,11 +344,10 @@ class Simulation:
         self.effects.update(change.effects)
         if change.solver is not None and change.solver.lengths != self.solver.lengths:
             take_integrator(self.state, change.solver.with_history)
+            self._forget()    # a history in steps of another length
         self.solver = change.solver or self.solver
         if change.gravity is not None:
             self.state.gravity[:] = change.gravity
-        if change.differs:
-            self._forget()    # a history of other forces, or in steps of another length
         self._collect()
         self._keys.pop(command.key, None)    # in the order of the last changes
         self._keys[command.key] = command.value
