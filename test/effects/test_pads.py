@@ -424,10 +424,10 @@ def test_cloth_too_heavy_for_its_substeps_is_reported():
                        colliders=fingers(stiffness)).notes
 
     (text,) = notes(8)
-    assert text == ('cloths.c: 8 substeps of jacobi carry 1.15 N/m into a grip of pads, and it '
-                    'weighs 150 N/m, so it may be pulled out; take 92 substeps, or method line')
-    assert len(notes(91)) == 1
-    assert notes(92) == () == notes(8, None)
+    assert text == ('cloths.c: 8 substeps of jacobi carry 1.73 N/m into a grip of pads, and it '
+                    'weighs 150 N/m, so it may be pulled out; take 75 substeps, or method line')
+    assert len(notes(74)) == 1
+    assert notes(75) == () == notes(8, None)
 
 
 @pytest.mark.parametrize('method, substeps', [('line', 8), slow('gauss_seidel', 8),

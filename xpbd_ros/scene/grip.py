@@ -18,7 +18,7 @@ import numpy as np
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.effect import Cloth
 
-CARRIED = {'line': 2.0, 'gauss_seidel_symmetric': 0.6, 'gauss_seidel': 0.3, 'jacobi': 0.04,
+CARRIED = {'line': 2.0, 'gauss_seidel_symmetric': 0.6, 'gauss_seidel': 0.3, 'jacobi': 0.06,
            'explicit': inf}
 """c by method, for one iteration"""
 
