@@ -121,20 +121,19 @@ def test_two_rigidities_have_a_row_each():
                ' N m along weft (bend), not 1; about ' in text for text in found.warnings)
 
 
-def test_substeps_that_are_said_to_do_do():
-    """A sweep of jacobi is as far from the solution with any substeps; others are not."""
-    for method, substeps, most in (('gauss_seidel', 2, 0.2), ('jacobi', 1, None)):
-        def told(substeps, method=method):
-            return cloth([6, 6], {**SPRINGS, 'shear': {'stiffness': 50.0},
-                                  'bend': {'stiffness': 0.1}},
-                         solver={'method': method, 'substeps': substeps})
-        (text,) = [text for text in told(substeps).warnings if '(shear)' in text]
-        if most is None:
-            assert text.endswith('; more substeps would not do; take more iterations or another '
-                                 'method')
-        else:
-            again = told(int(text.split('; about ')[1].split(' substeps would do')[0]))
-            assert abs(next(row.error for row in again.stiffness if row.effect == 'shear')) <= most
+@pytest.mark.parametrize('method', ['gauss_seidel', 'jacobi'])
+def test_substeps_that_are_said_to_do_do(method):
+    """Where a scene may not have as many as it takes, there is another way out."""
+    def told(substeps, shear=50.0):
+        found = cloth([6, 6], {**SPRINGS, 'shear': {'stiffness': shear}},
+                      solver={'method': method, 'substeps': substeps})
+        (text,) = [text for text in found.warnings if '(shear)' in text] or ['']
+        return text, next(row.error for row in found.stiffness if row.effect == 'shear')
+    text, _ = told(1)
+    enough = int(text.split('; about ')[1].split(' substeps would do')[0])
+    assert abs(told(enough)[1]) <= 0.2
+    assert told(1, 1e12)[0].endswith(
+        '; more substeps would not do; take more iterations or another method')
 
 
 def test_a_compliance_scale_slows_the_waves_of_stretch():
