@@ -187,10 +187,10 @@ def test_cloth_that_touches_itself_gets_four_substeps_whatever_the_budget():
 
 
 @pytest.mark.parametrize('method', ['line', 'gauss_seidel'])
-def test_a_large_budget_buys_no_more_than_a_scene_may_have(method):
+def test_a_large_budget_gives_no_more_substeps_than_a_scene_may_have(method):
     solver = resolved({'compliance': 0.0}, 5, solver={'method': method, 'budget_ms': 1e6})
     assert solver.substeps == 10_000
-    assert 'are the most there may be; no number resolves rigid edges' in solver.reason
+    assert 'are the largest number allowed; no number resolves rigid edges' in solver.reason
 
 
 def test_a_budget_for_nothing_buys_one_substep():

@@ -186,7 +186,7 @@ def _what_they_meet(wanted: float, affordable: int, budget_ms: float, costly: li
         return (f'exceed the budget of {budget_ms:g} ms, but fewer take no less time with '
                 f'{", ".join(costly)}')
     fill = (f'fill the budget of {budget_ms:g} ms; ' if affordable < MAX_SUBSTEPS else
-            'are the most there may be; ')
+            'are the largest number allowed; ')
     if wanted < 1e9:
         return f'{fill}{ceil(wanted)} would resolve it'
     return f'{fill}no number resolves rigid edges'

@@ -257,10 +257,10 @@ def test_a_rerun_beyond_the_budget_is_said(found, p95):
 
 
 @pytest.mark.parametrize('factor', [0.5, 2.0])
-def test_an_error_below_what_the_truth_is_known_to_is_said(found, factor):
+def test_an_error_below_the_uncertainty_of_the_truth_is_noted(found, factor):
     said = facts(found, None, None, factor * found.floor, None)
-    assert (('note', f'the truth is known to {found.floor:.2g} m only: whether an error is '
-             'smaller than that is not known') in said) == (factor < 1.0)
+    assert (('note', f'the uncertainty of the truth is {found.floor:.2g} m; smaller errors '
+             'cannot be verified') in said) == (factor < 1.0)
 
 
 @pytest.mark.parametrize('share', [0.99, 0.4])

@@ -123,7 +123,7 @@ def test_two_rigidities_have_a_row_each():
 
 @pytest.mark.parametrize('method', ['gauss_seidel', 'jacobi'])
 def test_substeps_that_are_said_to_do_do(method):
-    """Where a scene may not have as many as it takes, there is another way out."""
+    """Beyond the largest number of substeps, iterations or another method are suggested."""
     def told(substeps, shear=50.0):
         found = cloth([6, 6], {**SPRINGS, 'shear': {'stiffness': shear}},
                       solver={'method': method, 'substeps': substeps})

@@ -145,8 +145,8 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
         wish += (' and ' if wish else '') + f'{budget:.4g} ms per frame (p95)'
     said.append(('asked', wish))
     if max_error is not None and max_error < study.floor:
-        said.append(('note', f'the truth is known to {study.floor:.2g} m only: whether an error '
-                     'is smaller than that is not known'))
+        said.append(('note', f'the uncertainty of the truth is {study.floor:.2g} m; smaller '
+                     'errors cannot be verified'))
     said += [('default', text_of(one, study.by)) for one in study.defaults]
     if chosen is None:
         said.append(('found', 'no setting meets this'))
