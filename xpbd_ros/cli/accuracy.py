@@ -19,6 +19,7 @@ import sys
 import yaml
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, STDOUT, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -57,15 +58,13 @@ def add_arguments(parser):
                         help='parallel processes for the errors (default: all cores); timings '
                              'always use one')
     add_scheduler_argument(parser)
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as gravity=[0,0,-1.62]; may be '
-                             'given several times')
+    add_set_argument(parser, 'override one key of the scene, such as gravity=[0,0,-1.62]')
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
     """Measure the settings, recommend one, and write the results."""
-    from xpbd_ros.cli.run import count_frames, parse_keys
+    from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
     from xpbd_ros.study.machine import machine
     for name, value in (('--budget', arguments.budget), ('--max-error', arguments.max_error)):

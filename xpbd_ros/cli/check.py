@@ -11,6 +11,7 @@ Exit code: 0, 1 if there are warnings, 2 if the scene is refused.
 from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 
 EXAMPLE = 'xpbd_ros check towel --set solver.substeps=8'
 
@@ -20,15 +21,12 @@ def add_arguments(parser):
     parser.add_argument('scene', help='a scene file, or the name of a shipped scene')
     parser.add_argument('--settings', metavar='FILE',
                         help="a file with a 'solver:' block, which overrides the scene's keys")
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32; may be '
-                             'given several times')
+    add_set_argument(parser)
     add_json_argument(parser)
 
 
 def run(arguments) -> int:
     """Predict and print the report."""
-    from xpbd_ros.cli.run import parse_keys
     from xpbd_ros.scene.load import load_scene, settings_overrides
     from xpbd_ros.study.prediction import check
     overrides = settings_overrides(arguments.settings) if arguments.settings else {}

@@ -16,6 +16,7 @@ and writes the cost table of this machine for solver.cost_table, by which auto k
 from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -34,9 +35,7 @@ def add_arguments(parser):
                         help="simulated time in s, instead of the scene's duration")
     parser.add_argument('--commands', metavar='LOG',
                         help='apply the inputs of this log, a folder or an .mcap file')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32; may be '
-                             'given several times')
+    add_set_argument(parser)
     parser.add_argument('--picture', metavar='FILE',
                         help='draw the table to this new PNG file')
     add_json_argument(parser)
@@ -48,7 +47,7 @@ def run(arguments) -> int:
         return calibrate(arguments)
     if arguments.scene is None:
         raise InputError('cost: needs a scene, or --calibrate')
-    from xpbd_ros.cli.run import count_frames, parse_keys
+    from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
     overrides = parse_keys(arguments.keys)
     if arguments.duration is not None:

@@ -13,6 +13,7 @@ Exit code: 0, or 1 if a value is not determined.
 import math
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, STDOUT, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros
 from xpbd_ros.errors import InputError
@@ -41,8 +42,7 @@ def add_arguments(parser):
                         help='time in the recording at which the scene starts (default: 0)')
     parser.add_argument('--duration', type=float, metavar='S',
                         help='compare only the first S seconds')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene; may be given several times')
+    add_set_argument(parser, 'override one key of the scene')
     parser.add_argument('-o', '--output', metavar='DIR',
                         help='new folder for the picture; default: one named by time')
     add_json_argument(parser)
@@ -51,7 +51,6 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Fit the keys, print their values and draw the residuals."""
     need_ros('fit')
-    from xpbd_ros.cli.run import parse_keys
     from xpbd_ros.fit.clouds import read_clouds
     from xpbd_ros.fit.model import Model
     from xpbd_ros.fit.picture import draw

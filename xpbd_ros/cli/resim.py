@@ -19,9 +19,9 @@ from typing import Any
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_outputs, refuse_existing, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
-from xpbd_ros.cli.run import parse_keys
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import CHECKPOINT, VECTOR_BITS
@@ -36,9 +36,7 @@ def add_arguments(parser):
     parser.add_argument('run', metavar='RUN', help='folder of the log, or the .mcap file in it')
     parser.add_argument('-o', '--output', metavar='RUN2',
                         help='new folder for a log of the new run, with its deviation from RUN')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='change one key of the scene, such as solver.substeps=32; may be '
-                             'given several times')
+    add_set_argument(parser, 'change one key of the scene, such as solver.substeps=32')
     parser.add_argument('--from', type=float, default=0.0, metavar='S', dest='start',
                         help='time in the log from which --set acts, in s; needs live keys')
     parser.add_argument('--threads', type=int, metavar='N',

@@ -16,6 +16,7 @@ import time
 from typing import Any
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.errors import InputError
@@ -43,9 +44,7 @@ def add_arguments(parser):
                         help="time at which the run begins in another program's log, in s")
     parser.add_argument('--settings', metavar='FILE',
                         help="a file with a 'solver:' block, which overrides the scene's keys")
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32; may be '
-                             'given several times')
+    add_set_argument(parser)
     parser.add_argument('--picture', metavar='FILE',
                         help='draw three instants of the run to this new PNG file; needs the '
                              'extra view')
@@ -244,15 +243,3 @@ def count_frames(scene) -> int:
         raise InputError(f'{scene.where}: duration: must be from a frame ({1.0 / rate:.3g} s) to '
                          f'{LONGEST:g} s (got {duration:g} s)')
     return max(1, round(duration * rate))
-
-
-def parse_keys(pairs: list[str]) -> dict:
-    """Return the overrides of ``--set`` by key, with values parsed as YAML."""
-    from xpbd_ros.scene.load import parse_yaml
-    found = {}
-    for pair in pairs:
-        key, equals, value = pair.partition('=')
-        if not equals or not key:
-            raise InputError(f'--set {pair}: must be KEY=VALUE, such as solver.substeps=32')
-        found[key] = parse_yaml(value, f'--set {key}')
-    return found

@@ -20,6 +20,7 @@ import time
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -49,9 +50,7 @@ def add_arguments(parser):
                         help='also write a log of each run, as xpbd_ros run does; needs ROS')
     parser.add_argument('--duration', type=float, metavar='S',
                         help="simulated time in s, instead of the scene's duration")
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene in all runs; may be given several '
-                             'times')
+    add_set_argument(parser, 'override one key of the scene in all runs')
     parser.add_argument('--workers', type=int, metavar='N',
                         help='number of local processes (default: all cores)')
     add_scheduler_argument(parser)
@@ -99,7 +98,6 @@ def run(arguments) -> int:
 
 def values_of(arguments) -> tuple[dict, list[dict], dict]:
     """Return the overrides of all runs, those of each run, and values that identify the sweep."""
-    from xpbd_ros.cli.run import parse_keys
     from xpbd_ros.scene.load import load_scene
     from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
     from xpbd_ros.sweep.parameters import check_keys, draw, Range, read_table, whole_numbers

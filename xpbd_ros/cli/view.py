@@ -19,9 +19,10 @@ import threading
 import webbrowser
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros, new_log
-from xpbd_ros.cli.run import LONGEST, parse_keys
+from xpbd_ros.cli.run import LONGEST
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.share import share_folder
@@ -53,9 +54,7 @@ def add_arguments(parser):
                         help='port of the page; 0 takes any (default: 8080)')
     parser.add_argument('--host', default='127.0.0.1', metavar='H',
                         help='address to serve on (default: this machine only)')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='keys',
-                        help='override one key of the scene, such as solver.substeps=32; may be '
-                             'given several times')
+    add_set_argument(parser)
     parser.add_argument('--duration', type=float, metavar='S',
                         help='end after this wall time in s (default: on Ctrl-C)')
     parser.add_argument('--no-browser', action='store_true', help='open no browser')
