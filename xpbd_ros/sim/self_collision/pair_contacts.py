@@ -321,7 +321,7 @@ def rub_of(friction, pairs, q, push, slip, part, way):
 
 @jit
 def mobility_of_pair(pairs, k, near, state):
-    """Return W of pair k [1/kg]."""
+    """Return W = Σ w b² of pair k [1/kg], w by ``inverse_mass``."""
     total = 0.0
     for p in range(4):
         i = pairs.particles[p, k]
@@ -399,7 +399,7 @@ def press(pairs, near, state, substep):
 def press_by_pair(pairs, k, near, state, part):
     """Add those of pair k."""
     scale = part / mobility_of_pair(pairs, k, near, state)
-    load = pairs.push[k] - min(pairs.overlap[k], pairs.push[k])    # the rest leaves no velocity
+    load = max(0.0, pairs.push[k] - pairs.overlap[k])    # the rest leaves no velocity
     for p in range(4):
         i = pairs.particles[p, k]
         if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
