@@ -1,5 +1,5 @@
 """
-Compare the default setting with a ladder of others: the table of doc/accuracy.md.
+Compare the default setting with a ladder of others, as in doc/accuracy.md.
 
     python benchmark/default.py [SCENE …] [-o DIR] [--budgets 2,4,8]
 

@@ -217,6 +217,18 @@ def test_every_picture_and_page_that_is_named_is_there(page):
         assert (page.parent / name).stat().st_size > (10_000 if mark else 500), name
 
 
+def slug(heading: str) -> str:
+    """Return the anchor that GitHub gives a heading."""
+    return re.sub(r'[^\w -]', '', heading.lower()).replace(' ', '-')
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.stem)
+def test_every_heading_that_is_linked_to_is_there(page):
+    for name, anchor in re.findall(r'\]\(([^)#]*)#([^)]+)\)', page.read_text(encoding='utf-8')):
+        there = (page.parent / name if name else page).read_text(encoding='utf-8')
+        assert anchor in map(slug, re.findall(r'^#+ (.*)$', there, re.M)), f'{name}#{anchor}'
+
+
 def test_the_readme_is_short_and_names_every_page():
     assert len(text().splitlines()) <= 150
     for page in (README.parent / 'doc').glob('*.md'):

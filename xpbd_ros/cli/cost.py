@@ -9,8 +9,9 @@ Next to the time per constraint the table has a lower bound, its memory traffic 
 cache bandwidth, and the floating-point operations that this machine could do in the measured time.
 All on one thread.
 
-With --calibrate it measures shipped scenes with every method instead, which takes some minutes,
-and writes the cost table of this machine for solver.cost_table, by which auto keeps budget_ms.
+With --calibrate it measures random and shipped scenes with line and explicit instead, which takes
+some minutes, and writes the cost table of this machine for solver.cost_table, by which auto keeps
+budget_ms.
 """
 
 from pathlib import Path

@@ -76,13 +76,13 @@ def is_quick(case, attempt) -> bool:
 
 
 def columns(results: list[Result]) -> list[str]:
-    """Return the settings of all attempts without their labels, in order; 'door' for refusals."""
+    """Return the settings of all attempts without their labels, in order; 'no setting' for refusals and node cases."""
     found = dict.fromkeys(_setting(each) for result in results for each in result.outcomes)
-    return [name for name in found if name != 'door'] + ['door'] * ('door' in found)
+    return [name for name in found if name != 'no setting'] + ['no setting'] * ('no setting' in found)
 
 
 def _setting(outcome: Outcome) -> str:
-    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or 'door'
+    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or 'no setting'
 
 
 def _words(text: str) -> int:
@@ -98,7 +98,7 @@ def draw(results: list[Result], file: Path) -> Path:
     names = columns(results)
     shown = [name for name in names if sum(_setting(each) == name for result in results
                                            for each in result.outcomes) > 2]
-    shown = [name for name in shown if name != 'door'] + ['others', 'door', 'textbook']
+    shown = [name for name in shown if name != 'no setting'] + ['others', 'no setting', 'textbook']
     figure, axes = page(11.0, 1.6 + 0.24 * len(results))
     axis = axes[0, 0]
     for y, result in enumerate(results):
