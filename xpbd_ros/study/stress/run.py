@@ -17,6 +17,8 @@ from xpbd_ros.study.stress.trial import Trial
 NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
               'H23': 'non-finite inputs at run time'}
 """titles of the cases that need a node (``xpbd_ros.node_stress``), by id"""
+NONE_SET = 'no setting'
+"""column of refusals and node cases"""
 GOOD, BAD, REFUSED, NONE = '#3b8c5a', '#b5443c', '#7fb3d5', '#ededed'
 
 
@@ -76,13 +78,13 @@ def is_quick(case, attempt) -> bool:
 
 
 def columns(results: list[Result]) -> list[str]:
-    """Return the settings of all attempts without their labels, in order; 'no setting' for refusals and node cases."""
+    """Return the settings of all attempts, without their labels, in order; NONE_SET last."""
     found = dict.fromkeys(_setting(each) for result in results for each in result.outcomes)
-    return [name for name in found if name != 'no setting'] + ['no setting'] * ('no setting' in found)
+    return [name for name in found if name != NONE_SET] + [NONE_SET] * (NONE_SET in found)
 
 
 def _setting(outcome: Outcome) -> str:
-    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or 'no setting'
+    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or NONE_SET
 
 
 def _words(text: str) -> int:
@@ -98,7 +100,7 @@ def draw(results: list[Result], file: Path) -> Path:
     names = columns(results)
     shown = [name for name in names if sum(_setting(each) == name for result in results
                                            for each in result.outcomes) > 2]
-    shown = [name for name in shown if name != 'no setting'] + ['others', 'no setting', 'textbook']
+    shown = [name for name in shown if name != NONE_SET] + ['others', NONE_SET, 'textbook']
     figure, axes = page(11.0, 1.6 + 0.24 * len(results))
     axis = axes[0, 0]
     for y, result in enumerate(results):
