@@ -299,10 +299,10 @@ def test_a_reset_removes_what_has_no_frame_yet():
 def test_a_run_without_tf_says_what_stands_still():
     follow = Follow()
     assert notes_without_tf(follow.scene) == [
-        'pins: no TF here, so hand (hand) stay where they hold, unless commands of a log move '
-        'them',
-        'colliders: no TF here, so ball (tool) stay where they start, unless commands of a log '
-        'move them']
+        'pins: no TF and no topics here, so hand (hand) stay where they hold, unless commands of '
+        'a log move them',
+        'colliders: no TF and no topics here, so ball (tool) stay where they start, unless '
+        'commands of a log move them']
     assert follow.simulation.frame().colliders['ball'].pose == Pose((0.0, 0.0, 0.1))
 
 

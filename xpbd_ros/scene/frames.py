@@ -61,9 +61,9 @@ def followers(scene: Scene) -> list[Follower]:
 
 
 def notes_without_tf(scene: Scene) -> list[str]:
-    """Return a note for a run without TF on the parts that would follow it; empty without any."""
+    """Return notes for a run without a node on the parts that would follow TF or topics."""
     found = {section: [f'{each.name} ({each.frame})' for each in followers(scene)
                        if each.section == section] for section in ('pins', 'colliders')}
     texts = {'pins': 'stay where they hold', 'colliders': 'stay where they start'}
-    return [f'{section}: no TF here, so {", ".join(names)} {texts[section]}, unless commands '
-            'of a log move them' for section, names in found.items() if names]
+    return [f'{section}: no TF and no topics here, so {", ".join(names)} {texts[section]}, '
+            'unless commands of a log move them' for section, names in found.items() if names]
