@@ -11,6 +11,7 @@ as it must be and twice as fine, and what ``auto`` would choose of ``line`` alon
 
 import argparse
 from pathlib import Path
+from statistics import median
 import sys
 
 import yaml
@@ -19,11 +20,17 @@ from xpbd_ros.cli.run import count_frames
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.accuracy import measure
-from xpbd_ros.study.accuracy.choose import recommend
+from xpbd_ros.study.accuracy.choose import Default, judge_defaults, SHAPE
 from xpbd_ros.study.accuracy.solver_setting import AUTO, setting_of, with_solver
+from xpbd_ros.study.machine import describe, machine
 
+SHIPPED = ('arch', 'bag', 'balloon', 'curtain', 'drape', 'flag', 'fold', 'fold_towel', 'grip',
+           'sheet', 'softbox', 'swing', 'towel')
 LINES = (4, 8, 16, 32, 64)
 """substeps of ``line`` in the ladder"""
+COLUMNS = ('Scene', 'Budget', '`auto`', 'Median, 95 %', 'Error', 'Best as fast', 'Ratio',
+           '`line` alone: 95 %, error')
+"""budgets and times [ms], errors [mm]"""
 FILE = Path(__file__).with_name('default_scenes.yaml')
 
 
@@ -61,25 +68,38 @@ def study(scene, budgets, folder: Path):
         measure.ladder = whole
 
 
-def compare(name: str, scene, budgets, folder: Path) -> None:
-    """Print the default beside the best setting as fast, for each budget."""
+def compare(name: str, scene, budgets, folder: Path) -> list[Default]:
+    """Print a row for each choice of ``auto``, and return them, one for each budget."""
     auto, line, found = study(scene, budgets, folder)
     rows = {row.setting.key: row for row in found.rows}
-    print(f'{name}: {found.what}, known to {1e3 * found.floor:.2g} mm')
-    for budget in budgets:
-        row, alone = rows[auto[budget].key], rows[line[budget].key]
-        best = recommend(found.rows, found.by, budget=row.timed.ms_p95, floor=found.floor)
-        if best is None:
-            print(f'  {budget:g} ms: {row.setting.key}: {row.errors.note or "no error"}')
-            continue
-        print(f'  {budget:g} ms: {told(row, found)}; best as fast {told(best, found)}; line alone '
-              f'{told(alone, found)}', flush=True)
+    judged = judge_defaults(found.rows, found.by, auto, found.floor)
+    if len(judged) < len(budgets):
+        print(f'| `{name}` | | not judged: no error or no time | | | | | |')
+    for key in dict.fromkeys(each.row.setting.key for each in judged):
+        same = [each for each in judged if each.row.setting.key == key]
+        row, best, alone = same[0].row, same[0].best, rows[line[same[0].budget_ms].key]
+        cells = (f"`{name}`{' (heights)' if found.by == SHAPE else ''}",
+                 ', '.join(f'{each.budget_ms:g}' for each in same), told(row, auto=True),
+                 f'{row.timed.ms_p50:.2f}, {row.timed.ms_p95:.2f}', error(row, found),
+                 'the same' if best is row else f'{told(best)}: {error(best, found)}',
+                 f'{same[0].ratio:.2g}', 'the same' if alone is row else
+                 f'{told(alone)}: {alone.timed.ms_p95:.2f} ms, {error(alone, found)}')
+        print(f"| {' | '.join(cells)} |", flush=True)
+    return judged
 
 
-def told(row, found) -> str:
-    """Return a setting, its error and its time."""
-    return (f'{row.setting.key}: {1e3 * row.error(found.by):.3g} mm, {row.timed.ms_p50:.2f} ms, '
-            f'95 % {row.timed.ms_p95:.2f} ms')
+def told(row, *, auto: bool = False) -> str:
+    """Return a setting; of ``auto``, without what it takes for rough frames."""
+    setting = row.setting
+    if setting.method != 'explicit':
+        return f'`{setting.method}`, `{setting.integrator}`, {setting.substeps}'
+    return f'`explicit` {setting.substeps}' + ('' if auto or setting.rough_frames else ' alone')
+
+
+def error(row, found) -> str:
+    """Return the error of a setting [mm], with that of the truth if it is larger."""
+    text = f'{1e3 * row.error(found.by):.2g}'
+    return f'{text} (± {1e3 * found.floor:.2g})' if row.error(found.by) < found.floor else text
 
 
 def main(words=None) -> int:
@@ -91,10 +111,16 @@ def main(words=None) -> int:
     arguments = parser.parse_args(words)
     budgets, own = [float(text) for text in arguments.budgets.split(',')], sheets()
     arguments.output.mkdir(parents=True, exist_ok=True)
-    for name in arguments.scenes or own:
+    print(f"{describe(machine())}\n\n| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|",
+          flush=True)
+    judged = []
+    for name in arguments.scenes or (*SHIPPED, *own):
         scene = (scene_from_mapping(own[name], where=str(FILE), name=name) if name in own else
                  load_scene(name))
-        compare(name, scene, budgets, arguments.output / Path(name).stem)
+        judged += compare(name, scene, budgets, arguments.output / Path(name).stem)
+    ratios = [each.ratio for each in judged]
+    print(f'\n{len(ratios)} cases: {sum(ratio <= 1.5 for ratio in ratios)} within 1.5 times the '
+          f'best, median {median(ratios):.3g}, largest {max(ratios):.3g}')
     return 0
 
 
