@@ -16,6 +16,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer as BagWriter
 from rosbags.typesys import get_typestore, Stores
+import zstandard
 
 from support.logs import cdr_string, cdr_uint64
 from xpbd_ros.errors import InputError
@@ -261,6 +262,28 @@ def test_what_follows_the_end_is_no_part_of_the_log(run, damaged):
     reader = damaged(data + b'something else')
     assert reader.damage == ['14 bytes after its end are ignored']
     assert reader.count == 121
+
+
+def test_a_second_log_in_the_file_is_told(run, damaged):
+    """As after `cat one.mcap two.mcap`: half of the messages would be lost unnoticed."""
+    data = (run / 'run_0.mcap').read_bytes()
+    reader = damaged(data + data)
+    assert reader.damage == [f'another log follows from byte {len(data)} on, which is ignored; '
+                             'split the file there']
+    assert (reader.count, reader.lossy) == (121, True)
+
+
+def test_a_compressed_file_is_refused_with_the_command_that_decompresses_it(run, tmp_path):
+    """rosbag2 writes such files with compression_mode: file."""
+    (tmp_path / 'bag').mkdir()
+    packed = tmp_path / 'bag' / 'bag_0.mcap.zstd'
+    packed.write_bytes(zstandard.compress((run / 'run_0.mcap').read_bytes()))
+    for path in (packed, packed.parent):
+        with pytest.raises(InputError) as caught:
+            LogReader(path)
+        assert str(caught.value) == (
+            f'{packed}: is compressed as a whole; decompress it first: zstd -d {packed} '
+            f'-o {packed.with_suffix("")}')
 
 
 @pytest.mark.parametrize('tail', [bytes(5000), b'\x70' * 5000, b'\x06' + b'\xff' * 500])

@@ -18,7 +18,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.log.qos import Qos, recorded_qos
 from xpbd_ros.log.records import pieces
 from xpbd_ros.log.resync import decompressed
-from xpbd_ros.log.scan import MESSAGE, Scan, Span
+from xpbd_ros.log.scan import compressed, MESSAGE, Scan, Span
 from xpbd_ros.log.writer import METADATA, SCENE
 
 SPLIT = re.compile(r'(.*)_(0|[1-9]\d*)')
@@ -192,6 +192,8 @@ def log_files(path: Path) -> tuple[list[Path], list[str]]:
         return [path], []
     found = sorted(path.glob('*.mcap'))
     if not found:
+        for file in sorted(path.glob('*.mcap.zst*')):
+            raise compressed(file)
         raise InputError(f'{path}: holds no .mcap file')
     if len(found) == 1:
         return found, []

@@ -6,7 +6,9 @@ Damage raises no error: readable records are indexed, and unreadable ones are de
 
 from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 import re
+import shlex
 import struct
 from typing import BinaryIO, NamedTuple, Protocol
 import zlib
@@ -22,6 +24,7 @@ from xpbd_ros.log.walk import Record, walk
 
 TOPIC, TYPE = re.compile(r'[~/\w]+'), re.compile(r'\w+/msg/\w+')
 MESSAGE = struct.Struct('<HIQQ')    # channel, sequence, log time, publish time; then the data
+ZSTD = b'\x28\xb5\x2f\xfd'    # magic bytes of a Zstandard frame
 SURE_MAGIC = 4    # right bytes of the eight at its start by which a file is known
 MOST_PLACES = 20    # damaged ranges that are listed one by one
 
@@ -100,6 +103,8 @@ class Scan:
         magic = file.read(len(MAGIC))
         if size < len(MAGIC) and MAGIC.startswith(magic):
             raise InputError(f'{path}: is empty')
+        if magic.startswith(ZSTD):
+            raise compressed(Path(str(path)))
         if sum(map(int.__eq__, magic, MAGIC)) < SURE_MAGIC:
             raise InputError(f'{path}: is not an MCAP file')
         if magic != MAGIC:
@@ -227,7 +232,11 @@ class Scan:
             self._lacks.append('the magic bytes at its end are missing or damaged')
             return None
         end += len(MAGIC)
-        if size > end:
+        if file.read(len(MAGIC)) == MAGIC:
+            self._lacks.append(f'another log follows from byte {end} on, which is ignored; split '
+                               'the file there')
+            self.lossy = True
+        elif size > end:
             self._lacks.append(f'{size - end} bytes after its end are ignored')
         summary = read_summary(file, end)
         if summary is None:
@@ -269,6 +278,14 @@ class Scan:
 def is_plausible(channel: Channel, schema: Schema) -> bool:
     """Return whether a description from a damaged chunk has names of a topic and a type."""
     return bool(TOPIC.fullmatch(channel.topic) and TYPE.fullmatch(schema.name))
+
+
+def compressed(path: Path) -> InputError:
+    """Return the error of a file that rosbag2 or a user has compressed as a whole."""
+    name = path.name.removesuffix('.zstd').removesuffix('.zst')
+    plain = path.with_name(name if name != path.name else f'decompressed_{name}')
+    return InputError(f'{path}: is compressed as a whole; decompress it first: zstd -d '
+                      f'{shlex.quote(str(path))} -o {shlex.quote(str(plain))}')
 
 
 def title(opcode: int) -> str:
