@@ -128,6 +128,15 @@ def test_an_interrupt_is_one_line(monkeypatch, capsys):
     assert capsys.readouterr() == ('', 'xpbd_ros run: interrupted\n')
 
 
+def test_an_interrupt_is_one_line_from_the_start(monkeypatch, capsys):
+    """The modules of a verb load for some 0.3 s."""
+    def load(name):
+        raise KeyboardInterrupt
+    monkeypatch.setattr(importlib, 'import_module', load)
+    assert main(['run', 'towel']) == 130
+    assert capsys.readouterr() == ('', 'xpbd_ros run: interrupted\n')
+
+
 def test_the_node_takes_ros_arguments_only(capsys):
     for words in (['drape'], ['--scene', 'drape'], ['--ros-args', '-p', 'a:=1', '--', 'drape']):
         with pytest.raises(SystemExit) as end:

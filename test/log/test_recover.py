@@ -179,6 +179,19 @@ def test_what_is_whole_but_for_its_last_bytes_loses_nothing(run, tmp_path):
     assert log.count == 121
 
 
+def test_an_interrupt_leaves_no_part_of_a_log(run, tmp_path, monkeypatch, capsys):
+    """It would be a whole log of fewer messages."""
+    messages = LogReader.messages
+
+    def interrupted(log, topics):
+        yield from [message for message, _ in zip(messages(log, topics), range(50))]
+        raise KeyboardInterrupt
+    monkeypatch.setattr(LogReader, 'messages', interrupted)
+    assert main(['recover', str(run), '-o', str(tmp_path / 'new')]) == 130
+    assert not (tmp_path / 'new').exists()
+    assert capsys.readouterr() == ('', 'xpbd_ros recover: interrupted\n')
+
+
 def test_definitions_come_from_the_log(tmp_path):
     """So that a log is recovered where its messages are not installed."""
     old = LogWriter(tmp_path / 'run', scene='a: 1\n', settings={})

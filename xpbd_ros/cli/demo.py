@@ -32,7 +32,7 @@ SLOWEST = 20.0
 
 def add_arguments(parser):
     """Add the verb's arguments to a parser."""
-    parser.add_argument('--output', metavar='DIR',
+    parser.add_argument('-o', '--output', metavar='DIR',
                         help='new folder for log, picture and node output; default: one named by '
                              'time')
     parser.add_argument('--duration', type=float, default=12.0, metavar='S',

@@ -57,8 +57,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def run_verb(name: str, argv: list[str]) -> int:
     """Run one verb; report bad input in one line, with exit code 2."""
-    verb = importlib.import_module(f'xpbd_ros.cli.{name}')
     try:
+        verb = importlib.import_module(f'xpbd_ros.cli.{name}')
         if hasattr(verb, 'main'):    # parses its own arguments
             return verb.main(argv)
         return verb.run(parse(name, verb, argv))
