@@ -78,7 +78,8 @@ KEYS = {'stretch': (STRETCH, 'cloths.c.effects.stretch.warp', 60.0),
         'friction': (FRICTION, 'cloths.c.friction', 0.3)}
 
 
-def record(scene: str, folder: Path, *, organised: bool = True, seed: int = 1, **keys) -> Path:
+def record(scene: str, folder: Path, *, organised: bool = True, seed: int = 1,
+           late_s: float = 0.0, **keys) -> Path:
     """Write the clouds that a camera might see of a scene, and return the scene's file."""
     folder.mkdir()
     (folder / 'scene.yaml').write_text(scene)
@@ -100,8 +101,9 @@ def record(scene: str, folder: Path, *, organised: bool = True, seed: int = 1, *
                 points += noise.normal(0.0, NOISE, points.shape)
                 points = points[noise.random(len(points)) > MISSING]
             time_ns = 10**18 + simulation.time_ns(index)
+            stamp_ns = time_ns - round(1e9 * late_s)
             log.write('/camera/points', serialize_message(cloud_of(
-                points.ravel(), 'world', time_ns)), time_ns=time_ns, frame=index)
+                points.ravel(), 'world', stamp_ns)), time_ns=time_ns, frame=index)
     return folder / 'scene.yaml'
 
 
@@ -240,3 +242,13 @@ def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert said in line
     assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize('late_s', [1e9 - 5.0, -1e6])
+def test_stamps_of_another_clock_are_refused(late_s, tmp_path, capsys):
+    """Simulation time, or the future, up to which the scene would be simulated."""
+    scene = record(FRICTION.replace('0.5\n', '0.05\n', 1), tmp_path / 'slope', late_s=late_s)
+    assert main(['fit', str(scene), '--log', str(scene.parent / 'log'), '--vary',
+                 'cloths.c.friction', '-o', str(tmp_path / 'out')]) == 2
+    said = f'of a cloud are {abs(late_s):.3g} s apart, so they are of two clocks'
+    assert said in capsys.readouterr().err

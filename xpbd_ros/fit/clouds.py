@@ -17,6 +17,8 @@ from xpbd_ros.sim.effect import Cloth
 
 MOST_CLOUDS, MOST_POINTS = 60, 2000
 """clouds of a recording, and points of a cloud, that a fit uses; evenly spread"""
+MOST_APART = 10.0
+"""between the stamp and the log time of a cloud [s]; a stamp in the future is simulated up to"""
 
 
 @dataclass(frozen=True)
@@ -50,7 +52,8 @@ def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str |
 
     Raises
     ------
-    InputError : no such topic, a cloud in another TF frame, or none after the start
+    InputError : no such topic, a cloud in another TF frame or of another clock, or none after the
+                 start
 
     """
     reader = LogReader(log)
@@ -60,6 +63,10 @@ def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str |
     for message in reader.messages(topics):
         cloud, cloth = unpacked(message.data, PointCloud2), topics[message.topic]
         stamp = 10**9 * cloud.header.stamp.sec + cloud.header.stamp.nanosec
+        if stamp and (apart := 1e-9 * abs(message.time_ns - stamp)) > MOST_APART:
+            raise InputError(f"{reader.path}: {message.topic}: stamp and log time of a cloud are "
+                             f"{apart:.3g} s apart, so they are of two clocks; for stamps in "
+                             "simulation time, record with 'ros2 bag record --use-sim-time'")
         time = 1e-9 * ((stamp or message.time_ns) - begin)
         frame = round(time * rate)
         if frame < 1 or duration is not None and frame > round(duration * rate):
