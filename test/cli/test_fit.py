@@ -12,6 +12,8 @@ from support.scenes import DOWN
 from xpbd_ros import load
 from xpbd_ros.cli.fit import lines, unit_of
 from xpbd_ros.cli.main import main
+from xpbd_ros.fit import picture
+from xpbd_ros.fit.solve import Fit, Value
 from xpbd_ros.fit.surface import to_points
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.writer import LogWriter
@@ -175,6 +177,15 @@ def test_a_value_is_printed_with_its_unit(unit, said):
         'solver': {'method': 'line', 'integrator': 'bdf2', 'substeps': 1, 'iterations': 1},
         'runs': 1, 'pictures': ['p']})
     assert first == f'k  {said}'
+
+
+def test_the_picture_has_the_unit_of_each_value(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(picture, 'save', lambda figure, _: seen.extend(
+        axis.get_xlabel() for axis in figure.axes))
+    value = Value(0.01, 0.009, 0.011, True, '', ((0.005, 0.002), (0.01, 0.001)))
+    picture.draw(Fit({'b': value, 'f': value}, 0.001, 9), tmp_path, {'b': 'N m', 'f': ''})
+    assert seen == ['value [N m]', 'value']
 
 
 def test_units_of_keys_also_of_those_that_are_not_live():

@@ -82,10 +82,11 @@ def run(arguments) -> int:
     with new_folder(arguments.output or fresh_folder('fit')) as folder:
         assert folder is not None
         found, setting = fitted(model, keys)
-        picture = draw(found, folder / 'residuals.png')
+        units = {key: unit_of(scene, key) for key in found.values}
+        picture = draw(found, folder / 'residuals.png', units)
     numbers = {
         'values': {key: {'value': value.value, 'low': value.low, 'high': value.high,
-                         'unit': unit_of(scene, key), 'determined': value.determined,
+                         'unit': units[key], 'determined': value.determined,
                          'why_not': value.why_not}
                    for key, value in found.values.items()},
         'residual_m': found.residual_m, 'clouds': len(clouds), 'points': model.points,
