@@ -44,6 +44,17 @@ def test_a_flat_sheet_falls_as_tanh_to_its_terminal_speed(integrator, order):
     assert run(simulation, 120).v[:, 2] == pytest.approx(-terminal, rel=2e-3)
 
 
+def test_frames_of_one_substep_have_the_order_of_the_leapfrog():
+    """At both ends of a frame the force is that of the frame's v, half a substep further on."""
+    terminal, errors = np.sqrt(2.0 * 0.1 * GRAVITY / (AIR * NORMAL)), []
+    for rate in (240.0, 480.0, 960.0):
+        simulation = sheet(drag={'density': AIR}, gravity=(0, 0, -GRAVITY), rate=rate,
+                           integrator='leapfrog', method=METHOD['leapfrog'])
+        frame = run(simulation, round(0.1 * rate))
+        errors.append(abs(frame.v[0, 2] + terminal * np.tanh(GRAVITY * 0.1 / terminal)))
+    np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.1)
+
+
 def test_a_flag_in_a_gust_has_the_order_of_the_leapfrog():
     """Second order: a lag of the normals, the velocities or the wind would make it first order."""
     at = []
@@ -57,16 +68,30 @@ def test_a_flag_in_a_gust_has_the_order_of_the_leapfrog():
     assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
 
 
+def test_a_sheet_in_a_gust_has_the_order_of_bdf2():
+    """The wind is that of the substep's end; one substep earlier or later is of first order."""
+    at = []
+    for substeps in (8, 16, 32):
+        free = sheet((0.0, 0.0, 1.0), gust={'gust': [0.0, 0.0, 1.0], 'period': 0.4},
+                     substeps=substeps, method=METHOD['bdf2'], integrator='bdf2',
+                     effects={'stretch': {'warp': 20.0, 'weft': 20.0}})
+        at.append(run(free, 6).x)
+    coarse, fine = (np.abs(a - b).max() for a, b in zip(at, at[1:]))
+    assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
+
+
 @pytest.mark.parametrize('precision', ['float64', slow('float32')])
 def test_the_force_on_a_pinned_sheet_is_that_of_the_formula(precision):
-    """A wind that blows at an angle; all its particles are pinned, so the pin feels all."""
+    """A wind at an angle; all particles are pinned, and each takes the part of its own area."""
     wind = np.array([3.0, 1.0, -2.0])
-    frame = run(sheet(wind, pins={'a': {'cloth': 'c', 'at': list(range(12))}},
+    frame = run(sheet(wind, pins={'a': {'cloth': 'c', 'at': [0]},
+                                  'b': {'cloth': 'c', 'at': list(range(1, 12))}},
                       precision=precision), 2)
     area, along = 0.6 * 0.4, np.array([3.0, 1.0, 0.0])
     expected = 0.5 * AIR * area * (NORMAL * 2.0 * np.array([0.0, 0.0, -2.0])
                                    + 2.0 * SKIN * np.linalg.norm(along) * along)
-    np.testing.assert_allclose(frame.pins['a'].force, expected, rtol=1e-5)
+    np.testing.assert_allclose(frame.pins['a'].force, expected / 24.0, rtol=1e-5)
+    np.testing.assert_allclose(frame.pins['b'].force, expected * 23.0 / 24.0, rtol=1e-5)
 
 
 def test_drag_follows_the_velocity_relative_to_the_wind():
