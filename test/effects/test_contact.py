@@ -128,6 +128,17 @@ def test_an_initial_overlap_is_resolved_slowly_without_a_kick(shape, centre, sub
     assert gap == pytest.approx(R, abs=1e-12)
 
 
+def test_what_leaves_an_old_overlap_by_itself_keeps_its_speed():
+    """Only the velocity that the push gives is removed."""
+    simulation = particle({'s': SHAPES['plane']}, (0.0, 0.0, R - 0.1), gravity=(0, 0, 0),
+                          substeps=8)
+    simulation.state.v[2, 0] = 0.4
+    frames = [simulation.step() for _ in range(10)]
+    np.testing.assert_allclose([frame.v[0] for frame in frames], [[0.0, 0.0, 0.4]] * 10,
+                               rtol=0.0, atol=1e-12)
+    assert frames[-1].x[0, 2] > R
+
+
 def test_a_zero_length_capsule_is_a_sphere():
     """H17."""
     ends = [run(particle({'s': shape}, (0.1, 0.0, 0.5), substeps=4), 60).x.copy() for shape in (

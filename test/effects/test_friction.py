@@ -115,6 +115,17 @@ def test_a_conveyor_drags_what_lies_on_it_to_its_speed():
     np.testing.assert_allclose(frame.colliders['table'].linear, 0.0)
 
 
+def test_a_ball_that_spins_drives_what_lies_on_it():
+    """At its top the surface moves with ω × r, along (ω_y, -ω_x), faster than the particle."""
+    simulation = simulate(
+        (1, 1), friction=MU, pose={'position': [0.0, 0.0, 0.3 + R]}, substeps=4,
+        colliders={'ball': {'sphere': {'radius': 0.3}, 'friction': MU}},
+        scene_effects={'contact': {'thickness': R}, 'friction': {}})
+    frame = simulation.step([MoveCollider('ball', Pose(), Twist((0, 0, 0), (3.0, 4.0, 0.0)))])
+    np.testing.assert_allclose(frame.v[0], MU * GRAVITY / 60 * np.array([0.8, -0.6, 0.0]),
+                               rtol=0.0, atol=1e-3)
+
+
 def test_a_turntable_carries_what_lies_on_it_round():
     simulation = on_a_plane(substeps=8)
     simulation.state.x[:, 0] = (0.2, 0.0, R)
