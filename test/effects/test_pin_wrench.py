@@ -92,6 +92,24 @@ def test_pins_at_rest_carry_the_weight(name, tmp_path):
     np.testing.assert_allclose(pulls(frame), [0.0, 0.0, -weight], rtol=1e-6, atol=1e-6 * weight)
 
 
+@pytest.mark.parametrize('compliance', [0.0, 0.001])
+@pytest.mark.parametrize('name', quick_only(('lattice', 'lattice-explicit'), 'lattice'))
+def test_pins_feel_the_damping_of_all_particles(name, compliance, tmp_path):
+    """Σ F = M g - d/dt Σ m v - rate Σ m Δx / Δt in each frame, held particles included."""
+    rate = 3.0
+    simulation = make(name, tmp_path, scene_effects={
+        'pin': {'compliance': compliance}, 'damping': {'rate': rate}})
+    mass, frame = simulation.state.mass[simulation.slot], simulation.frame()
+    places = {pin: np.array(state.pose.position) for pin, state in frame.pins.items()}
+    for k in range(30):
+        before, start = mass @ frame.v, mass @ frame.x
+        frame = simulation.step([MovePin(pin, Pose(tuple(place + [0.0, 0.02 * k, 0.01 * k])))
+                                 for pin, place in places.items()])
+        change = mass @ frame.v - before + rate * (mass @ frame.x - start)
+        expected = mass.sum() * np.array([0.0, 0.0, -GRAVITY]) - change / simulation.frame_dt
+        np.testing.assert_allclose(pulls(frame), expected, atol=1e-9)
+
+
 @pytest.mark.parametrize('name', ALL)
 def test_shaken_pins_give_the_cloth_its_momentum(name, tmp_path):
     """∫ (M g - F) dt = Δ Σ m v within 1e-3 of ∫ |F| dt, however rough it is."""

@@ -59,6 +59,9 @@ CASES = {
     'contact, history': (CONTACT, {'integrator': 'ndf2', 'precision': 'float64'}),
     'contact, pad': (CONTACT, {'colliders': 'pad'}),
     'explicit': (CONTACT, {'method': 'explicit', 'integrator': 'leapfrog', 'substeps': 12}),
+    'explicit, compliant pin': (('stretch',), {
+        'method': 'explicit', 'integrator': 'leapfrog', 'substeps': 12, 'precision': 'float64',
+        'pin': {'compliance': 0.01}}),
     'self_collision': (LAYERS, {'layers': 2}),
     'self_collision, particles': (LAYERS, {'layers': 2, 'mode': 'particles'}),
     'self_collision, contact, pads': ((*LAYERS, 'contact'), {'layers': 2, 'colliders': 'pad'}),

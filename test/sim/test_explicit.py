@@ -31,12 +31,26 @@ def sheet(substeps, method='explicit', integrator=None, *, grid=(6, 5), **option
         'scene_effects': AT_REST, **options})
 
 
-def test_error_falls_at_second_order():
-    frames = {substeps: run(sheet(substeps), 30).x for substeps in (32, 64, 128, 256)}
+@pytest.mark.parametrize('compliance', [0.0, 0.01, slow(0.1)])
+def test_error_falls_at_second_order(compliance):
+    """Also with springs at the pins."""
+    pins = {name: {**pin, 'compliance': compliance} for name, pin in PINS.items()}
+    frames = {substeps: run(sheet(substeps, pins=pins), 30).x for substeps in (32, 64, 128, 256)}
     gaps = [np.abs(frames[n] - frames[2 * n]).max() for n in (32, 64, 128)]
     assert gaps[0] > 1e-6
     for coarse, fine in zip(gaps[:-1], gaps[1:]):
         assert np.log2(coarse / fine) == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize('compliance', [0.0, *(10.0**-k for k in range(-1, 10))])
+def test_springs_at_pins_are_stable_with_the_substeps_of_free_cloth(compliance):
+    """However stiff, and where they are between second order and backward Euler."""
+    pins = {name: {**pin, 'compliance': compliance} for name, pin in PINS.items()}
+    simulation = sheet(1, pins=pins, scene_effects={**AT_REST, 'damping': {'rate': 1.0}})
+    least = ceil(simulation.frame_dt * stability_limit(simulation.effects, simulation.state))
+    simulation = sheet(least, pins=pins, scene_effects={**AT_REST, 'damping': {'rate': 1.0}})
+    run(simulation, 200)
+    assert simulation.stats()['explicit_redone'] == 0
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ The force -rate m v is evaluated at the substep's end, in closed form: from v = 
     v <- (v̄ + H g) / (1 + H rate),   mobility <- mobility / (1 + H rate),
 
 so it has the integrator's order and is stable at any rate. A falling cloth reaches the terminal
-speed g / rate.
+speed g / rate. Pins feel that of the particles that they hold.
 
 Limits: it also damps the motion of the cloth as a whole.
 """
@@ -63,6 +63,8 @@ class BuiltDamping(Built):
     def __init__(self, parameters, world):
         super().__init__()
         self.data = Damping(np.array([parameters.rate], world.state.x.dtype))
+        if 'pin' in world.built:
+            world.built['pin'].damping = self.data.rate
 
 
 EFFECT = Effect('damping', Parameters, BuiltDamping)

@@ -11,14 +11,16 @@ implicit step: with mobility m = w H², before any constraint moves it,
 
     x += m / (m + n α) (p + R q - x),   m <- m n α / (m + n α),
 
-the exact minimum of both energies; α → 0 gives m = 0, a rigid pin.
+the exact minimum of both energies; α → 0 gives m = 0, a rigid pin. With ``explicit`` it is
+Newmark's mean of three positions instead, of second order (doc/numerics.md 6.3).
 
 A pin with a slip force releases at the end of a frame in which the cloth pulled harder than that.
 
-The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a) over its particles, with f the
-constraint forces (mean over the frame) and a the acceleration that the pin imposes; the torque is
-about the pin's position, in world axes, with the arms R q of the middle of the frame. With springs
-it is Σ f, which includes the particles' weight.
+The wrench that the cloth exerts on a pin is Σ f + Σ m (g - a - rate v) over its particles, with f
+the constraint forces (mean over the frame), a and v the acceleration and the mean velocity that
+the pin imposes, rate that of ``damping``; the torque is about the pin's position, in world axes,
+with the arms R q of the middle of the frame. With springs it is Σ f, which includes the particles'
+weight and damping.
 Under an integrator with a history, a force acts on velocities over several substeps: with its
 weights a and b (``particles.history``), the impulse of a force f in substep n is
 
@@ -32,7 +34,6 @@ Cloth does not slide within a pin: it is held or released.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -47,13 +48,13 @@ from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.pins.entry import Entry
-from xpbd_ros.sim.pins.held_places import place_of
+from xpbd_ros.sim.pins.held_places import Pin, place_of
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
+from xpbd_ros.sim.pins.springs import Spring
 from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
 from xpbd_ros.sim.pins.wrenches import deliver, weigh_pinned, weigh_springs
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
-    add_explicit_forces,
     prepare,
     react_to_half_kick,
     stage,
@@ -72,40 +73,6 @@ class Parameters:
                                    doc='largest distance of a click from its particle')
 
 
-class Pin(NamedTuple):
-    """Data of the kernel: the pinned particles, and the pins' poses by slot."""
-
-    count: np.ndarray
-    """pinned particles, shape (1,)"""
-    particle: np.ndarray
-    """slots, shape (slots,)"""
-    slot: np.ndarray
-    """index of the pin that holds it, shape (particles,)"""
-    offset: np.ndarray
-    """in the pin's axes [m], shape (particles, 3)"""
-    start: np.ndarray
-    """pose at the frame's start: x y z, qx qy qz qw; shape (max_pins, 7)"""
-    goal: np.ndarray
-    """pose at the frame's end, shape (max_pins, 7)"""
-    force: np.ndarray
-    """constraint force on each, mean over the frame [N], shape (particles, 3)"""
-    last: np.ndarray
-    """J_{n-1} / h by slot [N], shape (slots, 3)"""
-    older: np.ndarray
-    """J_{n-2} / h by slot [N], shape (slots, 3)"""
-
-
-class Spring(NamedTuple):
-    """The particles that pins hold by springs."""
-
-    pin: Pin
-    """the list of these particles; rigidly pinned ones have their own"""
-    compliance: np.ndarray
-    """n α of each particle's spring [m/N], shape (particles,)"""
-    place: np.ndarray
-    """p + R q at the substep's end [m], shape (particles, 3)"""
-
-
 @stage(prepare, Pin, on_device=True)
 @jit
 def move_pinned(pin, state, substep):
@@ -114,36 +81,6 @@ def move_pinned(pin, state, substep):
     for k in range(begin, end, turn):
         i = pin.particle[k]
         state.x[0, i], state.x[1, i], state.x[2, i] = place_of(pin, k, substep.end)
-
-
-@stage(prepare, Spring, on_device=True)
-@jit
-def pull_to_pins(spring, state, substep):
-    """Minimise each particle's inertia and spring together."""
-    pin, x = spring.pin, state.x
-    begin, end, turn = turns_on_device(state.team, pin.count[0])
-    for k in range(begin, end, turn):
-        i, alpha = pin.particle[k], spring.compliance[k]
-        m = state.mobility[i]
-        share = m / (m + alpha)
-        goal = place_of(pin, k, substep.end)
-        for a in range(3):
-            spring.place[k, a] = goal[a]
-            x[a, i] += share * (goal[a] - x[a, i])
-        state.mobility[i] = m / (1.0 + m / alpha)    # also for infinite α
-
-
-@stage(add_explicit_forces, Spring)
-@jit
-def kick_springs(spring, state, substep):
-    """H² w (p + R q - x) / (n α)."""
-    pin, x, move = spring.pin, state.x, state.apart.move
-    for k in range(pin.count[0]):
-        i = pin.particle[k]
-        per, goal = state.mobility[i] / spring.compliance[k], place_of(pin, k, substep.end)
-        for a in range(3):
-            spring.place[k, a] = goal[a]
-            move[a, i] += per * (goal[a] - x[a, i])
 
 
 @stage(react_to_half_kick, Pin)
@@ -159,21 +96,6 @@ def take_reactions(pin, state, substep):
         for axis in range(3):
             deliver(pin, k, axis, state.reaction[axis, i] / part, part, a, b, share)
             state.reaction[axis, i] = 0.0
-
-
-@stage(react_to_half_kick, Spring)
-@stage(accumulate_reactions, Spring, on_device=True)
-@jit
-def stretch_springs(spring, state, substep):
-    """Add the forces on the springs: (x - p - R q) / (n α)."""
-    pin, part = spring.pin, substep.end - substep.begin
-    begin, end, turn = turns_on_device(state.team, pin.count[0])
-    for k in range(begin, end, turn):
-        i = pin.particle[k]
-        share, a, b = weights_at(state.history, i)
-        for axis in range(3):
-            f = (state.x[axis, i] - spring.place[k, axis]) / spring.compliance[k]
-            deliver(pin, k, axis, f, part, a, b, share)
 
 
 class BuiltPin(Built):
@@ -195,9 +117,11 @@ class BuiltPin(Built):
         self.data = _room(count, world.slots, poses)
         self.usual = parameters
         self.scale = world.compliance_scale
+        self.damping = np.zeros(1)
+        """rate of effect ``damping`` [1/s], shape (1,)"""
         if parameters.compliance or any(entry.compliance for entry in self.entries.values()):
             self.also = (Spring(_room(count, world.slots, poses), np.ones(count),
-                                np.zeros((count, 3))),)
+                                np.zeros((count, 3)), np.ones(count), np.zeros((count, 3))),)
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
         self.open: dict[str, Motion] = {}
@@ -400,7 +324,7 @@ class BuiltPin(Built):
 
     def _weigh(self, state, dt: float) -> None:
         self._wrench[:] = 0.0
-        weigh_pinned(self.data, state, self._v_before, dt, self._wrench)
+        weigh_pinned(self.data, state, self._v_before, dt, float(self.damping[0]), self._wrench)
         for spring in self.also:
             weigh_springs(spring, self._wrench)
 
@@ -425,7 +349,7 @@ class BuiltPin(Built):
         return news
 
     def adopt(self, old):
-        self.__dict__.update({**old.__dict__, 'scale': self.scale})
+        self.__dict__.update({**old.__dict__, 'scale': self.scale, 'damping': self.damping})
         self._changed()
 
     def reported(self, frame_dt):

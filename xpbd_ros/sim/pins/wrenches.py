@@ -14,15 +14,21 @@ def deliver(pin, k, axis, f, part, a, b, share):
 
 
 @jit
-def weigh_pinned(pin, state, v_before, dt, wrench):
-    """Add Σ f + Σ m (g - a) and its torque to each pin's wrench, (max_pins, 6) [N, N m]."""
+def weigh_pinned(pin, state, v_before, dt, rate, wrench):
+    """
+    Add Σ f + Σ m (g - a - rate v) and its torque to each pin's wrench, (max_pins, 6) [N, N m].
+
+    ``rate`` is that of ``damping`` [1/s], v the mean velocity in the frame.
+    """
     m, v, g = state.mass, state.v, state.gravity
     for k in range(pin.count[0]):
         i, f = pin.particle[k], pin.force[k]
+        now, before = place_of(pin, k, 1.0), place_of(pin, k, 0.0)
         add_wrench(pin, k, (
-            f[0] + m[i] * (g[0] - (v[0, i] - v_before[0, k]) / dt),
-            f[1] + m[i] * (g[1] - (v[1, i] - v_before[1, k]) / dt),
-            f[2] + m[i] * (g[2] - (v[2, i] - v_before[2, k]) / dt)), wrench)
+            f[0] + m[i] * (g[0] - (v[0, i] - v_before[0, k] + rate * (now[0] - before[0])) / dt),
+            f[1] + m[i] * (g[1] - (v[1, i] - v_before[1, k] + rate * (now[1] - before[1])) / dt),
+            f[2] + m[i] * (g[2] - (v[2, i] - v_before[2, k] + rate * (now[2] - before[2])) / dt)),
+            wrench)
 
 
 @jit
