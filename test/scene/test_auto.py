@@ -11,7 +11,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import SetKey
-from xpbd_ros.sim.stepping.methods import is_soft
+from xpbd_ros.sim.stepping.methods import is_swept_once
 from xpbd_ros.study.prediction.stiffness import stiffness
 
 
@@ -40,8 +40,9 @@ def cost(simulation, substeps=None):
         besides += built.ns_per_substep + built.ns_per_particle * particles
         if built.constraints is not None:
             count, size = built.constraints.particles.shape
-            if solver.method == 'line' and is_soft(built.rate, 1.0 / (60.0 * substeps)):
-                count *= 0.5
+            if solver.method == 'line' and is_swept_once(
+                    built.rate, 1.0 / (60.0 * substeps)):
+                count *= (substeps // 2 + substeps % 2) / substeps    # the last both ways
             projected += count * table.get(name, table['edge' if size == 2 else 'hinge'])
     moved = table['substep'] + table['slot'] * simulation.state.x.shape[1]
     return substeps * (moved + besides + solver.iterations * projected)

@@ -9,6 +9,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import CostTable, METHODS, read_table, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.scene.save import explicit
+from xpbd_ros.sim.stepping.methods import direction
 
 RIGID = {'cloths.sheet.effects.stretch': {'compliance': 0.0}, 'solver.budget_ms': 4.0}
 
@@ -68,6 +69,17 @@ def test_constraints_count_by_their_kind_and_on_meshes_apart(name, entries):
             for effect, its in entries.items() if its == kind)
     assert not any(counts['line', kind] for kind in SHIPPED.methods['line']
                    if kind not in kinds | {'substep', 'slot'})
+
+
+@pytest.mark.parametrize(('substeps', 'sweeps'), [(1, 2), (2, 2), (3, 4), (4, 4), (35, 36)])
+def test_soft_constraints_are_swept_once_but_in_the_last_of_an_odd_number(substeps, sweeps):
+    """In half of a pass forth and back, as the substeps do it (``methods.direction``)."""
+    assert sum(2 if direction.py_func(k, substeps) == 0 else 1
+               for k in range(substeps)) == sweeps
+    simulation = compile_scene(load_scene('drape', {'solver.method': 'line'}))
+    counts = SHIPPED.counts('line', 1, simulation.effects, simulation.state, 1e-6, substeps)
+    assert substeps * counts['line', 'hinge'] == pytest.approx(
+        0.5 * sweeps * len(simulation.effects['bend'].constraints.particles))
 
 
 def broken(change):

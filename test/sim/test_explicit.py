@@ -254,6 +254,10 @@ def test_it_takes_as_many_substeps_as_it_needs_or_refuses():
     fewer = sheet(ceil(limit) - 1, effects=STIFF).solver.reason
     assert fewer.endswith(f'as given; {ceil(limit)} would be stable in every orientation')
     assert sheet(ceil(limit), effects=STIFF).solver.reason.endswith('as given')
+    assert sheet(ceil(limit), effects=STIFF).notes == ()
+    note, = sheet(12, effects=STIFF).notes
+    assert note == ('solver.substeps: explicit may be unstable with 12, and computes unstable '
+                    f'frames again with line; give at least {ceil(limit)}, or take line')
     for change, text in (({'effects': {'stretch': {'compliance': 0.0}}}, 'rigid'),
                          ({'effects': {'stretch': {'compliance': 1e-12}}}, 'to be stable')):
         with pytest.raises(InputError, match=text):

@@ -172,7 +172,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
     substeps = _bounded(wanted, affordable)
     h = frame_dt / substeps
     took = 1e-6 * substeps * compensation(method, state, h, live) * cost(
-        method, keys.iterations, effects, state, table_of(keys), h)
+        method, keys.iterations, effects, state, table_of(keys), h, substeps)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
     return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
                   f'{met}, about {took:.2g} ms per frame', **chosen)
@@ -274,13 +274,13 @@ def compensation(method: str, state, h: float, live: bool = False) -> float:
 def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float,
                 live: bool) -> int:
     """Return the most substeps that fit the budget; short ones take less time (``SOFT``)."""
-    def fitting(h: float) -> int:
-        per = cost(method, keys.iterations, effects, state, table_of(keys), h)
+    def fitting(h: float, substeps: int = 2) -> int:
+        per = cost(method, keys.iterations, effects, state, table_of(keys), h, substeps)
         return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt, live)
 
     most, found = min(fitting(0.0), MAX_SUBSTEPS), 0
     while found != most:    # fewer are longer, so that the number only falls
-        found, most = most, min(most, fitting(frame_dt / most))
+        found, most = most, min(most, fitting(frame_dt / most, most))
     return most
 
 
@@ -293,9 +293,13 @@ def _compensated(uncompensated: float, method: str, state, frame_dt: float, live
 
 
 def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED,
-         h: float = inf) -> float:
-    """Return the time of one substep of h [s] according to a table [ns]; inf: of a long one."""
-    return table.substep_ns(method, iterations, effects, state, h)
+         h: float = inf, substeps: int = 2) -> float:
+    """
+    Return the time of one substep of h [s] according to a table [ns]; inf: of a long one.
+
+    It is the mean of ``substeps`` in a frame: the last of an odd number takes longer.
+    """
+    return table.substep_ns(method, iterations, effects, state, h, substeps)
 
 
 def table_of(keys: SolverKeys) -> CostTable:

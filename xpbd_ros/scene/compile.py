@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from math import ceil
 from pathlib import Path
 
 import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
-from xpbd_ros.scene.auto import resolve, rounds_away
+from xpbd_ros.scene.auto import resolve, rounds_away, stability_limit
 from xpbd_ros.scene.device import card_of
 from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
@@ -97,6 +98,7 @@ def compile_scene(scene: Scene) -> Simulation:
                      for text in cloth.mesh.notes),
                    *(text for built in effects.values() for text in built.notes),
                    *_too_coarse(cloths, state),
+                   *_too_few(solver, effects, state, float(1 / frame_rate(scene))),
                    *weak_grips(scene, cloths, rough.method, rough.substeps),
                    *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
     except ArithmeticError as error:
@@ -138,6 +140,16 @@ def _too_coarse(cloths, state: State) -> list[str]:
     return [f'solver.precision: float32 rounds positions {far:.3g} m from the origin to '
             f'{rounding:.2g} m, and neighbours are {gap:.2g} m apart; take float64, or an origin '
             'near the scene']
+
+
+def _too_few(solver, effects, state: State, frame_dt: float) -> list[str]:
+    """Return a warning if ``explicit`` may be unstable, so that frames are computed twice."""
+    if solver.method != 'explicit' or solver.substeps >= (
+            needed := stability_limit(effects, state) * frame_dt):
+        return []
+    return [f'solver.substeps: explicit may be unstable with {solver.substeps}, and computes '
+            f'unstable frames again with line; give at least {ceil(min(needed, 1e9))}, or take '
+            'line']
 
 
 def _too_short(state: State, h: float) -> list[str]:

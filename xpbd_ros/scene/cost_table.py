@@ -8,8 +8,9 @@ A substep takes
 
 on one core, with the entries of the method. A constraint's kind is the name of its effect where
 the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
-``mesh_hinge``; one that ``line`` sweeps once counts ``SWEPT_ONCE``. ``xpbd_ros cost
---calibrate`` writes the table of a machine, and ``solver.cost_table`` reads it.
+``mesh_hinge``; one that ``line`` sweeps once counts ``SWEPT_ONCE``, but in the last of an odd
+number of substeps, where it is swept both ways. ``xpbd_ros cost --calibrate`` writes the
+table of a machine, and ``solver.cost_table`` reads it.
 """
 
 from collections import Counter
@@ -25,7 +26,7 @@ import yaml
 
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.stepping.methods import is_soft
+from xpbd_ros.sim.stepping.methods import is_swept_once
 
 VERSION = 1
 """of the file format"""
@@ -63,22 +64,26 @@ class CostTable:
         built: Any = load(name).build
         return built.particles_per_thread
 
-    def substep_ns(self, method: str, iterations: int, effects, state, h: float = inf) -> float:
-        """Return the time of a substep of h [s] of a scene [ns]."""
+    def substep_ns(self, method: str, iterations: int, effects, state, h: float = inf,
+                   substeps: int = 2) -> float:
+        """Return the mean time of a scene's substeps of h [s], ``substeps`` in a frame [ns]."""
         found = own_ns(effects)
-        for (section, entry), count in self.counts(method, iterations, effects, state, h).items():
+        for (section, entry), count in self.counts(
+                method, iterations, effects, state, h, substeps).items():
             found += count * (self.methods[method][entry] if section == method else
                               self.effects.get(entry, effects[entry].ns_per_particle))
         return found * (self.single if state.x.dtype == np.float32 else 1.0)
 
     def counts(self, method: str, iterations: int, effects, state,
-               h: float = inf) -> Counter[tuple[str, str]]:
+               h: float = inf, substeps: int = 2) -> Counter[tuple[str, str]]:
         """
         Return how often entries count in a substep of h [s]: (method, entry), ('effects', name).
 
-        Constraints that ``line`` sweeps once count ``SWEPT_ONCE``.
+        It is the mean of a frame's ``substeps``. Constraints that ``line`` sweeps once count
+        ``SWEPT_ONCE``, and 1 in the last of an odd number.
         """
         entries = self.methods[method]
+        once = SWEPT_ONCE + (1.0 - SWEPT_ONCE) * (substeps % 2) / substeps
         found: Counter[Any] = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
         for name, built in effects.items():
             found['effects', name] = int(np.count_nonzero(state.mass))
@@ -89,7 +94,7 @@ class CostTable:
                     _batch, built.parts) if hasattr(part, 'particles')))    # packs may have gaps
                 own = name if name in entries and name not in NEEDED else None
                 often: Any = iterations * (
-                    SWEPT_ONCE if method == 'line' and is_soft(built.rate, h) else 1)
+                    once if method == 'line' and is_swept_once(built.rate, h) else 1)
                 found[method, own or kind] += often * (total - of_meshes)
                 found[method, own or f'mesh_{kind}'] += often * of_meshes
         return found

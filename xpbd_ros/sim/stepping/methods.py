@@ -104,7 +104,7 @@ def close(effects, state, substep):
     """Do one Gauss-Seidel pass over the edges of the lines."""
 
 
-def is_soft(rate: float, h: float) -> bool:
+def is_swept_once(rate: float, h: float) -> bool:
     """Return True if substeps of h [s] need a single pass, with stiffness over mass [1/s²]."""
     return rate * h * h < SOFT
 

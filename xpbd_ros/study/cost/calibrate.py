@@ -131,7 +131,8 @@ def measure(scene: Scene, method: str, frames: int) -> Run | None:
     h = simulation.frame_dt / setting.substeps
     often = setting.substeps * compensation(method, state, h) * (
         SHIPPED.single if setting.precision == 'float32' else 1.0)
-    counts = SHIPPED.counts(method, setting.iterations, simulation.effects, state, h)
+    counts = SHIPPED.counts(method, setting.iterations, simulation.effects, state, h,
+                            setting.substeps)
     return Run(scene.name, method, setting.substeps, int(np.count_nonzero(state.mass)),
                {entry: often * count for entry, count in counts.items()},
                often * own_ns(simulation.effects), float(np.mean(took)))

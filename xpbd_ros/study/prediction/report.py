@@ -102,7 +102,8 @@ def frame_ms(simulation: Simulation, solver: Solver, table: CostTable = SHIPPED)
     """Return the expected time of a frame according to a cost table [ms]."""
     return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
                                          simulation.state, table,
-                                         simulation.frame_dt / solver.substeps)
+                                         simulation.frame_dt / solver.substeps,
+                                         solver.substeps)
 
 
 def _count(simulation: Simulation) -> int:

@@ -7,7 +7,7 @@ from scipy import sparse
 
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
-from xpbd_ros.sim.stepping.methods import is_soft
+from xpbd_ros.sim.stepping.methods import is_swept_once
 from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.loads import (
     hanging_tensions,
@@ -129,7 +129,7 @@ def _passes_of_lines(sheet: Sheet, rows: dict[str, np.ndarray], h: float, *,
         lines = ([(LINES, edges[along == WARP]), (LINES, edges[along == WEFT])]
                  if sheet.packs is None else
                  [(PATHS, edges[sheet.packs == k]) for k in np.unique(sheet.packs)])
-    soft = [name for name in rows if alternate and is_soft(sheet.effects[name].rate, h)]
+    soft = [name for name in rows if alternate and is_swept_once(sheet.effects[name].rate, h)]
     stiff = [name for name in rows if name not in soft]
     return [*((FORWARD, rows[name]) for name in stiff), *lines,
             *((ONCE, rows[name]) for name in soft), *lines,
