@@ -25,6 +25,8 @@ TAUT = 1 / 3
 """the same ratio, where colliders or wind may stretch the cloth: particles in contact take
 backward Euler, with which lines that zigzag are stable up to a strain of about 3/4 of the ratio's
 square, that is 1/12"""
+BENDING = 0.6
+"""the same ratio for bending alone, which is in no line: about a millimetre on a metre"""
 COMPENSATED = 4 / 3
 """time of a substep with compensation of its rounding errors over that without"""
 APART = ('jacobi', 'explicit')
@@ -104,8 +106,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
     the edges at a particle along one direction. For an error of 1e-3 of the length, the line sweep
     needs about a quarter of them with BDF2 (doc/numerics.md 3.2), a fifth with NDF2, and a third
     where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
-    asked, also for the constraints that are in no line. An effect may need a number of substeps
-    of its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
+    asked, also for the constraints that are in no line; bending takes ``BENDING`` of its own. An
+    effect may need a number of substeps of
+    its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
     ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table, but not below
     ``Built.fewest_substeps``.
     """
@@ -162,7 +165,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
                   *(built.least_substeps(frame_dt) for built in effects.values())])
     if method == 'line':
         taut = any(built.pulls_taut for built in effects.values())
-        wanted = max(wanted, swept, TAUT * needed if taut else 0.0)
+        wanted = max(wanted, swept, TAUT * needed if taut else 0.0,
+                     BENDING * _needed_for_bending(effects, state, frame_dt))
     if method == 'explicit':
         if wanted > affordable:
             raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
@@ -348,6 +352,16 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
     for_all, for_swept = (frame_dt * sqrt(rate) if rate < 1e20 else inf
                           for rate in (on_lines + swept, swept))
     return for_all, for_swept
+
+
+def _needed_for_bending(effects, state, frame_dt: float) -> float:
+    """Return the explicit substeps for what ``_needed`` leaves out; 0 if that is rigid."""
+    bending = {name: built for name, built in effects.items()
+               if built.constraints is not None and built.constraints.particles.shape[1] != 2
+               and name != 'shear' and not _is_swept_stretch(name, built)}
+    if any((built.constraints.compliance == 0.0).any() for built in bending.values()):
+        return 0.0
+    return frame_dt * stability_limit(bending, state) if bending else 0.0
 
 
 def _is_swept_stretch(name: str, built) -> bool:
