@@ -106,11 +106,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
     the edges at a particle along one direction. For an error of 1e-3 of the length, the line sweep
     needs about a quarter of them with BDF2 (doc/numerics.md 3.2), a fifth with NDF2, and a third
     where colliders or wind may stretch the cloth. Gauss-Seidel needs all of them to be as stiff as
-    asked, also for the constraints that are in no line; bending takes ``BENDING`` of its own. An
-    effect may need a number of substeps of
-    its own (``Built.least_substeps``). ``explicit`` itself takes the bound of
-    ``stability_limit``. ``budget_ms`` bounds the substeps by the cost table, but not below
-    ``Built.fewest_substeps``.
+    asked, as does stretch in no line; bending takes ``BENDING`` of its own. An effect may need a
+    number of its own (``Built.least_substeps``), and ``explicit`` that of ``stability_limit``.
+    ``budget_ms`` bounds them by the cost table, but not below ``Built.fewest_substeps``.
     """
     barred = {method: name for name, built in effects.items()
               for method in built.incompatible_with}
@@ -166,7 +164,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
     if method == 'line':
         taut = any(built.pulls_taut for built in effects.values())
         wanted = max(wanted, swept, TAUT * needed if taut else 0.0,
-                     BENDING * _needed_for_bending(effects, state, frame_dt))
+                     _needed_for_bending(effects, state, frame_dt))
     if method == 'explicit':
         if wanted > affordable:
             raise InputError(f'solver.method: explicit needs {wanted:.4g} substeps to be stable, '
@@ -174,8 +172,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
                              'line, raise budget_ms or give substeps')
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
-    h = frame_dt / substeps
-    took = 1e-6 * substeps * compensation(method, state, h, live) * cost(
+    took = 1e-6 * substeps * compensation(method, state, (h := frame_dt / substeps), live) * cost(
         method, keys.iterations, effects, state, table_of(keys), h, substeps)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
     return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
@@ -355,13 +352,13 @@ def _needed(effects, state, frame_dt: float) -> tuple[float, float]:
 
 
 def _needed_for_bending(effects, state, frame_dt: float) -> float:
-    """Return the explicit substeps for what ``_needed`` leaves out; 0 if that is rigid."""
+    """Return the substeps of ``line`` for what ``_needed`` leaves out; 0 if that is rigid."""
     bending = {name: built for name, built in effects.items()
                if built.constraints is not None and built.constraints.particles.shape[1] != 2
                and name != 'shear' and not _is_swept_stretch(name, built)}
     if any((built.constraints.compliance == 0.0).any() for built in bending.values()):
         return 0.0
-    return frame_dt * stability_limit(bending, state) if bending else 0.0
+    return BENDING * frame_dt * stability_limit(bending, state) if bending else 0.0
 
 
 def _is_swept_stretch(name: str, built) -> bool:
