@@ -3,10 +3,10 @@ Direct solution of whole lines of distance constraints (doc/numerics.md 3.3; Deu
 
 The constraints of a line, linearised at the current positions, give a tridiagonal system:
 
-    (J W Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
+    (J M Jᵀ + α) Δf = -(C + α f),   diagonal m_k + m_{k+1} + α,   off-diagonal -m_k u_k·u_{k-1}
 
-with mobilities m = w H² and unit vectors u_k from particle k to k + 1. With edges d_k = l_k u_k
-and steps s_k = Δf_k / l_k, row k is multiplied by l_k, which saves a division:
+with M the mobilities m = w H² and unit vectors u_k from particle k to k + 1. With edges
+d_k = l_k u_k and steps s_k = Δf_k / l_k, row k is multiplied by l_k, which saves a division:
 
     diagonal (m_k + m_{k+1} + α) l_k²,   off-diagonal -m_k d_k·d_{k-1},   right side -(C + α f) l_k
 

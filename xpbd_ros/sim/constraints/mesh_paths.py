@@ -309,7 +309,7 @@ def solve_paths(paths, edges, state, substep):
 
 @jit
 def _solve_pack(paths, edges, errors, begin, end, q):
-    """Solve the paths in the lanes of one vector, from lane q of a pack on (doc/numerics 3.3)."""
+    """Solve the paths in the lanes of a vector, from lane q of a pack on (doc/numerics.md 3.4)."""
     records, force, axis, work = edges.records, edges.force, paths.axis, paths.work
     one, other = edges.particles[0], edges.particles[1]
     n, zero = lanes(records), splat(records, 0.0)

@@ -136,8 +136,8 @@ def _most_constraints(constraints, there: np.ndarray) -> float:
     """
     Return the largest number n of constraints at a particle.
 
-    With A = J W Jᵀ + α̃ (W: inverse masses), xᵀ A x ≤ n Σ xᵢ² Aᵢᵢ, so Jacobi with ω = 1 / n never
-    overshoots.
+    With A = J M Jᵀ, xᵀ A x ≤ n Σ xᵢ² Aᵢᵢ, so Jacobi with ω = 1 / n never overshoots
+    (doc/numerics.md 3.5).
     """
     count = np.zeros(len(there))
     for particles in constraints:
