@@ -6,10 +6,10 @@ import yaml
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import cost
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, METHODS, read_table, SHIPPED, table_text
+from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.scene.save import explicit
-from xpbd_ros.sim.stepping.methods import direction
+from xpbd_ros.sim.stepping.methods import direction, METHODS
 
 RIGID = {'cloths.sheet.effects.stretch': {'compliance': 0.0}, 'solver.budget_ms': 4.0}
 

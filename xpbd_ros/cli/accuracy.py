@@ -120,9 +120,9 @@ def frames_of(times: str | None, scene, frames: int) -> list[int]:
 def methods_of(names: str | None) -> tuple[str, ...]:
     """Return the methods of ``--methods``; all without any."""
     from xpbd_ros.scene.read import unknown
-    from xpbd_ros.study.accuracy.solver_setting import METHODS
+    from xpbd_ros.sim.stepping.methods import METHODS
     if names is None:
-        return METHODS
+        return tuple(METHODS)
     found = tuple(dict.fromkeys(name.strip() for name in names.split(',')))
     for name in found:
         if name not in METHODS:

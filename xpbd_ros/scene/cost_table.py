@@ -26,11 +26,10 @@ import yaml
 
 from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.stepping.methods import is_swept_once
+from xpbd_ros.sim.stepping.methods import is_swept_once, METHODS
 
 VERSION = 1
 """of the file format"""
-METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
 GRID = 'grid'
 """key of ``particles_per_thread`` for the constraints of a grid"""
 NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')

@@ -18,6 +18,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping, settings_overrides
 from xpbd_ros.sim.commands import ReleaseAll, SetKey
+from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.accuracy import study
 from xpbd_ros.study.accuracy.baselines import Baseline, refusal
 from xpbd_ros.study.accuracy.choose import recommend, Row, SHAPE
@@ -26,13 +27,7 @@ from xpbd_ros.study.accuracy.measure import remarks, without_solver
 from xpbd_ros.study.accuracy.picture import draw
 from xpbd_ros.study.accuracy.report import facts, settings_text, write_csv, write_page
 from xpbd_ros.study.accuracy.results_store import FILE
-from xpbd_ros.study.accuracy.solver_setting import (
-    BASELINES,
-    ladder,
-    METHODS,
-    Setting,
-    with_solver,
-)
+from xpbd_ros.study.accuracy.solver_setting import BASELINES, ladder, Setting, with_solver
 from xpbd_ros.study.accuracy.trajectory import play
 from xpbd_ros.study.accuracy.truth import extrapolated, independent, own_rungs, Truth
 

@@ -13,9 +13,10 @@ from xpbd_ros.effects import EFFECTS
 from xpbd_ros.effects.contact import BuiltContact
 from xpbd_ros.effects.self_collision import BuiltSelfCollision
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import METHODS, SHIPPED, table_text
+from xpbd_ros.scene.cost_table import SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_text
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.cost import calibrate, cost, measure
 from xpbd_ros.study.cost.clock import add_lap, lap_ns, new_clock, start
 from xpbd_ros.study.cost.limits import limits

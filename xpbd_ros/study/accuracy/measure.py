@@ -1,6 +1,6 @@
 """A study: compute the true solution, the errors of all settings, then their times."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 import hashlib
@@ -16,6 +16,7 @@ from xpbd_ros.scene.files import as_attachments
 from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
+from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.accuracy.baselines import refusal
 from xpbd_ros.study.accuracy.choose import (
     Default,
@@ -32,7 +33,6 @@ from xpbd_ros.study.accuracy.solver_setting import (
     auto_settings,
     BASELINES,
     ladder,
-    METHODS,
     Refused,
     Setting,
     setting_of,
@@ -108,7 +108,7 @@ class Study:
 
 
 def study(scene: Scene, frames: int, folder: Path, *, times: Sequence[int] = (),
-          commands: dict[int, list] | None = None, methods: Sequence[str] = METHODS,
+          commands: dict[int, list] | None = None, methods: Collection[str] = METHODS,
           baselines: bool = False, by: str | None = None, processes: int = 1,
           scheduler: str | None = None,
           progress: Callable[[Iterable, str], Iterable] = lambda items, _: items) -> Study:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from matplotlib.lines import Line2D
 
+from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.accuracy.choose import Row
 from xpbd_ros.study.accuracy.measure import Study
-from xpbd_ros.study.accuracy.solver_setting import BASELINES, METHODS, Setting
+from xpbd_ros.study.accuracy.solver_setting import BASELINES, Setting
 from xpbd_ros.study.chart import COLOURS, INK, MUTED, page, save
 
 COLOUR = dict(zip(METHODS, (COLOURS[0], COLOURS[2], COLOURS[3], COLOURS[1], COLOURS[4])))

@@ -1,6 +1,6 @@
 """Solver settings, and the ladder of settings that a study tries."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import log2
 
@@ -10,8 +10,8 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.stepping.methods import METHODS
 
-METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line', 'jacobi', 'explicit')
 BASELINES = ('pbd', 'textbook_xpbd', 'decayed_multiplier', 'mass_spring')
 """methods that exist in studies only"""
 UNBOUND_MS = 1e9
@@ -117,7 +117,7 @@ def auto_settings(scene: Scene) -> dict[float, Setting]:
             for budget in BUDGETS}
 
 
-def ladder(scene: Scene, methods: Sequence[str] = METHODS, *, baselines: bool = False
+def ladder(scene: Scene, methods: Collection[str] = METHODS, *, baselines: bool = False
            ) -> tuple[list[Setting], list[Refused]]:
     """
     Return the settings to try, and those that cannot run the scene.
