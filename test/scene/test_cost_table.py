@@ -4,7 +4,6 @@ import pytest
 import yaml
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene
@@ -49,7 +48,7 @@ def test_the_path_is_relative_to_the_scene_file(tmp_path):
 def test_an_effect_of_the_table_replaces_that_of_the_code():
     simulation = compile_scene(load_scene('drape'))
     contact, particles = simulation.effects['contact'], len(simulation.slot)
-    parts = [cost('line', 1, simulation.effects, simulation.state, table)
+    parts = [table.substep_ns('line', 1, simulation.effects, simulation.state)
              for table in (SHIPPED, CostTable(SHIPPED.methods, SHIPPED.single, {'contact': 7.0}))]
     assert parts[0] - parts[1] == pytest.approx((contact.ns_per_particle - 7.0) * particles)
 

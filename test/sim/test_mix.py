@@ -10,8 +10,9 @@ from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.chosen_keys import chosen_keys, with_chosen_keys
-from xpbd_ros.scene.auto import CALM_FRAMES, cost
+from xpbd_ros.scene.auto import CALM_FRAMES
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import explicit
 from xpbd_ros.sim.checkpoint import checkpoint, restore
@@ -292,7 +293,8 @@ def test_a_mix_may_exceed_the_budget_by_a_tenth():
         return compile_scene(load_scene('swing', {
             'cloths.sheet.grid.resolution': [9, 9], 'solver.budget_ms': budget_ms}))
     roomy = taken(8.0)
-    time = 1e-6 * roomy.solver.substeps * cost('explicit', 1, roomy.effects, roomy.state)
+    time = 1e-6 * roomy.solver.substeps * SHIPPED.substep_ns('explicit', 1, roomy.effects,
+                                                             roomy.state)
     assert taken(time / 1.09).solver.method == 'explicit'
     assert taken(time / 1.11).solver.method == 'line'
 

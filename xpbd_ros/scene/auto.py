@@ -172,8 +172,9 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = F
                              'line, raise budget_ms or give substeps')
         affordable = max(affordable, ceil(wanted))
     substeps = _bounded(wanted, affordable)
-    took = 1e-6 * substeps * compensation(method, state, (h := frame_dt / substeps), live) * cost(
-        method, keys.iterations, effects, state, table_of(keys), h, substeps)
+    h = frame_dt / substeps
+    took = 1e-6 * substeps * compensation(method, state, h, live) * table_of(keys).substep_ns(
+        method, keys.iterations, effects, state, h, substeps)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
     return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
                   f'{met}, about {took:.2g} ms per frame', **chosen)
@@ -213,7 +214,7 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
         return lines
     rough = lines if keys.substeps is None else _choose(
         replace(keys, substeps=None), effects, state, frame_dt, live=live)
-    per = cost('explicit', 1, effects, state, table_of(keys))
+    per = table_of(keys).substep_ns('explicit', 1, effects, state)
     wanted = stable_substeps(effects, state, frame_dt)
     affordable = max(1, int(EXCESS * keys.budget_ms * 1e6 / per))
     substeps = keys.substeps or _bounded(wanted, affordable)
@@ -276,7 +277,7 @@ def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float,
                 live: bool) -> int:
     """Return the most substeps that fit the budget; short ones take less time (``SOFT``)."""
     def fitting(h: float, substeps: int = 2) -> int:
-        per = cost(method, keys.iterations, effects, state, table_of(keys), h, substeps)
+        per = table_of(keys).substep_ns(method, keys.iterations, effects, state, h, substeps)
         return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt, live)
 
     most, found = min(fitting(0.0), MAX_SUBSTEPS), 0
@@ -291,16 +292,6 @@ def _compensated(uncompensated: float, method: str, state, frame_dt: float, live
     factor = compensation(method, state, frame_dt / count, live)
     fewest = 1 if live else int(frame_dt / SHORT)    # below which there is no compensation
     return count if factor == 1.0 else max(fewest, int(uncompensated / factor))
-
-
-def cost(method: str, iterations: int, effects, state, table: CostTable = SHIPPED,
-         h: float = inf, substeps: int = 2) -> float:
-    """
-    Return the time of one substep of h [s] according to a table [ns]; inf: of a long one.
-
-    It is the mean of ``substeps`` in a frame: the last of an odd number takes longer.
-    """
-    return table.substep_ns(method, iterations, effects, state, h, substeps)
 
 
 def table_of(keys: SolverKeys) -> CostTable:
@@ -378,6 +369,6 @@ def largest_rate(edges, mass) -> float:
     if not len(edges.particles):
         return 0.0
     if (edges.compliance == 0.0).any():
-        return float('inf')
+        return inf
     w = 1.0 / mass[edges.particles].astype(float)
     return float((0.5 * w.sum(1) / edges.compliance).max())

@@ -5,8 +5,9 @@ from dataclasses import asdict, dataclass, replace
 from math import log2
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost, MAX_SUBSTEPS, ROUGH
+from xpbd_ros.scene.auto import MAX_SUBSTEPS, ROUGH
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
@@ -191,7 +192,8 @@ def baseline_ladder(rungs: Sequence[int]) -> list[Setting]:
 
 def rungs_of(simulation: Simulation, method: str, usual: Setting) -> list[int]:
     """Return powers of two up to FINEST, or to the substeps that fit into a frame period."""
-    most = 1e9 * simulation.frame_dt / cost(method, 1, simulation.effects, simulation.state)
+    most = 1e9 * simulation.frame_dt / SHIPPED.substep_ns(method, 1, simulation.effects,
+                                                          simulation.state)
     top = max(3, int(log2(max(min(most, FINEST * usual.substeps, MAX_SUBSTEPS), 1.0))))
     low = max(int(log2(FEWEST)), top - RUNGS + 1)
     return [2**k for k in range(low, top + 1)]

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import cost, MAX_SUBSTEPS
+from xpbd_ros.scene.auto import MAX_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.solver_setting import (
@@ -105,7 +106,7 @@ def own_rungs(scene: Scene) -> list[Setting]:
     """Return the settings of the runs towards the own limit, coarse to fine."""
     base = default_solver(scene)
     simulation = compile_scene(with_solver(scene, base.block()))
-    per = cost(base.method, 1, simulation.effects, simulation.state)
+    per = SHIPPED.substep_ns(base.method, 1, simulation.effects, simulation.state)
     most = SLOWEST * 1e9 * simulation.frame_dt / per
     finest = max(4, min(FACTORS[-1] * base.substeps, int(most), MAX_SUBSTEPS))
     return [with_substeps(base, max(1, finest * factor // FACTORS[-1])) for factor in FACTORS]

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.scene.auto import cost, INTEGRATOR, table_of
+from xpbd_ros.scene.auto import INTEGRATOR, table_of
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, SHIPPED
 from xpbd_ros.scene.frames import notes_without_tf
 from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.model import Scene
@@ -63,7 +62,9 @@ def check(scene: Scene) -> Report:
     rows = stiffness(scene, simulation, solver)
     counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS
               if any(row.effect in ('shear', *STRETCH) for row in rows)}
-    expected = frame_ms(simulation, solver, table_of(scene.top.solver))
+    expected = 1e-6 * solver.substeps * table_of(scene.top.solver).substep_ns(
+        solver.method, solver.iterations, simulation.effects, simulation.state,
+        simulation.frame_dt / solver.substeps, solver.substeps)
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts.get('0.1')), *_slow(expected, frame_dt_ms),
                 *_unsupported(scene), *_thin(scene, simulation), *_thick(scene, simulation),
@@ -96,14 +97,6 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
             found.append(f'cloths.{cloth.name}: {solver.substeps} substeps of {solver.method} '
                          f'carry up to {tension:.3g} N/m into a grip of pads')
     return found
-
-
-def frame_ms(simulation: Simulation, solver: Solver, table: CostTable = SHIPPED) -> float:
-    """Return the expected time of a frame according to a cost table [ms]."""
-    return 1e-6 * solver.substeps * cost(solver.method, solver.iterations, simulation.effects,
-                                         simulation.state, table,
-                                         simulation.frame_dt / solver.substeps,
-                                         solver.substeps)
 
 
 def _count(simulation: Simulation) -> int:
