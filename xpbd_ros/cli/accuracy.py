@@ -66,7 +66,7 @@ def run(arguments) -> int:
     """Measure the settings, recommend one, and write the results."""
     from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
-    from xpbd_ros.study.machine import machine
+    from xpbd_ros.scene.threads import free_cores
     for name, value in (('--budget', arguments.budget), ('--max-error', arguments.max_error)):
         if value is not None and not (value > 0.0 and math.isfinite(value)):
             unit = 'ms' if name == '--budget' else 'm'
@@ -79,7 +79,7 @@ def run(arguments) -> int:
     frames = count_frames(scene)
     times = frames_of(arguments.times, scene, frames)
     methods = methods_of(arguments.methods)
-    jobs = machine()['cores'] or 1 if arguments.jobs is None else arguments.jobs
+    jobs = free_cores() if arguments.jobs is None else arguments.jobs
     if jobs < 1:
         raise InputError(f'--jobs: must be >= 1 (got {jobs})')
     commands = {}

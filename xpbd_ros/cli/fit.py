@@ -164,13 +164,13 @@ def fitted(model, keys):
     from xpbd_ros.fit.model import Model
     from xpbd_ros.fit.solve import fit
     from xpbd_ros.scene.compile import compile_scene
+    from xpbd_ros.scene.threads import free_cores
     from xpbd_ros.study.accuracy.solver_setting import setting_of, with_solver
-    from xpbd_ros.study.machine import machine
     setting, start, found = setting_of(compile_scene(model.scene)), None, None
     for _ in range(ROUNDS):
         fixed = Model(with_solver(model.scene, setting.block()), model.clouds, model.commands)
         compile_scene(fixed.scene).compile()
-        found = fit(fixed, keys, start, threads=machine()['cores'] or 1, progress=progress)
+        found = fit(fixed, keys, start, threads=free_cores(), progress=progress)
         start = {key: value.value for key, value in found.values.items()}
         chosen = setting_of(compile_scene(model.scene_with(start)))
         if chosen == setting:

@@ -139,8 +139,8 @@ def digest(value) -> str:
 
 def workers_of(arguments) -> int:
     """Return the number of local processes."""
-    from xpbd_ros.study.machine import machine
-    workers = machine()['cores'] or 1 if arguments.workers is None else arguments.workers
+    from xpbd_ros.scene.threads import free_cores
+    workers = free_cores() if arguments.workers is None else arguments.workers
     if workers < 1:
         raise InputError(f'--workers: must be >= 1 (got {workers})')
     return workers

@@ -4,10 +4,12 @@ import os
 from pathlib import Path
 import platform
 
+from xpbd_ros.scene.threads import free_cores
+
 
 def machine() -> dict:
     """Return name, cores, family, clock [MHz] and vector width [bits] of the CPU, and its load."""
-    found = {'name': platform.processor() or platform.machine(), 'cores': _cores(),
+    found = {'name': platform.processor() or platform.machine(), 'cores': free_cores(),
              'family': None, 'mhz': None, 'vector_bits': None, 'load': _load()}
     try:
         text = Path('/proc/cpuinfo').read_text()
@@ -36,13 +38,6 @@ def describe(found: dict) -> str:
         parts.append(f"{found['mhz']:.0f} MHz")
     parts.append({512: 'AVX-512', 256: 'AVX2', None: 'no AVX2'}[found['vector_bits']])
     return ', '.join(parts)
-
-
-def _cores() -> int | None:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:
-        return os.cpu_count()
 
 
 def _load() -> float | None:
