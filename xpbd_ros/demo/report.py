@@ -173,7 +173,7 @@ def draw(file: Path, simulation, stamps, clouds, begins, diary, forces) -> Path:
         k = int(np.abs(stamps - moment).argmin())
         surface = Surface(clouds[k].reshape(-1, 3), cloth.mesh.triangles)
         bodies = [Body(entry.shape, size_of(entry), where, entry.pose.orientation)
-                  for entry, where in colliders_at(simulation, diary, begins, stamps[k])]
+                  for entry, where in colliders_at(simulation, begins, stamps[k])]
         so_far = path_t <= stamps[k]
         paths, arrows = [], []
         for g, (name, colour) in enumerate((('left', '#d1495b'), ('right', '#e0a030'))):
@@ -190,7 +190,7 @@ def draw(file: Path, simulation, stamps, clouds, begins, diary, forces) -> Path:
     return file.absolute()
 
 
-def colliders_at(simulation, diary, begins, stamp: float):
+def colliders_at(simulation, begins, stamp: float):
     """Yield each collider with its position at a stamp [m]; the ball moves as the robot does."""
     for name, entry in simulation.effects['contact'].entries.items():
         place = np.array(entry.pose.position)

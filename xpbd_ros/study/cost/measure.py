@@ -131,11 +131,6 @@ def cost(scene: Scene, frames: int, *, commands: dict[int, list] | None = None,
     return _tabulate(plain, text, whole, native, parts)
 
 
-def parts_of(built) -> tuple:
-    """Return what the kernels get of an effect."""
-    return tuple(getattr(built, 'parts', (built.data,)))
-
-
 def _watch(simulation: Any, kernel: Callable) -> None:
     """Let a simulation step by this kernel, and keep in ``taken`` what it took [ns]."""
     def step(*arguments):
@@ -162,9 +157,9 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
 
     effects = []
     seen: set[int] = set()
-    bytes_ = {name: array_bytes(parts_of(simulation.effects[name]), seen)
+    bytes_ = {name: array_bytes(simulation.effects[name].parts, seen)
               for name in sorted(simulation.effects, key=lambda name: name not in LENDERS)}
-    owner = [name for name, built in simulation.effects.items() for _ in parts_of(built)]
+    owner = [name for name, built in simulation.effects.items() for _ in built.parts]
     for name in EFFECTS:
         if name not in simulation.effects:
             absent = {kind for _, kind in stages._KERNELS
@@ -174,7 +169,7 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
             continue
         built = simulation.effects[name]
         mine, listed = np.array([one == name for one in owner]), built.constraints
-        kinds = set(map(type, parts_of(built)))
+        kinds = set(map(type, built.parts))
         effects.append(row(name, times[:-1][mine].sum(), spreads[:-1][mine].sum(),
                            bytes=bytes_[name],
                            traffic=bytes_[name] + _particle_bytes(simulation, listed),
