@@ -19,7 +19,7 @@ import sys
 import yaml
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, STDOUT, write_json
-from xpbd_ros.cli.overrides import add_set_argument, parse_keys
+from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -71,9 +71,7 @@ def run(arguments) -> int:
         if value is not None and not (value > 0.0 and math.isfinite(value)):
             unit = 'ms' if name == '--budget' else 'm'
             raise InputError(f'{name}: must be > 0 {unit} (got {value:g})')
-    overrides = parse_keys(arguments.keys)
-    if arguments.duration is not None:
-        overrides['duration'] = arguments.duration
+    overrides = overrides_of(arguments.keys, duration=arguments.duration)
     check_outputs(arguments.json, folder=arguments.output)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)

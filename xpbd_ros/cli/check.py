@@ -11,7 +11,7 @@ Exit code: 0, 1 if there are warnings, 2 if the scene is refused.
 from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
-from xpbd_ros.cli.overrides import add_set_argument, parse_keys
+from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 
 EXAMPLE = 'xpbd_ros check towel --set solver.substeps=8'
 
@@ -27,10 +27,9 @@ def add_arguments(parser):
 
 def run(arguments) -> int:
     """Predict and print the report."""
-    from xpbd_ros.scene.load import load_scene, settings_overrides
+    from xpbd_ros.scene.load import load_scene
     from xpbd_ros.study.prediction import check
-    overrides = settings_overrides(arguments.settings) if arguments.settings else {}
-    overrides.update(parse_keys(arguments.keys))
+    overrides = overrides_of(arguments.keys, settings=arguments.settings)
     check_output(arguments.json)
     scene = load_scene(arguments.scene, overrides)
     found = check(scene)

@@ -17,7 +17,7 @@ budget_ms.
 from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
-from xpbd_ros.cli.overrides import add_set_argument, parse_keys
+from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
 from xpbd_ros.errors import InputError
@@ -50,9 +50,7 @@ def run(arguments) -> int:
         raise InputError('cost: needs a scene, or --calibrate')
     from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
-    overrides = parse_keys(arguments.keys)
-    if arguments.duration is not None:
-        overrides['duration'] = arguments.duration
+    overrides = overrides_of(arguments.keys, duration=arguments.duration)
     check_outputs(arguments.json, arguments.picture)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)

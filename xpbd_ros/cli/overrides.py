@@ -1,4 +1,4 @@
-"""The argument ``--set KEY=VALUE``, which overrides keys of the scene."""
+"""Overrides of a scene's keys: ``--set KEY=VALUE``, ``--settings`` and ``--duration``."""
 
 import argparse
 
@@ -23,3 +23,12 @@ def parse_keys(pairs: list[str]) -> dict:
             raise InputError(f'--set {pair}: must be KEY=VALUE, such as solver.substeps=32')
         found[key] = parse_yaml(value, f'--set {key}')
     return found
+
+
+def overrides_of(pairs: list[str], *, settings: str | None = None,
+                 duration: float | None = None) -> dict:
+    """Return the overrides by key: of a settings file, then ``--set``, then ``--duration`` [s]."""
+    from xpbd_ros.scene.load import settings_overrides
+    found = settings_overrides(settings) if settings else {}
+    found.update(parse_keys(pairs))
+    return found if duration is None else {**found, 'duration': duration}

@@ -16,7 +16,7 @@ import time
 from typing import Any
 
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
-from xpbd_ros.cli.overrides import add_set_argument, parse_keys
+from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
 from xpbd_ros.errors import InputError
@@ -153,7 +153,6 @@ def commands_in(arguments) -> tuple[Any, Any]:
     log = None
     if arguments.commands:
         from xpbd_ros.log.foreign import ForeignLog
-        need_ros('run --commands')
         log = ForeignLog(arguments.commands)
         if log.scene is not None:
             log = None
@@ -184,14 +183,11 @@ def motion_in(log, scene, simulation, frames: int, offset: float):
         raise InputError(f'{scene.where}: {error}') from None
 
 
-def scene_of(arguments, recording, foreign=None):
+def scene_of(arguments, recording, foreign):
     """Return the scene with the overrides; with a log, as long as it."""
-    from xpbd_ros.scene.load import load_scene, settings_overrides
-
-    overrides = settings_overrides(arguments.settings) if arguments.settings else {}
-    overrides.update(parse_keys(arguments.keys))
-    if arguments.duration is not None:
-        overrides['duration'] = arguments.duration
+    from xpbd_ros.scene.load import load_scene
+    overrides = overrides_of(arguments.keys, settings=arguments.settings,
+                             duration=arguments.duration)
     scene = load_scene(arguments.scene, overrides)
     if recording is None and foreign is None or arguments.duration is not None:
         return scene

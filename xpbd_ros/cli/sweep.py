@@ -20,7 +20,7 @@ import time
 
 from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
-from xpbd_ros.cli.overrides import add_set_argument, parse_keys
+from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
@@ -109,9 +109,7 @@ def values_of(arguments) -> tuple[dict, list[dict], dict]:
         raise InputError('--runs goes with --vary; the rows of --table are the runs')
     if arguments.seed < 0:
         raise InputError(f'--seed: must be >= 0 (got {arguments.seed})')
-    base = parse_keys(arguments.keys)
-    if arguments.duration is not None:
-        base['duration'] = arguments.duration
+    base = overrides_of(arguments.keys, duration=arguments.duration)
     scene = load_scene(arguments.scene, base)
     if arguments.table:
         values = read_table(arguments.table)
