@@ -20,7 +20,7 @@ import numpy as np
 from random_scenes import ALL_KINDS
 from xpbd_ros.scene.cost_table import read_table, SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.share import share_folder
+from xpbd_ros.share import shipped_scenes
 from xpbd_ros.study.cost.calibrate import BY_MOTION, measure, METHODS, Run
 from xpbd_ros.study.cost.random_scenes import random_scenes
 from xpbd_ros.study.machine import describe, machine
@@ -54,7 +54,7 @@ def main(words=None) -> int:
     arguments = parser.parse_args(words)
     count, names = arguments.random, arguments.scenes
     if not names and not count:
-        names, count = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml')), 40
+        names, count = list(shipped_scenes()), 40
     tables = [SHIPPED] + ([read_table(str(arguments.table))] if arguments.table else [])
     print(describe(machine()))
     runs, ratios = [], []

@@ -29,6 +29,11 @@ def share_folder() -> Path:
                      f'install the package with pip or colcon')
 
 
+def shipped_scenes() -> dict[str, Path]:
+    """Return the files of the shipped scenes, by name."""
+    return {file.stem: file for file in sorted((share_folder() / 'scenes').glob('*.yaml'))}
+
+
 def package_share(package: str) -> Path:
     """Return the share folder of a ROS package; raise InputError unless it is installed."""
     try:

@@ -13,9 +13,9 @@ import yaml
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.share import share_folder
+from xpbd_ros.share import shipped_scenes
 
-SHIPPED = [file.read_bytes() for file in sorted((share_folder() / 'scenes').glob('*.yaml'))]
+SHIPPED = [file.read_bytes() for file in shipped_scenes().values()]
 HOSTILE = [None, True, -1, 0, 1, 2**70, -2**63, 1e308, -1e308, 5e-324, float('nan'), float('inf'),
            -float('inf'), '', 'x' * 5000, '\0', '1e-5', '../../etc/passwd', [], [1], [[1]], {},
            {'a': 1}, [float('nan')] * 3, [0, 0, 0], ['corner_00'], 'corner_99', {'file': '/'},

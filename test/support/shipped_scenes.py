@@ -4,9 +4,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from xpbd_ros.share import share_folder
+from xpbd_ros.share import shipped_scenes
 
-NAMES = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+NAMES = list(shipped_scenes())
 WITH_MESHIO = pytest.mark.skipif(find_spec('meshio') is None,
                                  reason="meshio is missing: pip install '.[mesh]'")
 """Whole files take it as ``pytestmark``: where launch_testing is about, which imports files of

@@ -25,12 +25,11 @@ def run(arguments) -> int:
     """Compile each scene."""
     from xpbd_ros.scene.compile import compile_scene
     from xpbd_ros.scene.load import load_scene
-    from xpbd_ros.share import share_folder
+    from xpbd_ros.share import shipped_scenes
     from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
     from xpbd_ros.sim.backend.jit import WHY_PLAIN
     check_output(arguments.json)
-    names = arguments.scenes or sorted(
-        file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+    names = arguments.scenes or list(shipped_scenes())
     scenes = [load_scene(name) for name in names]    # all, before the first one is compiled
     quiet, seconds = arguments.json == '-', {}
     for name, scene in progress(list(zip(names, scenes)), 'scenes'):

@@ -25,7 +25,7 @@ from xpbd_ros.cli.ros import commands_of, need_ros, new_log
 from xpbd_ros.cli.run import LONGEST
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import fresh_folder
-from xpbd_ros.share import share_folder
+from xpbd_ros.share import shipped_scenes
 
 EXAMPLE = 'xpbd_ros view towel'
 PICTURE_WIDTH = 1000
@@ -114,7 +114,7 @@ def show_scene(arguments) -> int:
     from xpbd_ros.view.live import LiveView
 
     keys = parse_keys(arguments.keys)
-    names = sorted(file.stem for file in (share_folder() / 'scenes').glob('*.yaml'))
+    names = list(shipped_scenes())
     if arguments.shown not in names:
         names.insert(0, arguments.shown)
     with served(arguments) as (server, url):

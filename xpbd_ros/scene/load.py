@@ -12,7 +12,7 @@ from xpbd_ros.errors import brief, InputError
 from xpbd_ros.scene.materials import with_material
 from xpbd_ros.scene.model import ClothKeys, Grid, Scene, SolverKeys, TopKeys, with_key
 from xpbd_ros.scene.read import mapping, names, read, unknown
-from xpbd_ros.share import share_folder
+from xpbd_ros.share import shipped_scenes
 from xpbd_ros.sim.geometry.mesh import grid_spacing, is_square
 
 LARGEST_FILE = 16 * 2**20
@@ -72,8 +72,7 @@ def find_scene(name: str) -> Path:
         raise InputError(f'{brief(name)}: {error.strerror}') from None
     if path.suffix in ('.yaml', '.yml'):
         raise InputError(f'{name}: ' + ('is a folder' if path.is_dir() else 'no such file'))
-    folder = share_folder() / 'scenes'
-    shipped = {file.stem: file for file in sorted(folder.glob('*.yaml'))}
+    shipped = shipped_scenes()
     if name not in shipped:
         raise InputError(f"{name}: {unknown(name, shipped, 'scene')}; or give a .yaml file")
     return shipped[name]
