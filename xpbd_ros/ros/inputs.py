@@ -97,27 +97,47 @@ def check_name(name: str, what: str) -> str:
 
 def read_pins(message: MarkerArray, frame_id: str) -> list[Command]:
     """Read ``~/pins``: ADD grasps or moves a pin, DELETE releases it, DELETEALL releases all."""
+    return _read_markers(message, frame_id, 'pin', _grasp, Release, ReleaseAll)
+
+
+def read_colliders(message: MarkerArray, frame_id: str) -> list[Command]:
+    """Read ``~/colliders``: ADD adds, moves or reshapes one, DELETE and DELETEALL remove."""
+    return _read_markers(message, frame_id, 'collider', _placed, RemoveCollider,
+                         RemoveAllColliders)
+
+
+def _read_markers(message: MarkerArray, frame_id: str, kind: str, add: Callable,
+                  delete: Callable[[str], Command], delete_all: Callable[[], Command]
+                  ) -> list[Command]:
+    """Return a command for each marker: add(marker, name, text for errors), delete(name), …"""
     commands: list[Command] = []
     for marker in message.markers:
         what = f'marker {marker.ns}/{marker.id}'
         check_frame(marker.header, frame_id, what)
         if marker.action == Marker.DELETEALL:
-            commands.append(ReleaseAll())
+            commands.append(delete_all())
             continue
-        name = marker_name(marker, 'pin', what)
-        if marker.action == Marker.DELETE:
-            commands.append(Release(name))
-        elif marker.action == Marker.ADD:
-            radius = 0.5 * marker.scale.x
-            if not (isfinite(radius) and radius > 0.0):
-                raise InputError(f'{what}: scale.x is twice the grasp radius and must be finite '
-                                 f'and > 0 m (got {marker.scale.x})')
-            commands.append(Grasp(
-                name, pose(marker.pose.position, marker.pose.orientation, what), radius,
-                nanoseconds(marker.lifetime, f'{what}: lifetime')))
-        else:
+        name = marker_name(marker, kind, what)
+        if marker.action not in (Marker.ADD, Marker.DELETE):
             raise InputError(f'{what}: unknown action {marker.action}')
+        commands.append(add(marker, name, what) if marker.action == Marker.ADD else delete(name))
     return commands
+
+
+def _grasp(marker: Marker, name: str, what: str) -> Grasp:
+    radius = 0.5 * marker.scale.x
+    if not (isfinite(radius) and radius > 0.0):
+        raise InputError(f'{what}: scale.x is twice the grasp radius and must be finite and > 0 m '
+                         f'(got {marker.scale.x})')
+    return Grasp(name, pose(marker.pose.position, marker.pose.orientation, what), radius,
+                 nanoseconds(marker.lifetime, f'{what}: lifetime'))
+
+
+def _placed(marker: Marker, name: str, what: str) -> PlaceCollider:
+    shape, size = read_shape(marker, what)
+    return PlaceCollider(
+        name, shape, size, pose(marker.pose.position, marker.pose.orientation, what),
+        nanoseconds(marker.lifetime, f'{what}: lifetime'))
 
 
 def marker_name(marker: Marker, nameless: str, what: str) -> str:
@@ -125,28 +145,6 @@ def marker_name(marker: Marker, nameless: str, what: str) -> str:
     if marker.ns and not marker.id:
         return check_name(marker.ns, what)
     return check_name(f'{marker.ns or nameless}_{marker.id}', what)
-
-
-def read_colliders(message: MarkerArray, frame_id: str) -> list[Command]:
-    """Read ``~/colliders``: ADD adds, moves or reshapes one, DELETE and DELETEALL remove."""
-    commands: list[Command] = []
-    for marker in message.markers:
-        what = f'marker {marker.ns}/{marker.id}'
-        check_frame(marker.header, frame_id, what)
-        if marker.action == Marker.DELETEALL:
-            commands.append(RemoveAllColliders())
-            continue
-        name = marker_name(marker, 'collider', what)
-        if marker.action == Marker.DELETE:
-            commands.append(RemoveCollider(name))
-        elif marker.action == Marker.ADD:
-            shape, size = read_shape(marker, what)
-            commands.append(PlaceCollider(
-                name, shape, size, pose(marker.pose.position, marker.pose.orientation, what),
-                nanoseconds(marker.lifetime, f'{what}: lifetime')))
-        else:
-            raise InputError(f'{what}: unknown action {marker.action}')
-    return commands
 
 
 def read_shape(marker: Marker, what: str) -> tuple[str, tuple[float, ...]]:
