@@ -7,7 +7,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
 from xpbd_ros.errors import InputError
-from xpbd_ros.ros.messages import set_stamp
+from xpbd_ros.ros.messages import stamped
 from xpbd_ros.sim.commands import Pose
 from xpbd_ros.sim.geometry.quaternion import rotate
 
@@ -55,9 +55,7 @@ def positions_of(message: PointCloud2) -> np.ndarray:
 
 def cloud_of(positions: Sequence[float], frame_id: str, time_ns: int) -> PointCloud2:
     """Return a cloud of one row in float64; ``positions`` are x, y, z of each point [m]."""
-    message = PointCloud2(is_dense=True)
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
+    message = stamped(PointCloud2(is_dense=True), frame_id, time_ns)
     _write(message, np.reshape(positions, (1, -1, 3)))
     return message
 

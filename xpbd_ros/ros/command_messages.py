@@ -22,7 +22,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from xpbd_ros.ros.clouds import cloud_of
 from xpbd_ros.ros.inputs import SECOND
-from xpbd_ros.ros.messages import quaternion, set_stamp, vector
+from xpbd_ros.ros.messages import quaternion, set_stamp, stamped, vector
 from xpbd_ros.sim.commands import (
     Click,
     Grasp,
@@ -62,7 +62,8 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
             topic = 'pin_targets' if kind is MovePin else 'collider_states'
             found.append((topic, _targets(group, frame_id)))
         elif kind is SetWind:
-            found += [('wind', _wind(c, frame_id, time_ns)) for c in group]
+            found += [('wind', stamped(Vector3Stamped(vector=vector(Vector3, c.velocity)),
+                                       frame_id, time_ns)) for c in group]
         elif kind is SetKey:
             event = ParameterEvent(node='cloth')
             set_stamp(event.stamp, time_ns)
@@ -71,7 +72,8 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
         elif kind is Reset:
             found.append(('resets', UInt64(data=len(group))))
         elif kind is Click:
-            found += [('clicked_point', _click(c, frame_id, time_ns)) for c in group]
+            found += [('clicked_point', stamped(PointStamped(point=vector(Point, c.point)),
+                                                frame_id, time_ns)) for c in group]
         elif kind in (SaveState, LoadState):
             found += [('saved_states', String(data='save' if kind is SaveState else 'load'))
                       for _ in group]
@@ -91,9 +93,7 @@ def _batch(command) -> tuple:
 
 
 def _marker(command, frame_id: str, time_ns: int) -> Marker:
-    marker = Marker(type=Marker.SPHERE)
-    marker.header.frame_id = frame_id
-    set_stamp(marker.header.stamp, time_ns)
+    marker = stamped(Marker(type=Marker.SPHERE), frame_id, time_ns)
     if isinstance(command, ReleaseAll):
         marker.action = Marker.DELETEALL
         return marker
@@ -111,9 +111,8 @@ def _marker(command, frame_id: str, time_ns: int) -> Marker:
 
 
 def _collider(command, frame_id: str, time_ns: int) -> Marker:
-    marker = Marker(ns=getattr(command, 'collider', ''), action=Marker.DELETE)
-    marker.header.frame_id = frame_id
-    set_stamp(marker.header.stamp, time_ns)
+    marker = stamped(Marker(ns=getattr(command, 'collider', ''), action=Marker.DELETE), frame_id,
+                     time_ns)
     if isinstance(command, RemoveAllColliders):
         marker.action = Marker.DELETEALL
     elif isinstance(command, PlaceCollider):
@@ -135,9 +134,7 @@ def _collider(command, frame_id: str, time_ns: int) -> Marker:
 
 
 def _targets(group, frame_id: str) -> MultiDOFJointState:
-    message = MultiDOFJointState()
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, group[0].stamp_ns)
+    message = stamped(MultiDOFJointState(), frame_id, group[0].stamp_ns)
     for command in group:
         message.joint_names.append(getattr(command, 'pin', None) or command.collider)
         message.transforms.append(Transform(
@@ -146,20 +143,6 @@ def _targets(group, frame_id: str) -> MultiDOFJointState:
         if command.twist is not None:
             message.twist.append(TwistMessage(linear=vector(Vector3, command.twist.linear),
                                               angular=vector(Vector3, command.twist.angular)))
-    return message
-
-
-def _wind(command: SetWind, frame_id: str, time_ns: int) -> Vector3Stamped:
-    message = Vector3Stamped(vector=vector(Vector3, command.velocity))
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
-    return message
-
-
-def _click(command: Click, frame_id: str, time_ns: int) -> PointStamped:
-    message = PointStamped(point=vector(Point, command.point))
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
     return message
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import re
 import struct
 from types import MappingProxyType
+from typing import Any, TypeVar
 
 from geometry_msgs.msg import (
     Point,
@@ -40,10 +41,19 @@ STAMP_MARK = 0x5ac33ca5, 0x3ca55ac3
 HEADER = b'\0\1\0\0'
 """of a serialized message: little-endian CDR"""
 
+Message = TypeVar('Message', bound=Any)
+
 
 def set_stamp(stamp, time_ns: int) -> None:
     """Set a builtin_interfaces/Time to a time [ns]."""
     stamp.sec, stamp.nanosec = divmod(time_ns, 10**9)
+
+
+def stamped(message: Message, frame_id: str, time_ns: int) -> Message:
+    """Return a message with its header filled in."""
+    message.header.frame_id = frame_id
+    set_stamp(message.header.stamp, time_ns)
+    return message
 
 
 def vector(kind, values):
@@ -313,9 +323,7 @@ class BodyArray:
 
 def pin_wrench(pin: PinState | None, frame_id: str, time_ns: int) -> WrenchStamped:
     """Return the wrench of the cloth on a pin, about its pose; 0 for one that holds nothing."""
-    message = WrenchStamped()
-    message.header.frame_id = frame_id
-    set_stamp(message.header.stamp, time_ns)
+    message = stamped(WrenchStamped(), frame_id, time_ns)
     if pin is not None:
         message.wrench = Wrench(force=vector(Vector3, pin.force),
                                 torque=vector(Vector3, pin.torque))
