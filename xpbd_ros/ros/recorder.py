@@ -10,7 +10,6 @@ from pathlib import Path
 import platform
 from types import MappingProxyType
 
-from diagnostic_msgs.msg import DiagnosticArray
 import numba
 import numpy as np
 from rclpy.serialization import serialize_message
@@ -137,7 +136,7 @@ class Recorder:
         if encoded is None:
             encoded = outputs.frame(frame, stamp_ns)
         for topic, message in as_messages(frame.applied, outputs.frame_id, stamp_ns):
-            self._write_one(topic, type(message), message, before_ns, frame.index)
+            self._write_one(topic, message, before_ns, frame.index)
         self._write_all(encoded, frame)
         self._write_all({'state_hash': outputs.hash()}, frame)
         period = max(1, round(self.checkpoint_period * outputs.simulation.frame_rate))
@@ -151,7 +150,8 @@ class Recorder:
         if self.log.flush_is_due and self._background.idle:
             self._background.run([self.log.flush_if_due])
 
-    def _write_one(self, topic: str, kind: type, message, time_ns: int, frame: int) -> None:
+    def _write_one(self, topic: str, message, time_ns: int, frame: int) -> None:
+        kind = type(message)
         if topic not in self._later:
             self._parts.append(partial(self.log.add_channel, self._full(topic), type_name(kind),
                                        INPUT))
@@ -170,15 +170,14 @@ class Recorder:
             return
         self._counts, self._moved_ns, self._told_ns = counts, moved_ns, frame.time_ns
         time_ns = self.epoch_ns + frame.time_ns
-        self._write_one('/diagnostics', DiagnosticArray, diagnostics.message(
+        self._write_one('/diagnostics', diagnostics.message(
             self._name.lstrip('/'), 'WARN' if counts.keys() - EVENTS else 'OK', 'guards',
             {**counts, 'stamps_moved_s': 1e-9 * moved_ns}, stamp_ns), time_ns, frame.index)
 
     def values(self, values: Mapping[str, float], frame: Frame) -> None:
         """Write numbers about a frame, by their topics below the node's name."""
         for topic, value in values.items():
-            self._write_one(topic, Float64, Float64(data=value), self.epoch_ns + frame.time_ns,
-                            frame.index)
+            self._write_one(topic, Float64(data=value), self.epoch_ns + frame.time_ns, frame.index)
         if values:
             self._submit()
 
