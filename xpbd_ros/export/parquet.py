@@ -18,7 +18,7 @@ from xpbd_ros.export.states import State, States
 ROWS = 2**18
 """rows in memory at a time"""
 BODY_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw', 'force_x', 'force_y', 'force_z', 'torque_x',
-               'torque_y', 'torque_z')
+                'torque_y', 'torque_z')
 
 
 def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -> list[Path]:

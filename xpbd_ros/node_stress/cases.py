@@ -71,7 +71,7 @@ def clocks(folder: Path) -> Iterator[Outcome]:
 
     tested.wait_for(lambda: (tested.process.poll() is None
                              and tested.message_with('waiting for /clock')),
-                  'the node')
+                    'the node')
     told = tested.message_with('waiting for /clock')
     while not tested.clouds:
         tell()
@@ -157,7 +157,7 @@ def no_numbers(folder: Path) -> Iterator[Outcome]:
                 tested.spin(0.5)
                 continue
             tested.wait_for(lambda before=before: int(tested.status['rejected_inputs']) > before,
-                          f'a refusal of {value} on {topic}')
+                            f'a refusal of {value} on {topic}')
         yield verdict(f'node: ~/{topic}', tested, home, tested.message_with(f'/cloth/{topic}'))
     for name, value in (('gravity', [0.0, 0.0, NAN]), ('solver.compliance_scale', INF),
                         ('cloths.towel.effects.stretch.warp', -1.0)):

@@ -84,12 +84,14 @@ def compile_scene(scene: Scene) -> Simulation:
         gap[cloth.slots] = cloth.mesh.gap
     try:
         effects = _build(scene, tuple(cloths), state)
-        solver = resolve(scene.top.solver, effects, state, float(1 / frame_rate(scene)))
-        state = with_solver_storage(state, integrator=solver.rough_integrator or solver.integrator,
-                          apart=Explicit if solver.mixes else APART.get(solver.method),
-                          constraints=[these.particles for built in effects.values()
-                                       for these in built.by_part],
-                          gap=gap, h=float(1 / frame_rate(scene)) / solver.substeps)
+        frame_dt = float(1 / frame_rate(scene))
+        solver = resolve(scene.top.solver, effects, state, frame_dt)
+        h = frame_dt / solver.substeps
+        state = with_solver_storage(
+            state, integrator=solver.rough_integrator or solver.integrator,
+            apart=Explicit if solver.mixes else APART.get(solver.method),
+            constraints=[these.particles for built in effects.values() for these in built.by_part],
+            gap=gap, h=h)
         rough = solver.rough if solver.mixes and solver.method == 'explicit' else solver
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,
@@ -100,7 +102,7 @@ def compile_scene(scene: Scene) -> Simulation:
                    *_too_coarse(cloths, state),
                    *_too_few(solver, effects, state, float(1 / frame_rate(scene))),
                    *weak_grips(scene, cloths, rough.method, rough.substeps),
-                   *_too_short(state, float(1 / frame_rate(scene)) / solver.substeps)])
+                   *_too_short(state, h)])
     except ArithmeticError as error:
         raise InputError(f'{scene.where}: sizes, stiffnesses or densities are too large or too '
                          f'small to compute with ({error}); check their units') from error
@@ -171,16 +173,16 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
            before: dict[str, Built] | None = None) -> dict[str, Built]:
     built: dict[str, Built] = {}
     solver = scene.top.solver
-    world = BuildContext(cloths, state, scene.sections, built, 'pin' in scene.effects,
-                  solver.compliance_scale, before or {},
-                  lambda file: read_mesh_file(Path(file))[:2], read_table,
-                  forces='pin' in scene.effects or solver.iterations > 1
-                  or solver.method not in ONE_PASS,
-                  lines=solver.method in LINES or bool(solver.rough_frames),
-                  explicit=solver.method in ('auto', 'explicit'),
-                  coloured=solver.order == 'coloured', iterations=solver.iterations,
-                  threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE,
-                  on_device=solver.device != 'cpu')
+    pins = 'pin' in scene.effects
+    world = BuildContext(
+        cloths, state, scene.sections, built, pins, solver.compliance_scale, before or {},
+        lambda file: read_mesh_file(Path(file))[:2], read_table,
+        forces=pins or solver.iterations > 1 or solver.method not in ONE_PASS,
+        lines=solver.method in LINES or bool(solver.rough_frames),
+        explicit=solver.method in ('auto', 'explicit'), coloured=solver.order == 'coloured',
+        iterations=solver.iterations,
+        threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE,
+        on_device=solver.device != 'cpu')
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]

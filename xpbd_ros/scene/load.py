@@ -228,7 +228,7 @@ def _found(entry: Any, key: str, folder: Path) -> Any:
 def _scene(raw: dict, where: str, name: str) -> Scene:
     """Check a scene's mapping."""
     top = read(TopKeys, raw, '', left_to_others=('cloths', 'effects', 'inputs', 'robots',
-                                                *SECTIONS))
+                                                 *SECTIONS))
     cloths, cloth_effects = {}, {}
     for cloth, value in names(raw.get('cloths'), 'cloths').items():
         path = f'cloths.{cloth}'

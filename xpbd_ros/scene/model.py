@@ -21,7 +21,7 @@ class SolverKeys:
 
     method: str = quantity('auto', choices=('auto', 'gauss_seidel', 'gauss_seidel_symmetric',
                                             'line', 'jacobi', 'explicit'),
-                             doc='auto: line, or explicit in calm frames and line in others')
+                           doc='auto: line, or explicit in calm frames and line in others')
     integrator: str | None = quantity(None, choices=('backward_euler', 'bdf2', 'ndf2', 'leapfrog'),
                                       doc="chosen by auto, or the method's default, unless given")
     substeps: int | None = quantity(None, minimum=1, maximum=10_000, live=True,

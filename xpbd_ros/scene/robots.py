@@ -138,7 +138,7 @@ def with_robots(raw: dict, folder: Path, topic_text: TopicText | None = None) ->
                                  f'{path}; take another name')
         colliders.update(made)
         robots[name] = robot = Robot(name, keys, str(description.file), description.text,
-                                       tuple(made))
+                                     tuple(made))
         if keys.gripper is not None:
             _check_gripper(robot, description)
             effects.setdefault('pin', {})

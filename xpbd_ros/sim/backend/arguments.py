@@ -31,7 +31,7 @@ class CompactTuple(models.TupleModel):
     def __init__(self, manager, kind):
         super().__init__(manager, kind)
         self.compact = [isinstance(each, types.Array) and each.layout == 'C' and each.ndim > 0
-                         for each in self._members]
+                        for each in self._members]
         self._value_type = self._data_type = ir.LiteralStructType([
             ir.LiteralStructType(_address_and_shape(model)) if compact else model.get_value_type()
             for compact, model in zip(self.compact, self._models)])

@@ -49,7 +49,7 @@ def wide(typing, scalar):
     """Return a vector with a scalar in every lane."""
     def generate(context, builder, signature, arguments):
         return splatted(builder, context.cast(builder, arguments[0], signature.args[0], WIDE.lane),
-                      WIDE.llvm)
+                        WIDE.llvm)
     return WIDE(scalar), generate
 
 
@@ -161,5 +161,5 @@ def _rows(context, builder, signature, arguments):
     """Return a pointer to as many rows of an array as a vector has lanes."""
     row = arguments[1]
     return pointer_at(context, builder, signature.args[0], arguments[0],
-                    builder.mul(row, row.type(_ROW)),
-                    ir.VectorType(ir.DoubleType(), _ROW * WIDTH))
+                      builder.mul(row, row.type(_ROW)),
+                      ir.VectorType(ir.DoubleType(), _ROW * WIDTH))

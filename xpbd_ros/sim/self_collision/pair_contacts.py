@@ -187,7 +187,7 @@ def store_vector(rows, q, v):
 def mobility_of(b, p, q, r, s):
     """Return W = Σ w b² [1/kg]."""
     return fma(p[3], b[0] * b[0], fma(q[3], b[1] * b[1], fma(r[3], b[2] * b[2],
-                                                            s[3] * (b[3] * b[3]))))
+                                                             s[3] * (b[3] * b[3]))))
 
 
 @jit(inline=True)

@@ -142,7 +142,7 @@ def _gas(rest, corners, alpha: float) -> tuple[ConstraintSet, float]:
     slope = np.zeros(rest.shape)
     np.add.at(slope, corners, sides)
     return (ConstraintSet(sparse.csr_matrix(slope.reshape(1, -1)), np.full((1, 1, 1), alpha),
-                 np.zeros(1, int)), float((rest[corners[:, 0]] * sides[:, 0]).sum()))
+                          np.zeros(1, int)), float((rest[corners[:, 0]] * sides[:, 0]).sum()))
 
 
 def in_axes(mesh: Mesh) -> np.ndarray:

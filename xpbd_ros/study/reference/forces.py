@@ -188,7 +188,7 @@ def gas_forces(x, low, f, particles, rest_volume, compliance):
     for t in range(len(particles)):
         i, j, k = particles[t]
         six += _dot(_edge(x, low, origin, i), _cross(_edge(x, low, origin, j),
-                                                    _edge(x, low, origin, k)))
+                                                     _edge(x, low, origin, k)))
     push = -(six / 6.0 - rest_volume) / compliance / 6.0
     for t in range(len(particles)):
         i, j, k = particles[t]

@@ -108,7 +108,7 @@ def _check_stable(stiffness: Stiffness, x: Array, dt: float, step: int) -> None:
     longest = 2.0 / _highest_frequency(stiffness, x)
     if dt >= longest:
         raise StepTooLongError(f'dt = {dt:.6g} s: leapfrog needs less than {longest:.6g} s here '
-                          f'(after {step} steps)')
+                               f'(after {step} steps)')
 
 
 @small

@@ -133,5 +133,5 @@ def live():
            SetKey('cloths.c.effects.stretch.warp', float('inf')), SetKey('nothing', 1)]
     yield Trial(LINE, sheet(), 0.5, commands=lambda k: bad if k == 3 else [], textbook=False,
                 reports=('gravity[1]: must be finite', 'solver.substeps: must be at least 1',
-                       'stretch.warp: must be finite', 'nothing: cannot change'),
+                         'stretch.warp: must be finite', 'nothing: cannot change'),
                 recovery_strain=0.01, label='invalid values')
