@@ -44,7 +44,7 @@ SCENES = {
 def kernels(names=EFFECTS, *, kinds=None, without=()):
     """Return the names of the kernels of some effects, of these types, but for some stages."""
     theirs = set().union(*map(kinds_of, names))
-    return sorted({kernel.__name__ for (stage, kind), kernel in stages._KERNELS.items()
+    return sorted({kernel.__name__ for (stage, kind), kernel in stages.KERNELS.items()
                    if kind in theirs and stage not in without
                    and (kinds is None or kind.__name__ in kinds)})
 

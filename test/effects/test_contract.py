@@ -408,8 +408,8 @@ def test_the_first_sweep_of_a_substep_zeroes_the_multipliers(name, grid, order):
     state, built, random = crumple(simulation), simulation.effects[name], np.random.default_rng(1)
     state.mobility[:] = state.inv_mass * H**2
     for data, these in zip(built.parts, built.by_part, strict=True):
-        kernel = stages._KERNELS[stages.project, type(data)]
-        if kernel not in stages._SWEEPS:
+        kernel = stages.KERNELS[stages.project, type(data)]
+        if kernel not in stages.SWEEPS:
             continue
         before, force, found = state.x.copy(), batch_of(data).force, []
         for stale in (np.zeros_like(force), random.normal(0.0, 100.0, force.shape)):
@@ -430,7 +430,7 @@ def test_the_first_sweep_of_a_substep_zeroes_the_multipliers(name, grid, order):
 def test_a_pinned_particle_is_not_moved_and_all_pinned_is_fine(name, mesh, stage):
     simulation = cloth(name, mesh=mesh, method='line')
     state, built = crumple(simulation), simulation.effects[name]
-    if not any((stage, type(data)) in stages._KERNELS for data in built.parts):
+    if not any((stage, type(data)) in stages.KERNELS for data in built.parts):
         assert stage is stages.solve_lines
         return
     before, slot = state.x.copy(), simulation.slot

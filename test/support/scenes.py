@@ -157,12 +157,12 @@ def run_until_still(simulation: Simulation, *, speed: float = 1e-13, frames: int
 
 def run_stage(stage, data, state, substep) -> None:
     """Run a stage of a part of an effect; what has no ``prepare`` gets its multipliers zeroed."""
-    kernel = stages._KERNELS.get((stage, type(data)))
+    kernel = stages.KERNELS.get((stage, type(data)))
     if kernel is not None:
         order = stage is stages.project_back, False
-        kernel(data, state, substep, *order * (kernel in stages._SWEEPS))
-    elif stage is stages.prepare and stages._KERNELS.get(
-            (stages.project, type(data))) in stages._SWEEPS:
+        kernel(data, state, substep, *order * (kernel in stages.SWEEPS))
+    elif stage is stages.prepare and stages.KERNELS.get(
+            (stages.project, type(data))) in stages.SWEEPS:
         force = getattr(data, 'edges', data).force
         if force is not None:
             force[:] = 0.0

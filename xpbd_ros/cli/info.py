@@ -89,10 +89,10 @@ def scene_rows(text: str) -> list[tuple[str, str]]:
         return [('cannot be read', str(error).replace('\n', ' '))]
     if not isinstance(scene, dict):
         return [('cannot be read', 'not a mapping')]
-    return [(str(key), brief(value)) for key, value in scene.items()]
+    return [(str(key), outline(value)) for key, value in scene.items()]
 
 
-def brief(value: object) -> str:
+def outline(value: object) -> str:
     """Return a value of a scene as text; of nested mappings only the names."""
     if isinstance(value, dict | list) and not value:
         return 'none'

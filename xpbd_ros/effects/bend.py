@@ -72,7 +72,7 @@ class Parameters:
                         either='stiffness (N m) or warp and weft (N m)')
 
     @property
-    def rigidity(self) -> tuple[float, float]:
+    def rigidities(self) -> tuple[float, float]:
         """B along warp and weft [N m]."""
         warp, weft = self.warp or self.stiffness, self.weft or self.stiffness
         assert warp is not None and weft is not None
@@ -223,7 +223,7 @@ def _on_grids(cloths, world) -> list[Curvature | Twist]:
         rows = Rows([cloth.block for cloth, _ in cloths], shapes_of, world)
         if len(listed(rows.runs)[1]):
             found.append(kind(**rows.common([
-                world.compliance_scale * compliance_of(cloth, *chosen.rigidity)
+                world.compliance_scale * compliance_of(cloth, *chosen.rigidities)
                 for cloth, chosen in cloths], (3,)), rate=inf))
     return found
 
@@ -251,12 +251,12 @@ def _on_meshes(cloths, world) -> tuple[list[MeshBend], list[str]]:
     """Return the hinges of meshes, and notes on rigidities that they cannot represent."""
     particles, weight, compliance, notes = [], [], [], []
     for cloth, chosen in cloths:
-        hinges, found = cloth.mesh.hinges, plate(cloth.mesh, *chosen.rigidity)
+        hinges, found = cloth.mesh.hinges, plate(cloth.mesh, *chosen.rigidities)
         particles.append(cloth.slots[hinges])
         weight.append(isometric_weights(cloth.mesh.positions[hinges]))
         with np.errstate(over='ignore', divide='ignore'):
             compliance.append(world.compliance_scale / found.rigidity)
-        short = shortfall(found, *chosen.rigidity)
+        short = shortfall(found, *chosen.rigidities)
         notes += [f'cloths.{cloth.name}.effects.bend: {short}'] if short else []
     if not sum(map(len, particles)):
         return [], notes

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
 from xpbd_ros.scene.model import Scene
-from xpbd_ros.scene.save import chosen_keys
+from xpbd_ros.scene.save import resolved_keys
 from xpbd_ros.sim.stepping.solver import Solver
 
 WITHOUT_EFFECT = {'duration', 'frame_id', 'solver.threads', 'solver.budget_ms'}
@@ -16,7 +16,7 @@ MOST = 5
 
 def with_solver(scene: Scene, solver: Solver) -> Scene:
     """Return a scene with the setting that ``auto`` chose for it."""
-    keys = replace(scene.top.solver, **chosen_keys(solver))
+    keys = replace(scene.top.solver, **resolved_keys(solver))
     return replace(scene, top=replace(scene.top, solver=keys))
 
 

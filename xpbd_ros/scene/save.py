@@ -11,8 +11,8 @@ from xpbd_ros.sim.stepping.solver import Solver
 DUMPER = getattr(yaml, 'CSafeDumper', yaml.SafeDumper)
 """the C implementation if PyYAML has it, as a node writes the scene between two frames"""
 
-CHOSEN = ('method', 'integrator', 'substeps', 'iterations', 'precision', 'threads',
-          'rough_frames', 'rough_integrator', 'rough_substeps')
+RESOLVED = ('method', 'integrator', 'substeps', 'iterations', 'precision', 'threads',
+            'rough_frames', 'rough_integrator', 'rough_substeps')
 """keys of ``solver`` that ``auto`` resolves"""
 
 
@@ -29,7 +29,7 @@ def scene_text(scene: Scene, solver: Solver) -> str:
 
 def explicit(scene: Scene, solver: Solver) -> dict:
     """Return a scene as plain values, with ``auto`` resolved and every default written out."""
-    raw, chosen = scene.raw, chosen_keys(solver)
+    raw, chosen = scene.raw, resolved_keys(solver)
     top = replace(scene.top, solver=replace(scene.top.solver, **chosen))
     found = _stated(top, {**raw, 'solver': {**(raw.get('solver') or {}), **chosen}})
     found['cloths'] = {
@@ -43,14 +43,14 @@ def explicit(scene: Scene, solver: Solver) -> dict:
     return found
 
 
-def chosen_keys(solver: Solver) -> dict[str, Any]:
+def resolved_keys(solver: Solver) -> dict[str, Any]:
     """
     Return the resolved keys of ``solver``.
 
     A mix of methods is ``explicit`` with ``rough_frames``, also where its substeps are too few for
     ``explicit`` and all its frames are of ``line``.
     """
-    found = {**{key: getattr(solver, key) for key in CHOSEN}, 'cost_table': None}
+    found = {**{key: getattr(solver, key) for key in RESOLVED}, 'cost_table': None}
     return {**found, 'method': 'explicit', 'integrator': 'leapfrog'} if solver.mixes else found
 
 

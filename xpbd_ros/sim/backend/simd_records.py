@@ -13,7 +13,7 @@ from xpbd_ros.sim.backend.simd import exchange, place, vector_of
 
 PACK = 16
 """constraints that share no particle, side by side: the lanes of the widest vector there is"""
-_FIELDS = 4
+FIELDS = 4
 
 
 def _constants(numbers):
@@ -23,8 +23,8 @@ def _constants(numbers):
 def _record(context, builder, signature, arguments, number):
     """Return a pointer to one record."""
     first = place(context, builder, signature.args[0], arguments[0],
-                  builder.mul(number, number.type(_FIELDS)), _FIELDS)
-    return builder.bitcast(first, ir.VectorType(first.type.pointee, _FIELDS).as_pointer())
+                  builder.mul(number, number.type(FIELDS)), FIELDS)
+    return builder.bitcast(first, ir.VectorType(first.type.pointee, FIELDS).as_pointer())
 
 
 def _neighbours(context, builder, signature, arguments, count):
@@ -65,22 +65,22 @@ def _turned(builder, rows):
 def _load(builder, vector, pointers):
     """Return x, y, z, m of some records."""
     records = [builder.load(pointer, align=vector.lane.bitwidth // 8) for pointer in pointers]
-    records *= max(1, _FIELDS // vector.count)    # two lanes: each twice
-    rows = [_joined(builder, records[k::_FIELDS]) for k in range(_FIELDS)]
+    records *= max(1, FIELDS // vector.count)    # two lanes: each twice
+    rows = [_joined(builder, records[k::FIELDS]) for k in range(FIELDS)]
     return [_parts(builder, field, vector.count)[0] for field in _turned(builder, rows)]
 
 
 def _store(builder, vector, pointers, fields):
     """Write x, y, z, m to some records."""
-    fields = [_joined(builder, [field] * max(1, _FIELDS // vector.count)) for field in fields]
-    rows = [_parts(builder, row, _FIELDS) for row in _turned(builder, fields)]
+    fields = [_joined(builder, [field] * max(1, FIELDS // vector.count)) for field in fields]
+    rows = [_parts(builder, row, FIELDS) for row in _turned(builder, fields)]
     for pointer, record in zip(pointers, [row for part in zip(*rows) for row in part]):
         builder.store(record, pointer, align=vector.lane.bitwidth // 8)
 
 
 def _loader(records, *place, pointers):
     vector = vector_of(records)
-    result = types.UniTuple(vector, _FIELDS)
+    result = types.UniTuple(vector, FIELDS)
 
     def generate(context, builder, signature, arguments):
         return context.make_tuple(builder, result, _load(builder, vector, pointers(
@@ -93,9 +93,9 @@ def _storer(records, *place, pointers):
 
     def generate(context, builder, signature, arguments):
         _store(builder, vector, pointers(context, builder, signature, arguments, vector.count),
-               arguments[-_FIELDS:])
+               arguments[-FIELDS:])
         return context.get_dummy_value()
-    return types.void(records, *place, *[vector] * _FIELDS), generate
+    return types.void(records, *place, *[vector] * FIELDS), generate
 
 
 @intrinsic

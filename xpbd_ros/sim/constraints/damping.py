@@ -59,7 +59,7 @@ def lag(xpbd_residual, gamma, before, d, l):
     """Return C + α f + γ n·(d - d̄) for an edge d = l n, where ``before`` is d̄."""
 
 
-def shared(total, gamma):
+def damped(total, gamma):
     """Return (1 + γ) W for W = ``total``."""
 
 
@@ -114,8 +114,8 @@ def _lag(xpbd_residual, gamma, before, d, l):
         gamma, l - dot(d, before) / l, xpbd_residual)
 
 
-@inline(shared)
-def _shared(total, gamma):
+@inline(damped)
+def _damped(total, gamma):
     if _none(gamma):
         return lambda total, gamma: total
     return lambda total, gamma: fma(gamma, total, total)

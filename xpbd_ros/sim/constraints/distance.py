@@ -23,12 +23,12 @@ from xpbd_ros.sim.backend.simd_vector3 import vector3
 from xpbd_ros.sim.constraints.builders import Packing, Rows
 from xpbd_ros.sim.constraints.damping import (
     apart_before,
+    damped,
     Damping,
     gamma_of,
     gammas_of,
     lag,
     records_before,
-    shared,
 )
 from xpbd_ros.sim.constraints.definitions import Constraints, isotropic
 from xpbd_ros.sim.constraints.grid_batches import Runs
@@ -197,7 +197,7 @@ def pull(apart, d, total, rest, alpha, f, there, axis, gamma, before):
     l_or_1 = select(far, l, 1.0)
     wrong = lag(xpbd_residual(l - rest, alpha, f), gamma, before, d, l_or_1)
     s = select(both(total > 0.0, there),
-               wrong / (l_or_1 * denominator(apart, shared(total, gamma), alpha)), 0.0)
+               wrong / (l_or_1 * denominator(apart, damped(total, gamma), alpha)), 0.0)
     return s, vector3(select(far, d.x, axis[0]), select(far, d.y, axis[1]),
                       select(far, d.z, axis[2])), -(s * l_or_1)
 

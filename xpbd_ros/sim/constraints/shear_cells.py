@@ -26,7 +26,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import both, load, select
 from xpbd_ros.sim.backend.simd_vector3 import vector3
 from xpbd_ros.sim.constraints.builders import Rows
-from xpbd_ros.sim.constraints.damping import apart_before, Damping, gamma_of, lag, shared
+from xpbd_ros.sim.constraints.damping import apart_before, damped, Damping, gamma_of, lag
 from xpbd_ros.sim.constraints.definitions import Constraints
 from xpbd_ros.sim.constraints.distance import AXES, damping, Edges
 from xpbd_ros.sim.constraints.grid_batches import listed, Runs, Shape
@@ -151,7 +151,7 @@ def solve_slants(slant, apart, at, x, m):
     wrong = lag(xpbd_residual(l - g, alpha, f), gamma,
                 apart_before(slant.damping, slots[0], slots[1]), d, l_or_1)
     wrong = -lag(-wrong, gamma, apart_before(slant.damping, slots[2], slots[3]), e, g_or_1)
-    df = select(there, -(wrong / denominator(apart, shared(total, gamma), alpha)), 0.0)
+    df = select(there, -(wrong / denominator(apart, damped(total, gamma), alpha)), 0.0)
     keep(slant.force, at.c, f, df)
     s, t = df / l_or_1, df / g_or_1
     d = vector3(select(long, d.x, axis[0, 0]), select(long, d.y, axis[0, 1]),

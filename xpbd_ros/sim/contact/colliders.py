@@ -100,7 +100,7 @@ def new_colliders(capacity: int, nodes: int = 0, places: int = 0, *,
 
 
 @jit(inline=True)
-def is_soft(pads, k):
+def is_on_pad(pads, k):
     """Return True if a pad presses candidate k; ``pads`` is that of ``Contacts``."""
     if pads is None:
         return False

@@ -30,7 +30,7 @@ from xpbd_ros.sim.backend.threads import alone, count_up, wait, worker
 from xpbd_ros.sim.contact.colliders import (
     Colliders,
     has_pad,
-    is_soft,
+    is_on_pad,
     normals_to_world,
     vectors_to_local,
 )
@@ -310,7 +310,7 @@ def invalidate_histories(history, index, k, moved):
 def push_candidate(contacts, k, state, back, eased):
     """Project one candidate; return True if it has crossed its collider and is pushed."""
     i, c = contacts.particle[k], contacts.collider[k]
-    if is_soft(contacts.pads, k):
+    if is_on_pad(contacts.pads, k):
         return False
     x, y, z = state.x[0, i], state.x[1, i], state.x[2, i]
     x0, y0, z0 = state.x_prev[0, i], state.x_prev[1, i], state.x_prev[2, i]

@@ -19,7 +19,7 @@ from math import sqrt
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_wide import WIDTH
 from xpbd_ros.sim.backend.threads import alone, count_up, wait, worker, workers
-from xpbd_ros.sim.contact.colliders import is_soft, to_local
+from xpbd_ros.sim.contact.colliders import is_on_pad, to_local
 from xpbd_ros.sim.contact.pieces import candidate, rounds
 from xpbd_ros.sim.contact.signed_distance import signed_distance
 from xpbd_ros.sim.contact.wrenches import add_reaction
@@ -59,7 +59,7 @@ def contact_distance(contacts, k, x, y, z):
 def is_penetrating(contacts, k, state):
     """Return True if candidate k is inside its rigid collider or behind its tangent plane."""
     i = contacts.particle[k]
-    if is_soft(contacts.pads, k):
+    if is_on_pad(contacts.pads, k):
         return False
     phi, _ = contact_distance(contacts, k, state.x[0, i], state.x[1, i], state.x[2, i])
     return phi < min(0.0, contacts.gap[k] - SHORT * contacts.thickness[0])
@@ -170,7 +170,7 @@ def deepest(contacts, k, x, y, z):
     while k >= 0:
         phi, n = contact_distance(contacts, k, x, y, z)
         short = min(contacts.gap[k], enough) - phi
-        if is_soft(contacts.pads, k):
+        if is_on_pad(contacts.pads, k):
             short = 0.0
         if short > max(most, 0.1 * enough):
             most, normal, found = short, n, k

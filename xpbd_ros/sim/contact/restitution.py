@@ -14,7 +14,7 @@ from xpbd_ros.sim.backend.simd import any_lane, smaller
 from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.backend.threads import turns_on_device, wait, worker, workers
 from xpbd_ros.sim.contact.collider_motion import surface_motion
-from xpbd_ros.sim.contact.colliders import is_soft
+from xpbd_ros.sim.contact.colliders import is_on_pad
 from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
 from xpbd_ros.sim.contact.pieces import candidate, rounds
@@ -173,7 +173,7 @@ def calm_particle(pads, contacts, last, state, substep):
     most, strongest, k = 0.0, -1, last
     while k >= 0:
         along = pads.given[k] * (u[0] * n[k, 0] + u[1] * n[k, 1] + u[2] * n[k, 2])
-        if along > most and is_soft(pads, k):
+        if along > most and is_on_pad(pads, k):
             most, strongest = along, k
         k = contacts.earlier[k]
     if strongest >= 0:

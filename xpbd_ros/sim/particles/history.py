@@ -232,7 +232,7 @@ def rotate_history(history, x, x_prev, v):
 
 
 @inline(rotate_history)
-def _rotate_history(history, x, x_prev, v):
+def rotate_history_of(history, x, x_prev, v):
     if isinstance(history, types.NoneType):
         return lambda history, x, x_prev, v: (x_prev, x, v, None)
     if isinstance(history[history.fields.index('older_x')], types.NoneType):

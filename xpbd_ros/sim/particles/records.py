@@ -10,14 +10,14 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import lanes, load, splat, store
-from xpbd_ros.sim.backend.simd_records import _FIELDS, load_row, store_row
+from xpbd_ros.sim.backend.simd_records import FIELDS, load_row, store_row
 from xpbd_ros.sim.backend.threads import turns, wait
 from xpbd_ros.sim.particles.memory_layout import zeros
 
 
 def new_records(slots: int, dtype) -> np.ndarray:
     """Return zeroed records for all slots, shape (slots, 4)."""
-    return zeros((slots, _FIELDS), dtype)
+    return zeros((slots, FIELDS), dtype)
 
 
 @jit

@@ -176,7 +176,7 @@ class Recorder:
             return self._take_turns
         if found in ANSWERS:
             return ANSWERS[found]
-        if found in stages._QUESTIONS:
+        if found in stages.QUESTIONS:
             return lambda effects: stages.answer(found, self.typed(effects)[0])
         if found in WRITTEN or found in VALUES or found in COMPOSITE or hasattr(found, 'part'):
             return lambda *values: (self.call(found, *map(self.typed, values)) or (None, None))[1]
@@ -205,7 +205,7 @@ def threads_for(kernel: Callable, arguments: tuple, slots: int) -> int:
 
 def turned(state: State) -> State:
     """Return the state of the next substep, as ``integration.turned``."""
-    rotate = history._rotate_history(numba.typeof(state.history), None, None, None)
+    rotate = history.rotate_history_of(numba.typeof(state.history), None, None, None)
     x, x_prev, v, past = rotate(state.history, state.x, state.x_prev, state.v)
     return state._replace(x=x, x_prev=x_prev, v=v, history=past)
 
@@ -224,7 +224,7 @@ VALUES: dict[Callable, Callable] = {integration.turned: turned,
 """kernels that launch nothing, with what they return"""
 OF_LINES = stages.solve_lines.__name__, stages.project_inequalities.__name__
 """stages in which a thread of a GPU solves whole lines, of effects that have them"""
-COMPOSITE = (methods._kick,)
+COMPOSITE = (methods.kick,)
 """kernels whose calls are launches of their own"""
 ANSWERS: dict[Callable, Callable] = {step.flush_denormals: lambda: 0,
                                      step.restore_mode: lambda mode: None}

@@ -211,7 +211,7 @@ def _kick_if_leapfrog(stub):
     @written_out(stub)
     def write(writer, method, *values):
         if method[0].instance_class is Leapfrog:
-            writer.call(_kick, *values)
+            writer.call(kick, *values)
 
 
 _kick_if_leapfrog(enter)
@@ -219,7 +219,7 @@ _kick_if_leapfrog(leave)
 
 
 @jit
-def _kick(effects, state, substep):
+def kick(effects, state, substep):
     """Move the velocities on by half a substep: back where the frame begins."""
     set_mobility(state, substep.h)
     project(effects, state, substep)

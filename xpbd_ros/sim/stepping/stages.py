@@ -108,12 +108,12 @@ def lap_integration(effects, state):
     """Do so for the row after those of the effects; nothing where there is no clock."""
 
 
-_KERNELS: dict[tuple[Callable, type | None], Callable] = {}
+KERNELS: dict[tuple[Callable, type | None], Callable] = {}
 _SHARED: dict[Callable, bool | Callable] = {}
 ON_DEVICE: set[Callable] = set()
 """kernels of one thread of a CPU that all threads of a GPU share"""
-_SWEEPS: set[Callable] = set()
-_QUESTIONS: dict[Callable, Callable] = {}
+SWEEPS: set[Callable] = set()
+QUESTIONS: dict[Callable, Callable] = {}
 
 
 def stage(stub: Callable, kind: type, *, shared: bool | Callable = False,
@@ -127,7 +127,7 @@ def stage(stub: Callable, kind: type, *, shared: bool | Callable = False,
     only.
     """
     def register(kernel):
-        _KERNELS[stub, kind] = kernel
+        KERNELS[stub, kind] = kernel
         _SHARED[kernel] = shared
         if on_device:
             ON_DEVICE.add(kernel)
@@ -144,7 +144,7 @@ def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool | Callable = F
     """
     for stub in (project, project_back):
         stage(stub, kind, shared=shared)(kernel)
-    _SWEEPS.add(kernel)
+    SWEEPS.add(kernel)
 
 
 def is_shared(kernel: Callable, effect) -> bool:
@@ -155,23 +155,23 @@ def is_shared(kernel: Callable, effect) -> bool:
 
 def kernel_of(stub: Callable, effect) -> Callable | None:
     """Return the kernel for a stage of an effect, given as Numba types it; None: no part in it."""
-    return _KERNELS.get((stub, getattr(effect, 'instance_class', None)))
+    return KERNELS.get((stub, getattr(effect, 'instance_class', None)))
 
 
 def answer(question: Callable, effects) -> bool:
     """Return the constant that Numba compiles for a question, for effects as it types them."""
-    return any(kernel_of(_QUESTIONS[question], effect) is not None for effect in effects)
+    return any(kernel_of(QUESTIONS[question], effect) is not None for effect in effects)
 
 
 def name_of(kernel: Callable) -> tuple[str, type] | None:
     """Return the name of a kernel's stage and its type; None for one that is no stage."""
-    return next(((stub.__name__, kind) for (stub, kind), each in _KERNELS.items()
+    return next(((stub.__name__, kind) for (stub, kind), each in KERNELS.items()
                  if each is kernel and kind is not None), None)
 
 
 def named(stage_: str, kind: type) -> Callable:
     """Return the kernel of a name that ``name_of`` gave."""
-    return next(kernel for (stub, each), kernel in _KERNELS.items()
+    return next(kernel for (stub, each), kernel in KERNELS.items()
                 if each is kind and stub.__name__ == stage_)
 
 
@@ -199,7 +199,7 @@ def walk(stub: Callable, choose: Callable, *, backwards: bool = False, opens: bo
                     effect = writer.item(effects, k)
                     asked = where and writer.call(where, effect, substep)
                     with writer.only_if(asked) if asked else nullcontext():
-                        writer.call(kernel, effect, state, substep, *order * (kernel in _SWEEPS))
+                        writer.call(kernel, effect, state, substep, *order * (kernel in SWEEPS))
                     write_lap(writer, state, k)
             if apart:
                 writer.call(wait, team)
@@ -225,7 +225,7 @@ def is_none(state, name: str) -> bool:
 
 def _tells_of(stub: Callable, question: Callable) -> None:
     """Let Numba compile ``question`` as a constant: whether an effect takes part in ``stub``."""
-    _QUESTIONS[question] = stub
+    QUESTIONS[question] = stub
     type_callable(question)(lambda typing: lambda effects: types.boolean)
 
     @lower_builtin(question, types.Any)

@@ -162,7 +162,7 @@ def _tabulate(simulation: Simulation, text: str, whole, native, parts) -> Cost:
     owner = [name for name, built in simulation.effects.items() for _ in built.parts]
     for name in EFFECTS:
         if name not in simulation.effects:
-            absent = {kind for _, kind in stages._KERNELS
+            absent = {kind for _, kind in stages.KERNELS
                       if kind and kind.__module__ == f'xpbd_ros.effects.{name}'}
             assert not _in_code(absent, text)
             effects.append(Row(name, False))
@@ -199,7 +199,7 @@ def _mean(rounds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _in_code(kinds: set[type], text: str) -> int:
     """Return how many kernels for an effect's types some machine code holds."""
     return sum(kind in kinds and _mangled(kernel.__name__) in text
-               for (_, kind), kernel in stages._KERNELS.items())
+               for (_, kind), kernel in stages.KERNELS.items())
 
 
 def _mangled(name: str) -> str:
