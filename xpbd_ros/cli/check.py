@@ -52,8 +52,8 @@ def lines(name: str, found) -> list[str]:
     text = [f'{name}: {found.particles} particles, {found.constraints} constraints',
             f'solver      {solver.method}, {solver.integrator}, {solver.substeps} × '
             f'{solver.iterations} ({solver.reason})',
-            f'a frame     about {found.frame_ms:.2g} ms of {found.frame_dt_ms:.3g} on a 2.6 GHz '
-            'server core']
+            f'a frame     about {found.frame_ms:.2g} ms of {found.frame_dt_ms:.3g} on one core of '
+            f'{found.cpu}']
     if found.stiffness:
         text += ['', f'  {"cloth":<10} {"effect":<13} {"asked":>12} {"effective":>12} '
                  f'{"least":>10} {"largest":>10}']

@@ -55,6 +55,8 @@ class CostTable:
     particles_per_thread: Mapping[str, float] = field(default_factory={GRID: 2000.0}.copy)
     """for ``threads: 0``, fewest particles with which one more thread pays: of a GRID, and in a
     scene with an effect, where it is not that of the effect's own file"""
+    cpu: str = field(default='', compare=False)
+    """whose times they are"""
 
     def for_thread(self, name: str) -> float:
         """Return the fewest particles with which one more thread pays: GRID, or an effect."""
@@ -119,10 +121,9 @@ SHIPPED = CostTable({
     'jacobi': {'substep': 3000.0, 'slot': 5.0, 'edge': 2.5, 'hinge': 3.2, 'mesh_edge': 4.0,
                'mesh_hinge': 6.5, 'membrane': 17.5, 'volume': 10.0},
     'explicit': {'substep': 4000.0, 'slot': 5.6, 'edge': 1.3, 'hinge': 4.0, 'mesh_edge': 2.2,
-                 'mesh_hinge': 15.5, 'membrane': 15.0, 'volume': 30.0}}, single=0.6)
+                 'mesh_hinge': 15.5, 'membrane': 15.0, 'volume': 30.0}}, single=0.6,
+    cpu='an Intel Xeon (family 6, model 207, 2.3 GHz, AVX-512)')
 """
-of one core of an Intel Xeon (family 6, model 207, 2.3 GHz, AVX-512)
-
 The entries of ``line`` and ``explicit``, and those of effects in their files, are a fit to the
 shipped scenes and 40 random ones (``study.cost``), measured on a faster Xeon (family 6, model 167)
 and multiplied by 1.28, by which that is faster. Those of the other methods follow from older ones
@@ -168,7 +169,8 @@ def read_table(file: str) -> CostTable:
         per_thread = {GRID: per_thread}
     _check_times(file, 'particles_per_thread.', per_thread, (), (GRID, *EFFECTS), least=1.0)
     per_thread = {**SHIPPED.particles_per_thread, **per_thread}
-    return CostTable(raw['methods'], raw['single'], effects, per_thread)
+    cpu = f'{raw.get("cpu") or "the CPU of " + file:.100}'
+    return CostTable(raw['methods'], raw['single'], effects, per_thread, cpu)
 
 
 def table_text(table: CostTable, cpu: str) -> str:

@@ -15,6 +15,7 @@ from support.tiers import slow
 from xpbd_ros.cli.check import lines
 from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.cost_table import SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.contact.collider_entries import SHAPES
 from xpbd_ros.study.prediction import check
@@ -209,6 +210,17 @@ def test_what_will_go_wrong_is_said(changes, text):
         del scene['pins']
     found = check(scene_from_mapping(scene, where='x', name='x'))
     assert [one for one in found.warnings if text in one], found.warnings
+
+
+@pytest.mark.parametrize('own', [False, True])
+def test_the_time_of_a_frame_is_said_of_the_cpu_whose_table_it_is_from(tmp_path, own):
+    keys = {'solver.substeps': 8}
+    if own:
+        keys['solver.cost_table'] = str(tmp_path / 'table.yaml')
+        (tmp_path / 'table.yaml').write_text(table_text(SHIPPED, 'my CPU'))
+    time, = (line for line in lines('swing', check(load_scene('swing', keys)))
+             if line.startswith('a frame'))
+    assert time.endswith('on one core of ' + ('my CPU' if own else SHIPPED.cpu))
 
 
 def test_each_kind_of_collider_is_checked(tmp_path):

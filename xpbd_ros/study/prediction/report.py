@@ -42,7 +42,9 @@ class Report:
     """substeps by relative error of the stretch; None if out of reach; empty for cloth without a
     prediction of it"""
     frame_ms: float
-    """expected time of a frame on the CPU of the cost table [ms]"""
+    """expected time of a frame on ``cpu`` [ms]"""
+    cpu: str
+    """that of the cost table"""
     frame_dt_ms: float
     """frame period [ms]"""
     warnings: list[str]
@@ -62,7 +64,8 @@ def check(scene: Scene) -> Report:
     rows = stiffness(scene, simulation, solver)
     counts = {f'{error:g}': needed(scene, simulation, solver, error) for error in ERRORS
               if any(row.effect in ('shear', *STRETCH) for row in rows)}
-    expected = 1e-6 * solver.substeps * table_of(scene.top.solver).substep_ns(
+    table = table_of(scene.top.solver)
+    expected = 1e-6 * solver.substeps * table.substep_ns(
         solver.method, solver.iterations, simulation.effects, simulation.state,
         simulation.frame_dt / solver.substeps, solver.substeps)
     frame_dt_ms = 1e3 * simulation.frame_dt
@@ -70,9 +73,9 @@ def check(scene: Scene) -> Report:
                 *_unsupported(scene), *_thin(scene, simulation), *_thick(scene, simulation),
                 *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
-                  decays(scene, simulation, solver), counts, expected, frame_dt_ms, warnings,
-                  (*notes_without_tf(scene), *simulation.notes, *_unpredicted(simulation),
-                   *_pads(scene, simulation)))
+                  decays(scene, simulation, solver), counts, expected, table.cpu, frame_dt_ms,
+                  warnings, (*notes_without_tf(scene), *simulation.notes,
+                             *_unpredicted(simulation), *_pads(scene, simulation)))
 
 
 def _unpredicted(simulation: Simulation) -> tuple[str, ...]:
