@@ -51,7 +51,7 @@ from xpbd_ros.sim.constraints.pinned import Held, Stops
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
 from xpbd_ros.sim.constraints.projection import denominator, keep3, recall3, xpbd_residual
 from xpbd_ros.sim.effect import Built, by_kind, Effect, is_grid
-from xpbd_ros.sim.parameters import need_one_or_two, quantity
+from xpbd_ros.sim.parameters import along_both, need_one_or_two, quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 
@@ -74,9 +74,7 @@ class Parameters:
     @property
     def rigidities(self) -> tuple[float, float]:
         """B along warp and weft [N m]."""
-        warp, weft = self.warp or self.stiffness, self.weft or self.stiffness
-        assert warp is not None and weft is not None
-        return warp, weft
+        return along_both(self.stiffness, self.warp, self.weft)
 
 
 class Curvature(NamedTuple):

@@ -39,7 +39,7 @@ from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
-from xpbd_ros.sim.parameters import need_one_or_two, quantity
+from xpbd_ros.sim.parameters import along_both, need_one_or_two, quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint
 
 
@@ -62,10 +62,7 @@ class Parameters:
     @property
     def rigidities(self) -> tuple[float, float]:
         """B along warp and along weft [N m]."""
-        if self.stiffness is not None:
-            return self.stiffness, self.stiffness
-        assert self.warp is not None and self.weft is not None
-        return self.warp, self.weft
+        return along_both(self.stiffness, self.warp, self.weft)
 
 
 class Hinge(NamedTuple):

@@ -71,6 +71,15 @@ def check_static(static: float | None, friction: float) -> None:
                          f'(got {static:g})')
 
 
+def along_both(alone: float | None, warp: float | None, weft: float | None
+               ) -> tuple[float, float]:
+    """Return the values along warp and weft of parameters that ``need_one_or_two`` has checked."""
+    if alone is not None:
+        return alone, alone
+    assert warp is not None and weft is not None
+    return warp, weft
+
+
 def need_one_or_two(alone: float | None, pair: tuple[float | None, float | None], *, either: str,
                     both: str) -> None:
     """
