@@ -34,8 +34,8 @@ class Cloud:
     """particle of each point, shape (points,); None for points anywhere on the cloth"""
 
 
-def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str | None = None,
-                start: float = 0.0, duration: float | None = None) -> list[Cloud]:
+def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str | None,
+                start: float, duration: float | None) -> list[Cloud]:
     """
     Return the clouds of a recording.
 

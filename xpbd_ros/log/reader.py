@@ -170,7 +170,7 @@ class LogReader:
             channel.metadata.get('topic_type_hash', ''))
 
 
-def scanned(path: Path, unchecked: bool = False) -> Scan:
+def scanned(path: Path, unchecked: bool) -> Scan:
     """Return the scan of a file; raise InputError if it cannot be read."""
     try:
         with open(path, 'rb') as file:

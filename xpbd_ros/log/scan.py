@@ -82,7 +82,7 @@ class Scan:
 
     """
 
-    def __init__(self, file: BinaryIO, path: object, *, unchecked: bool = False):
+    def __init__(self, file: BinaryIO, path: object, *, unchecked: bool):
         self.spans: list[Span] = []
         self.counts: Counter[int] = Counter()
         self.frames: set[int] = set()

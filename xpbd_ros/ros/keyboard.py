@@ -17,7 +17,7 @@ KEYS = {b' ': 'space', b'\x1b[A': 'up', b'\x1b[B': 'down', b'\x1b[C': 'right'}
 
 
 @contextmanager
-def pressed_keys(wanted: bool = True) -> Iterator[Callable[[], list[str]] | None]:
+def pressed_keys(wanted: bool) -> Iterator[Callable[[], list[str]] | None]:
     """Yield a function that returns the keys pressed since its last call; None without one."""
     if not wanted or termios is None or not sys.stdin or not sys.stdin.isatty():
         yield None

@@ -43,7 +43,7 @@ class Stepper(threading.Thread):
     def __init__(self, step: Callable[[Callable[[], int] | None], None],
                  idle: Callable[[], None], failed: Callable[[Exception], None],
                  jumped: Callable[[int], None], *, now_ns: Callable[[], int],
-                 frame_ns: Callable[[int], int], mode: str, poll: float = IDLE):
+                 frame_ns: Callable[[int], int], mode: str, poll: float):
         super().__init__(name='stepper', daemon=True)
         self.mode = mode
         self.playing = True

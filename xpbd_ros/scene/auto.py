@@ -98,7 +98,7 @@ def _as_stored(solver: Solver, state, frame_dt: float) -> Solver:
     return solver
 
 
-def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool = False) -> Solver:
+def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool) -> Solver:
     """
     Choose what the scene leaves open: method, integrator, substeps.
 

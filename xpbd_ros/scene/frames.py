@@ -11,7 +11,7 @@ PREFIX = 'topic:'
 """of a ``frame`` that stands for a topic; TF frames do not begin with it"""
 
 
-def topic_frame(topic: str, joint: str | None = None) -> str:
+def topic_frame(topic: str, joint: str | None) -> str:
     """Return the ``frame`` that stands for a topic, and for one joint of its messages."""
     return f'{PREFIX}{topic}' if joint is None else f'{PREFIX}{topic}:{joint}'
 

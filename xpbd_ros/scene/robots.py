@@ -108,7 +108,7 @@ class Robot:
                         self.keys.frame_timeout, gripper.radius)
 
 
-def with_robots(raw: dict, folder: Path, topic_text: TopicText | None = None) -> tuple[
+def with_robots(raw: dict, folder: Path, topic_text: TopicText | None) -> tuple[
         dict, dict[str, Robot]]:
     """
     Return a scene's mapping with its robots as colliders, and the robots by name.

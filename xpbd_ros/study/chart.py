@@ -9,7 +9,7 @@ INK, MUTED = '#1f2328', '#6b737c'
 COLOURS = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c', '#3c8a8a', '#b55f96')
 
 
-def page(width: float = 8.0, height: float = 5.0, *, rows: int = 1, columns: int = 1):
+def page(width: float, height: float, *, rows: int = 1, columns: int = 1):
     """Return a figure [inches] and its axes, shape (rows, columns)."""
     figure = Figure(figsize=(width, height), dpi=150, facecolor='white', layout='constrained')
     FigureCanvasAgg(figure)

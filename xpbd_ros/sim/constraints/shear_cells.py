@@ -118,7 +118,7 @@ def cells(rows: int, columns: int) -> list[Shape]:
     return [Shape(((0, 0), (1, 1), (0, 1), (1, 0)), range(rows - 1), range(columns - 1), 0)]
 
 
-def slants(blocks: list[Block], compliance: list, *, world, time: list | None = None) -> Slant:
+def slants(blocks: list[Block], compliance: list, *, world, time: list | None) -> Slant:
     """
     Return the shear constraints of grids for the kernels.
 

@@ -83,7 +83,7 @@ class Colliders(NamedTuple):
     shape (capacity,); None in a scene without pads"""
 
 
-def new_colliders(capacity: int, nodes: int = 0, places: int = 0, *,
+def new_colliders(capacity: int, nodes: int, places: int, *,
                   pads: bool = False) -> Colliders:
     """Return an empty set with capacity for colliders, grid nodes and height field nodes."""
     poses = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], (capacity, 1))

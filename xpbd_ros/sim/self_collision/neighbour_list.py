@@ -166,8 +166,8 @@ def spacing_of(cloths) -> float:
 
 
 def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
-                       kin: np.ndarray | None = None, threads: int = 1,
-                       on_device: bool = False, springs: bool = False) -> NeighbourList:
+                       kin: np.ndarray | None, threads: int, on_device: bool, *,
+                       springs: bool) -> NeighbourList:
     """
     Return an empty list.
 

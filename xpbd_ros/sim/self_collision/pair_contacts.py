@@ -117,7 +117,7 @@ class PairContacts(NamedTuple):
     """None in a scene without pads"""
 
 
-def new_pair_contacts(room: int, particles: int, threads: int = 1) -> PairContacts:
+def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
     """Return no pairs, with the capacity of ``room``; as many threads of a CPU group them."""
     room = (room + 4 * PACK - 1) // PACK * PACK    # the last group of each kind may not be full
 

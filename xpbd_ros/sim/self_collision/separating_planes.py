@@ -58,7 +58,7 @@ class Planes(NamedTuple):
     """scratch: vectors between closest points by lanes [m], shape (3, PACK)"""
 
 
-def new_planes(room: int, particles: int, slots: int, threads: int = 1) -> Planes:
+def new_planes(room: int, particles: int, slots: int, threads: int) -> Planes:
     """Return an empty list with the capacity of ``room`` pairs, for as many threads."""
     return Planes(np.zeros(1, np.int64), np.zeros(-(-room // PACK), np.int32),
                   np.zeros(room, np.int64), np.zeros((room, 4), np.int64), np.zeros((room, 3)),

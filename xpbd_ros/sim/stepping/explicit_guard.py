@@ -50,8 +50,8 @@ class EdgeProbe(NamedTuple):
     """as of edges, shape (cells,)"""
 
 
-def probed_edges(lists: Sequence, cells: Sequence = (),
-                 sides: Sequence[tuple[np.ndarray, np.ndarray]] = ()) -> EdgeProbe:
+def probed_edges(lists: Sequence, cells: Sequence,
+                 sides: Sequence[tuple[np.ndarray, np.ndarray]]) -> EdgeProbe:
     """
     Return what to look at.
 

@@ -135,7 +135,7 @@ def stage(stub: Callable, kind: type, *, shared: bool | Callable = False,
     return register
 
 
-def stage_of_sweeps(kind: type, kernel: Callable, *, shared: bool | Callable = False) -> None:
+def stage_of_sweeps(kind: type, kernel: Callable, *, shared: Callable) -> None:
     """
     Register one kernel for ``project`` and ``project_back``.
 
