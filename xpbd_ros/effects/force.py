@@ -19,7 +19,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import fma, lanes, load, select, store
 from xpbd_ros.sim.backend.threads import turns_on_device
-from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.effect import Built, cloth_of, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.history import step_of
 from xpbd_ros.sim.particles.memory_layout import zeros
@@ -110,15 +110,12 @@ class BuiltForce(Built):
     def __init__(self, parameters, world):
         super().__init__()
         state, cloths = world.state, {cloth.name: cloth for cloth in world.cloths}
-        if parameters.cloth is not None and parameters.cloth not in cloths:
-            raise InputError(f"effects.force.cloth: unknown cloth '{parameters.cloth}' "
-                             f'(known: {", ".join(cloths)})')
         if parameters.cloth is None:
             slots = np.concatenate([cloth.slots for cloth in world.cloths])
-        elif parameters.at is None:
-            slots = cloths[parameters.cloth].slots
         else:
-            slots = cloths[parameters.cloth].at(parameters.at, 'effects.force.at')
+            cloth = cloth_of(cloths, parameters.cloth, 'effects.force.cloth')
+            slots = (cloth.slots if parameters.at is None
+                     else cloth.at(parameters.at, 'effects.force.at'))
         mass = state.mass[slots].astype(float)
         if parameters.per_particle is not None:
             force_, share = parameters.per_particle, np.ones(len(slots))

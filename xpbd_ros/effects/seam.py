@@ -28,7 +28,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.constraints.projection import max_compliance
-from xpbd_ros.sim.effect import Built, Cloth, Effect
+from xpbd_ros.sim.effect import Built, Cloth, cloth_of, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -228,10 +228,7 @@ class BuiltSeam(Built):
 
 def side_of(cloths: dict[str, Cloth], side: Side, path: str) -> np.ndarray:
     """Return the slots of one side, in its order."""
-    if side.cloth not in cloths:
-        raise InputError(f"{path}.cloth: unknown cloth '{side.cloth}' "
-                         f'(known: {", ".join(cloths)})')
-    cloth = cloths[side.cloth]
+    cloth = cloth_of(cloths, side.cloth, f'{path}.cloth')
     slots = cloth.at(side.at, f'{path}.at')
     if isinstance(side.at, str):
         return slots

@@ -56,6 +56,13 @@ class Cloth:
         return self.slots[np.unique(np.array(place, np.int64))]
 
 
+def cloth_of(cloths: Mapping[str, Cloth], name: str, path: str) -> Cloth:
+    """Return a cloth by name; raise InputError, with the key ``path``, if there is none."""
+    if name not in cloths:
+        raise InputError(f"{path}: unknown cloth '{name}' (known: {', '.join(cloths)})")
+    return cloths[name]
+
+
 @dataclass(frozen=True)
 class Clock:
     """The frame that is about to be computed."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import Pose
-from xpbd_ros.sim.effect import Cloth
+from xpbd_ros.sim.effect import Cloth, cloth_of
 from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.geometry.quaternion import conjugate, rotate, turns
 from xpbd_ros.sim.particles.state import places
@@ -135,10 +135,7 @@ def chosen(name: str, entry, cloths: dict[str, Cloth], x: np.ndarray) -> np.ndar
     x : positions of all slots [m], shape (3, slots)
 
     """
-    if entry.cloth not in cloths:
-        raise InputError(f"pins.{name}.cloth: unknown cloth '{entry.cloth}' "
-                         f'(known: {", ".join(cloths)})')
-    cloth = cloths[entry.cloth]
+    cloth = cloth_of(cloths, entry.cloth, f'pins.{name}.cloth')
     if entry.near is not None:
         there = cloth.slots
         distance = length(places(x, there) - entry.near)
