@@ -115,7 +115,11 @@ def test_tetrahedra(name, tmp_path, meshio):
     ('m.ply', 'hello', 'cannot be read as a mesh (Expected ply'),
     ('m.stl', 'hello', 'cannot be read as a mesh (could not convert'),
     ('m.xyz', 'hello', 'cannot be read as a mesh (Could not deduce file format'),
-    ('m.vtk', '', 'cannot be read as a mesh (')])
+    ('m.vtk', '', 'cannot be read as a mesh ('),
+    ('m.stl', '', 'cannot be read as a mesh (it has no points)'),
+    ('m.ply', 'ply\nformat ascii 1.0\nelement vertex 3\n',
+     'cannot be read as a mesh (its header is cut off)'),
+    ('m.OFF', 'OFF\n# of a program\n\n', 'cannot be read as a mesh (its header is cut off)')])
 def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, capfd, meshio):
     path = written(tmp_path, text, name)
     with pytest.raises(InputError) as error:
@@ -123,6 +127,15 @@ def test_what_is_no_mesh_is_refused_in_one_line(name, text, reason, tmp_path, ca
     assert str(error.value).startswith(f'{path}: {reason}')
     assert '\n' not in str(error.value)
     assert capfd.readouterr() == ('', '')
+
+
+def test_a_face_without_corners_has_no_triangles(tmp_path, meshio):
+    corners = '\n'.join(' '.join(map(str, corner)) for corner in SQUARE)
+    path = written(tmp_path, 'ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\n'
+                   'property float y\nproperty float z\nelement face 2\n'
+                   'property list uchar int vertex_indices\nend_header\n'
+                   f'{corners}\n4 0 1 2 3\n0\n', 'm.ply')
+    np.testing.assert_array_equal(read_mesh_file(path)[1], [[0, 1, 2], [0, 2, 3]])
 
 
 def test_cells_that_cannot_be_simulated_are_refused(tmp_path, meshio):

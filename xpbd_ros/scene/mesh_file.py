@@ -17,6 +17,9 @@ from xpbd_ros.scene.polygons import triangulated
 
 USED = ('triangle', 'quad', 'polygon', 'tetra')
 IGNORED = ('vertex', 'line')
+HEADERS = {'.ply': (b'ply', lambda line: line == b'end_header'),
+           '.off': (b'OFF', lambda line: line[:1] not in (b'', b'#'))}
+"""first line of a format, and whether a later one ends its header"""
 
 
 def read_mesh_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -80,12 +83,22 @@ def _read_obj(path: Path):
             np.zeros((0, 4), np.int64))
 
 
+def _require_header(path: Path) -> None:
+    """Raise InputError if a header is cut off: meshio would never stop at the end of the file."""
+    first, is_last = HEADERS.get(path.suffix.lower(), (None, None))
+    if is_last is not None:
+        with path.open('rb') as file:
+            if file.readline().strip() == first and not any(is_last(n.strip()) for n in file):
+                raise InputError(f'{path}: cannot be read as a mesh (its header is cut off)')
+
+
 def _read_with_meshio(path: Path):
     try:
         import meshio
     except ImportError:
         raise InputError(f'{path}: only .obj files can be read without meshio; install it: pip '
                          'install meshio (or apt install python3-meshio)') from None
+    _require_header(path)
     said = io.StringIO()
     try:
         with warnings.catch_warnings(), redirect_stdout(said), redirect_stderr(said):
@@ -98,6 +111,8 @@ def _read_with_meshio(path: Path):
         reason = ' '.join(reason.replace('Error:', '').split())
         raise InputError(f'{path}: cannot be read as a mesh ({reason})') from None
     points = np.asarray(found.points, float)
+    if points.ndim != 2:    # meshio's for a file without any
+        raise InputError(f'{path}: cannot be read as a mesh (it has no points)')
     vertices = np.zeros((len(points), 3))
     vertices[:, :points.shape[1]] = points
     polygons: list[list[int]] = []

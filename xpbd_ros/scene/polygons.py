@@ -40,7 +40,7 @@ def triangulated(vertices: np.ndarray, polygons: Sequence[Sequence[int]],
 def _overlapping(vertices: np.ndarray, polygons, fans: list) -> list[int]:
     """Return the indices of fans with triangles against the polygon's vector area."""
     large = [k for k, fan in enumerate(fans) if len(fan) > 1]
-    if not large or max(map(max, polygons)) >= len(vertices):    # surface_mesh refuses these
+    if not large or max(max(polygons[k]) for k in large) >= len(vertices):    # refused later
         return []
     owner = np.repeat(np.arange(len(large)), [len(fans[k]) for k in large])
     x = vertices[np.array([triangle for k in large for triangle in fans[k]])]
