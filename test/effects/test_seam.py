@@ -122,6 +122,25 @@ def test_a_seam_keeps_momentum(compliance):
         np.testing.assert_allclose(one, other, atol=1e-15)
 
 
+def test_the_energy_of_an_open_seam_is_not_taken_for_instability():
+    """Two cloths at rest are drawn together, and swing as with steps of backward Euler."""
+    simulation = scene({'a': A, 'b': A}, seam(list(range(12)), list(range(12)),
+                                              compliance=COMPLIANCE),
+                       gravity=0.0, damping=0.0, method='explicit', integrator='leapfrog',
+                       substeps=100)
+    for cloth in simulation.cloths:
+        simulation.state.mass[cloth.slots] = 0.0025
+        simulation.state.inv_mass[cloth.slots] = 400.0
+    simulation.state.x[1, simulation.cloths[1].slots] += 0.02
+    start = simulation.effects['seam'].stored_energy(simulation.state)
+    assert start == pytest.approx(0.5 * 0.02**2 / COMPLIANCE)
+    y = run(simulation, 12).x[:, 1]
+    assert simulation.stats()['explicit_redone'] == 0
+    omega, h = (2.0 * 400.0 / (12.0 * COMPLIANCE))**0.5, 1.0 / 6000.0
+    expected = 0.02 * (1.0 + (omega * h)**2)**-600.0 * np.cos(0.2 * omega)
+    assert (y[12:] - y[:12]).mean() == pytest.approx(expected, abs=2e-4)
+
+
 def test_a_seam_that_starts_open_closes_slowly():
     """A tube of one cloth: its edges are 0.3 m apart at first."""
     simulation = scene({'a': ((4, 9), (0.2, 0.3), (0.0, 0.0, 0.0))},

@@ -130,6 +130,27 @@ def test_energy_stays_within_a_thousandth_for_ten_seconds():
     assert simulation.stats()['explicit_redone'] < 6    # where the cloth snaps
 
 
+@pytest.mark.parametrize('effect, mesh', [('bend', False), slow('bend', True), ('hinge', True),
+                                          slow('hinge', False)])
+def test_the_energy_of_a_rolled_sheet_is_not_taken_for_instability(effect, mesh):
+    """It unrolls at rest, without weight: all of its energy is that of bending."""
+    simulation = simulate((6, 5), mesh=mesh, density=0.2, gravity=(0.0, 0.0, 0.0),
+                          method='explicit', integrator='leapfrog', substeps=100, effects={
+                              'stretch': {'warp': 200.0, 'weft': 200.0},
+                              effect: {'stiffness': 0.05}})
+    x = simulation.state.x
+    x[2], x[0] = 0.3 * (1.0 - np.cos(x[0] / 0.3)), 0.3 * np.sin(x[0] / 0.3)
+    built = simulation.effects[effect]
+    start = elastic_energy(simulation)
+    assert built.stored_energy(simulation.state) == pytest.approx(
+        built.constraints.energy(x), rel=1e-12) and built.stored_energy(
+            simulation.state) > 0.8 * start
+    run(simulation, 12)
+    assert simulation.stats()['explicit_redone'] == 0
+    assert elastic_energy(simulation) + kinetic_energy(simulation.state) == pytest.approx(
+        start, rel=5e-3)
+
+
 @pytest.mark.parametrize(('angle', 'more'), [(90.0, 1.6), (10.0, 1.2)], ids=str)
 def test_the_bound_is_close_above_the_highest_frequency(angle, more):
     """Also where warp and weft pull along nearly one direction, as below a corner that holds."""

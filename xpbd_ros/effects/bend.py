@@ -175,6 +175,19 @@ def solve_hinges(bend, apart, c, x, m):
     return (k0, df), (k1, df), (k2, df), (k3, df)
 
 
+@jit
+def energy_of(particles, weight, compliance, x):
+    """Return Σ |C|² / (2 α) of constraints listed one by one [J]."""
+    total = 0.0
+    for c in range(len(particles)):
+        for a in range(3):
+            residual = 0.0
+            for k in range(particles.shape[1]):
+                residual += weight[c, k] * x[a, particles[c, k]]
+            total += residual * residual / compliance[c]
+    return 0.5 * total
+
+
 @dataclass(eq=False)
 class Linear(Constraints):
     """The constraints one by one: the definition in NumPy."""
@@ -279,6 +292,10 @@ class BuiltBend(Built):
             Linear(none.reshape(0, 4), none, none, none.reshape(0, 4)), *self.lists])
         self.rate = self.constraints.rate(world.state.mass)
         self.data, *self.also = [part._replace(rate=self.rate) for part in parts] or [None]
+
+    def stored_energy(self, state):
+        these = self.constraints
+        return energy_of(these.particles, these.weight, these.compliance, state.x)
 
 
 EFFECT = Effect('bend', Parameters, BuiltBend)

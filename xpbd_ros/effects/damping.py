@@ -8,7 +8,8 @@ The force -rate m v is evaluated at the substep's end, in closed form: from v = 
 so it has the integrator's order and is stable at any rate. A falling cloth reaches the terminal
 speed g / rate. Pins feel that of the particles that they hold.
 
-Limits: it also damps the motion of the cloth as a whole.
+Limits: it also damps the motion of the cloth as a whole. With ``explicit`` it is of first order:
+displacements have a relative error of about h rate / 2.
 """
 
 from dataclasses import dataclass

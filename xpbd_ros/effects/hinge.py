@@ -22,7 +22,7 @@ depends on the triangles: on a cylinder 1.04 to 1.43 of B (doc/numerics.md 5.7).
 """
 
 from dataclasses import dataclass, replace
-from math import pi
+from math import atan2, floor, pi, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +38,7 @@ from xpbd_ros.sim.constraints.pinned import Held
 from xpbd_ros.sim.constraints.plate_rigidity import plate, shortfall
 from xpbd_ros.sim.constraints.projection import denominator, keep, recall, xpbd_residual
 from xpbd_ros.sim.effect import Built, Effect
+from xpbd_ros.sim.geometry import closest_points as points
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
 from xpbd_ros.sim.parameters import along_both, need_one_or_two, quantity
 from xpbd_ros.sim.stepping.constraint_stages import constraint
@@ -120,6 +121,24 @@ def solve_hinge(hinge, apart, c, x, m):
     return (df, fma3(s1, u, s2 * v)), (df, fma3(t1, u, t2 * v)), (dl, u), (dl, v)
 
 
+@jit
+def energy_of(hinge, x):
+    """Return Σ C² / (2 α) [J]."""
+    total = 0.0
+    for c in range(hinge.particles.shape[1]):
+        p0, p1, p2, p3 = hinge.particles[:, c]
+        if p0 == p1:    # an empty place of a pack
+            continue
+        e = (x[0, p1] - x[0, p0], x[1, p1] - x[1, p0], x[2, p1] - x[2, p0])
+        a = (x[0, p2] - x[0, p0], x[1, p2] - x[1, p0], x[2, p2] - x[2, p0])
+        b = (x[0, p3] - x[0, p0], x[1, p3] - x[1, p0], x[2, p3] - x[2, p0])
+        n1, n2 = points.cross(e, a), points.cross(b, e)
+        angle = atan2(-sqrt(points.dot(e, e)) * points.dot(n1, b), points.dot(n1, n2))
+        angle += 2.0 * pi * floor((hinge.angle[c] - angle) / (2.0 * pi) + 0.5)
+        total += (angle - hinge.rest_angle[c])**2 / hinge.compliance[c]
+    return 0.5 * total
+
+
 @dataclass(eq=False)
 class Angles(Constraints):
     """The hinges one by one: the definition in NumPy."""
@@ -180,6 +199,9 @@ class BuiltHinge(Built):
                           compliance=packing.compliance(compliance), angle=packing.column(rest))
         self._before = self.data.angle.copy()
         self.constraints = Angles.of(self.data)
+
+    def stored_energy(self, state):
+        return energy_of(self.data, state.x)
 
     def read_by_frame(self):
         return self.data.angle,

@@ -242,7 +242,7 @@ class Built:
         return 0.0, 0.0
 
     def stored_energy(self, state: State) -> float:
-        """Return the elastic energy of what stretches without edges [J] (``explicit_guard``)."""
+        """Return the energy of what is no edge or oblong cell [J] (``explicit_guard``)."""
         return 0.0
 
     def work(self, state: State, dt: float) -> float:
