@@ -92,7 +92,7 @@ def test_machine_code_holds_the_kernels_of_the_scene_only(scenes, tmp_path):
         assert not seen['cached']
         assert seen['kernels'] == kernels(names, kinds=seen['data'], without=(
             stages.accumulate_reactions, stages.project_back, stages.solve_lines,
-            stages.add_explicit_forces, stages.react_to_half_kick))
+            stages.add_explicit_forces, stages.damp_half_kick, stages.react_to_half_kick))
         assert seen['imported'] == [f'xpbd_ros.effects.{name}' for name in names]
         assert [name.lower() for name in seen['data']] == list(names)
         assert not seen['reaction']

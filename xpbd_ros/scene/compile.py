@@ -100,7 +100,7 @@ def compile_scene(scene: Scene) -> Simulation:
                      for text in cloth.mesh.notes),
                    *(text for built in effects.values() for text in built.notes),
                    *_too_coarse(cloths, state),
-                   *_too_few(solver, effects, state, float(1 / frame_rate(scene))),
+                   *_too_few(solver, effects, state, frame_dt),
                    *weak_grips(scene, cloths, rough.method, rough.substeps),
                    *_too_short(state, h)])
     except ArithmeticError as error:

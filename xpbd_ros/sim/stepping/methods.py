@@ -11,8 +11,8 @@ turned while the lines were solved.
 the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are
 those where the substep starts.
 Where a frame begins and ends, v is moved by half of what acts there (``add_explicit_forces`` adds
-forces without a projection), which pins and colliders feel; that half is left out for ``damping``,
-``strain_limit`` and ``tether``.
+forces without a projection, ``damp_half_kick`` damps their sum), which pins and colliders feel;
+that half is left out for ``strain_limit`` and ``tether``.
 """
 
 from typing import NamedTuple
@@ -31,6 +31,7 @@ from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping import constraint_stages
 from xpbd_ros.sim.stepping.stages import (
     add_explicit_forces,
+    damp_half_kick,
     kernel_of,
     lap_integration,
     project,
@@ -224,6 +225,7 @@ def kick(effects, state, substep):
     set_mobility(state, substep.h)
     project(effects, state, substep)
     add_explicit_forces(effects, state, substep)
+    damp_half_kick(effects, state, substep)
     react_to_half_kick(effects, state, substep)
     half_kick(state, substep.h, half_of(substep))
     lap_integration(effects, state)

@@ -75,6 +75,10 @@ def add_explicit_forces(effects, state, substep):
     """
 
 
+def damp_half_kick(effects, state, substep):
+    """Damp the moves that all effects have added up in ``add_explicit_forces``."""
+
+
 def accumulate_reactions(effects, state, substep):
     """
     Add up the forces on pinned particles; compiled only where ``state.reaction`` exists.
@@ -254,7 +258,7 @@ _tells_of(force, has_force)
 _tells_of(are_inequalities_unmet, may_repeat_inequalities)
 _tells_of(finish, has_finish)
 for _stub in (force, prepare, project, project_inequalities, limit_motion, finish,
-              add_explicit_forces, accumulate_impulses):
+              add_explicit_forces, damp_half_kick, accumulate_impulses):
     walk(_stub, lambda effect, state, stub=_stub: kernel_of(stub, effect),
          opens=_stub is project)
 walk(project_back, lambda effect, state: kernel_of(project_back, effect), backwards=True)
