@@ -245,6 +245,8 @@ def test_points_near_a_surface_are_measured_to_the_closest_point():
     (('--vary', 'cloths.c.friction', '--duration', '0'),
      '--duration: must be at least a frame (0.0167 s; got 0 s); leave it out'),
     (('--vary', 'solver.method'), 'is not a number in the scene'),
+    (('--vary', 'cloths.c.friction', '--set', 'cloths.c.grid.resolution=[5, 1]'),
+     "36 points are not the 5 particles of 'c', which has no triangles"),
 ])
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):
     scene = record(FRICTION.replace('0.5\n', '0.05\n', 1), tmp_path / 'slope')

@@ -52,8 +52,8 @@ def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str |
 
     Raises
     ------
-    InputError : no such topic, a cloud in another TF frame or of another clock, or none after the
-                 start
+    InputError : no such topic, a cloud in another TF frame or of another clock, none after the
+                 start, or points of the surface of a cloth without triangles
 
     """
     reader = LogReader(log)
@@ -79,10 +79,14 @@ def read_clouds(log: str, scene: Scene, cloths: Sequence[Cloth], *, topic: str |
             points = points_of(cloud).reshape(-1, 3)
         except InputError as error:
             raise InputError(f'{reader.path}: {message.topic}: {error}') from None
-        particles = (np.arange(len(points))
-                     if len(points) == len(cloths[cloth].mesh.positions) else None)
+        mesh = cloths[cloth].mesh
+        particles = np.arange(len(points)) if len(points) == len(mesh.positions) else None
         there = np.flatnonzero(np.isfinite(points).all(1))
         if particles is None:
+            if not len(mesh.triangles):
+                raise InputError(f'{reader.path}: {message.topic}: {len(points)} points are not '
+                                 f"the {len(mesh.positions)} particles of '{cloths[cloth].name}', "
+                                 'which has no triangles')
             there = _spread(there, MOST_POINTS)
         if len(there):
             found.append(Cloud(frame, cloth, points[there],
