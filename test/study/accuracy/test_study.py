@@ -5,6 +5,7 @@ from dataclasses import replace
 import json
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,13 +23,14 @@ from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.accuracy import study
 from xpbd_ros.study.accuracy.baselines import Baseline, refusal
 from xpbd_ros.study.accuracy.choose import recommend, Row, SHAPE
+from xpbd_ros.study.accuracy.errors import errors
 from xpbd_ros.study.accuracy.job import Job
 from xpbd_ros.study.accuracy.measure import remarks, without_solver
 from xpbd_ros.study.accuracy.picture import draw
 from xpbd_ros.study.accuracy.report import facts, settings_text, write_csv, write_page
 from xpbd_ros.study.accuracy.results_store import FILE
 from xpbd_ros.study.accuracy.solver_setting import BASELINES, ladder, Setting, with_solver
-from xpbd_ros.study.accuracy.trajectory import play
+from xpbd_ros.study.accuracy.trajectory import play, Trajectory
 from xpbd_ros.study.accuracy.truth import extrapolated, independent, own_rungs, Truth
 
 FRAMES = 24
@@ -129,6 +131,13 @@ def test_a_run_that_is_not_finite_is_listed_with_its_reason(found, folder):
     assert not errors.finite
     listed = lines(replace(found, rows=[*found.rows, Row(setting, errors)]), None, 1.0)
     assert f'  left out: mass_spring symplectic_euler 1×1: {errors.note}' in listed
+
+
+def test_a_run_with_redone_frames_says_too_that_it_is_not_finite():
+    track = Trajectory({}, *np.zeros((3, 4)), np.zeros((4, 1)), {}, ended=3, redone=2)
+    truth = SimpleNamespace(frames=(), most_kinetic=1.0)
+    assert errors(track, truth, None, 0.1).note == (
+        'not finite after 0.2 s; 2 of 3 frames computed with line')
 
 
 def test_only_xpbd_converges_not_decayed_multipliers_or_pbd(found):

@@ -60,15 +60,15 @@ def errors(track: Trajectory, truth: Truth, edges: Edges, dt: float) -> Errors:
                   float((track.energy[frame] - truth.energy[k]) / kinetic))
         for column, value in zip(found, values):
             column.append(value)
-    note = ''
+    notes = []
     if track.ended is not None:
-        note = f'not finite after {max(0, track.ended - 1) * dt:.3g} s'
+        notes.append(f'not finite after {max(0, track.ended - 1) * dt:.3g} s')
         means = (NAN, NAN, NAN)
     else:
         off = differences(settled(track), (truth.heights, truth.strain, truth.mean_energy))
         means = (float(off[0]), float(off[1]), float(off[2] / kinetic))
     if track.redone:
-        note = f'{track.redone} of {len(track.kinetic) - 1} frames computed with line'
+        notes.append(f'{track.redone} of {len(track.kinetic) - 1} frames computed with line')
     residual = track.residual.get(int(truth.frames[-1])) if len(truth.frames) else None
     rms_m, max_m, strains, energies = (tuple(column) for column in found)
-    return Errors(rms_m, max_m, strains, energies, residual, *means, note)
+    return Errors(rms_m, max_m, strains, energies, residual, *means, '; '.join(notes))
