@@ -41,7 +41,7 @@ class PoseSource(Protocol):
         """Return the time of the latest pose [ns]; 0 for a static one."""
 
     def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
-        """Return the pose of ``source`` in ``frame`` at a time [ns]."""
+        """Return the pose of the TF frame ``source`` in ``frame`` at a time [ns]."""
 
 
 @dataclass
@@ -50,14 +50,14 @@ class Part:
 
     about: Follower
     absent: bool = False
-    """True of a collider that was removed until its frame is known"""
+    """True of a collider that was removed until its TF frame is known"""
     lost: bool = False
-    """True of a pin that was released because its frame was silent"""
+    """True of a pin that was released because its TF frame was silent"""
 
 
 @dataclass
 class Track:
-    """One followed frame, with the parts that have the same source and timeout."""
+    """One followed TF frame, with the parts that have the same source and timeout."""
 
     source: PoseSource
     frame: str
@@ -65,7 +65,7 @@ class Track:
     """[s]"""
     parts: list[Part] = field(default_factory=list)
     pose: Pose | None = None
-    """latest pose in the scene's frame; None until the frame is known"""
+    """latest pose in the scene's TF frame; None until it is known"""
     stamp_ns: int = 0
     seen_ns: int | None = None
     """time of the latest change, on the follower's clock [ns]"""
@@ -75,7 +75,7 @@ class Track:
     """why the latest lookup failed; empty if it did not"""
 
     def look(self, frame_id: str, now_ns: int) -> bool:
-        """Look the frame up; return whether there is a new pose."""
+        """Look the TF frame up; return whether there is a new pose."""
         if self.seen_ns is None or self.seen_ns > now_ns:    # or the clock went back
             self.seen_ns = now_ns
         try:
@@ -93,7 +93,7 @@ class Track:
 
     @property
     def label(self) -> str:
-        """Name of the frame in reports; of a topic its joint, empty if it has only one."""
+        """Name of the TF frame in reports; of a topic its joint, empty if it has only one."""
         topic = topic_of_frame(self.frame)
         return self.frame if topic is None else topic[1] or ''
 
@@ -112,7 +112,7 @@ class FrameFollower:
     frame_id : TF frame of the scene
     sources : each follower with the source of its poses
     now_ns : clock that silence is measured with [ns]
-    warn, tell : are given each warning, and each return of a silent frame
+    warn, tell : are given each warning, and each return of a silent TF frame
 
     """
 
@@ -198,7 +198,7 @@ class FrameFollower:
         return MovePin(about.name, pose, None, track.stamp_ns) if can_move else None
 
     def let_go(self, pin: str) -> None:
-        """Do not grasp again when a pin's frame is back: its gripper is open."""
+        """Do not grasp again when a pin's TF frame is back: its gripper is open."""
         for track in self._tracks:
             for part in track.parts:
                 if part.about.name == pin and part.about.section == 'pins':
@@ -212,7 +212,7 @@ class FrameFollower:
         return self._simulation.effects[effect]
 
     def _report(self, silent: list[Track], back: list[Track]) -> None:
-        """Warn about frames that fell silent or returned, in one line for each source."""
+        """Warn about TF frames that fell silent or returned, in one line for each source."""
         for name, tracks in _by_source(silent):
             unknown = [track for track in tracks if track.pose is None]
             if unknown:
@@ -230,13 +230,13 @@ class FrameFollower:
 
     @property
     def finding(self) -> str:
-        """Present warning for ``/diagnostics``; empty if no frame is silent."""
+        """Present warning for ``/diagnostics``; empty if no TF frame is silent."""
         silent = [track for track in self._tracks if track.silent]
         return '; '.join(f'{name}: {_frames(tracks, " ")}silent: {self._parts(tracks)}'
                          for name, tracks in _by_source(silent))
 
     def _parts(self, tracks: list[Track]) -> str:
-        """Return the state of the parts of silent frames, such as 'collider a held'."""
+        """Return the state of the parts of silent TF frames, such as 'collider a held'."""
         return ', '.join(f'{part.about.section.removesuffix("s")} {part.about.name} '
                          f'{self._state(part)}' for track in tracks for part in track.parts)
 
@@ -249,7 +249,7 @@ class FrameFollower:
         return 'held' if held else 'holds nothing'
 
     def diagnostics(self) -> dict[str, float]:
-        """Return the age of each followed frame's latest transform [s]."""
+        """Return the age of each followed TF frame's latest transform [s]."""
         now_ns = self._now_ns()
         return {f'frame_age_s {track.frame}': track.silence(now_ns) for track in self._tracks}
 
@@ -261,6 +261,6 @@ def _by_source(tracks: list[Track]) -> list[tuple[str, list[Track]]]:
 
 
 def _frames(tracks: list[Track], end: str = '') -> str:
-    """Return the names of frames with ``end`` behind them; nothing if they have none."""
+    """Return the names of TF frames with ``end`` behind them; nothing if they have none."""
     names = ', '.join(filter(None, (track.label for track in tracks)))
     return names + end if names else ''
