@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from xpbd_ros.study.edges import Edges
 from xpbd_ros.study.stress import all_hard, FAMILIES
 from xpbd_ros.study.stress.case import Setting
 from xpbd_ros.study.stress.run import columns, draw, is_quick, NODE_CASES, stress
@@ -53,8 +54,8 @@ def test_the_textbook_solver_fails_what_it_must():
 
 def track(strain, energy, *, dt=0.1) -> Trajectory:
     """Return two particles on one edge with these strains."""
-    found = Trajectory(dt, np.array([[0, 1]]), np.ones(1), np.ones(2, bool),
-                  np.zeros((0, 3), np.int64), (np.zeros((0, 4), np.int64), np.zeros(0)))
+    found = Trajectory(dt, Edges(np.array([[0, 1]]), np.ones(1)), np.ones(2, bool),
+                       np.zeros((0, 3), np.int64), (np.zeros((0, 4), np.int64), np.zeros(0)))
     for e in strain:
         found.x.append(np.array([[0.0, 0.0, 0.0], [1.0 + e, 0.0, 0.0]]))
         found.v.append(np.zeros((2, 3)))

@@ -5,8 +5,9 @@ import math
 
 import numpy as np
 
-from xpbd_ros.study.accuracy.trajectory import Edges, Trajectory
+from xpbd_ros.study.accuracy.trajectory import Trajectory
 from xpbd_ros.study.accuracy.truth import differences, settled, Truth
+from xpbd_ros.study.edges import Edges
 from xpbd_ros.study.reference import rms
 
 NAN = math.nan

@@ -12,8 +12,9 @@ from xpbd_ros.scene.model import Scene
 from xpbd_ros.study.accuracy.baselines import Baseline
 from xpbd_ros.study.accuracy.errors import Errors, errors
 from xpbd_ros.study.accuracy.solver_setting import default_solver, Setting, with_solver
-from xpbd_ros.study.accuracy.trajectory import Edges, play, Trajectory
+from xpbd_ros.study.accuracy.trajectory import play, Trajectory
 from xpbd_ros.study.accuracy.truth import push, size_of, Truth
+from xpbd_ros.study.edges import edges_of
 from xpbd_ros.study.reference import limit, problem_of, Reference
 
 TRUTH = 'truth.npz'
@@ -63,7 +64,7 @@ class Job:
             return Errors(note=str(error).removeprefix(f'{self.scene.where}: '))
         track = play(simulation, self.frames, commands=self.commands,
                      kept=[int(frame) for frame in truth.frames])
-        found = errors(track, truth, Edges(simulation), simulation.frame_dt)
+        found = errors(track, truth, edges_of(simulation), simulation.frame_dt)
         return replace(found, residual_m=None) if setting.is_baseline else found
 
     def reference(self, frame: int) -> Reference:

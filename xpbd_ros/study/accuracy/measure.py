@@ -39,7 +39,7 @@ from xpbd_ros.study.accuracy.solver_setting import (
     with_solver,
 )
 from xpbd_ros.study.accuracy.timing import time_frames, Timing
-from xpbd_ros.study.accuracy.trajectory import Edges, play
+from xpbd_ros.study.accuracy.trajectory import play
 from xpbd_ros.study.accuracy.truth import (
     AGREED,
     CHAOTIC,
@@ -54,6 +54,7 @@ from xpbd_ros.study.accuracy.truth import (
     times_of,
     Truth,
 )
+from xpbd_ros.study.edges import edges_of
 from xpbd_ros.study.machine import machine
 from xpbd_ros.study.parallel import run_tasks
 
@@ -265,5 +266,5 @@ def again(scene: Scene, truth: Truth, frames: int, commands: dict[int, list],
     simulation = compile_scene(scene)
     track = play(simulation, frames, commands=commands,
                  kept=[int(frame) for frame in truth.frames])
-    return errors(track, truth, Edges(simulation), simulation.frame_dt), timing
+    return errors(track, truth, edges_of(simulation), simulation.frame_dt), timing
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from xpbd_ros.sim.geometry.mesh import length
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.edges import Edges, edges_of
 
 
 @dataclass(eq=False)
@@ -30,29 +30,6 @@ class Trajectory:
     """first frame that was not finite; None if all were"""
     redone: int = 0
     """frames of ``explicit`` that were computed again with ``line``"""
-
-
-class Edges:
-    """The edges whose strain is measured: all of a mesh, those along warp and weft of a grid."""
-
-    def __init__(self, simulation: Simulation):
-        pairs, rest = [np.zeros((0, 2), np.int64)], [np.zeros(0)]
-        for cloth in simulation.cloths:
-            mesh = cloth.mesh
-            if mesh.grid is None:
-                ends = mesh.edges
-            else:
-                ends = np.concatenate([
-                    np.stack([lines[:, :-1].ravel(), lines[:, 1:].ravel()], 1)
-                    for lines in (mesh.grid, mesh.grid.T)])
-            pairs.append(cloth.first + ends)
-            rest.append(length(mesh.positions[ends[:, 0]] - mesh.positions[ends[:, 1]]))
-        self.particles, self.rest = np.concatenate(pairs), np.concatenate(rest)
-
-    def strain(self, x: np.ndarray) -> np.ndarray:
-        """Return l / L - 1, shape (edges,), at positions ``x`` in natural order [m]."""
-        i, j = self.particles.T
-        return length(x[i] - x[j]) / self.rest - 1.0
 
 
 class Recorder:
@@ -105,7 +82,7 @@ def play(simulation: Simulation, frames: int, *, commands: dict[int, list] | Non
 
     """
     commands = commands or {}
-    recorder = Recorder(Edges(simulation), frames, len(simulation.slot), kept)
+    recorder = Recorder(edges_of(simulation), frames, len(simulation.slot), kept)
     frame = simulation.frame()
     with np.errstate(all='ignore'):
         for index in range(frames + 1):

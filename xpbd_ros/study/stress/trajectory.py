@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from xpbd_ros.study.edges import Edges
+
 END = 0.25
 """length of the end of a run that ``at_end`` covers [s]"""
 
@@ -14,10 +16,7 @@ class Trajectory:
 
     dt: float
     """frame period [s]"""
-    edges: np.ndarray
-    """indices of particles, shape (edges, 2)"""
-    rest: np.ndarray
-    """rest lengths [m], shape (edges,)"""
+    edges: Edges
     free: np.ndarray
     """True if a particle is free at the end, shape (particles,)"""
     triangles: np.ndarray
@@ -52,14 +51,7 @@ class Trajectory:
     @property
     def strain(self) -> np.ndarray:
         """Largest |l - L| / L over the edges, shape (frames,)."""
-        if not len(self.edges):
-            return np.zeros(len(self.x))
-        i, j = self.edges.T
-        found = np.zeros(len(self.x))
-        for k, x in enumerate(self.x):
-            length = np.sqrt(((x[i] - x[j])**2).sum(1))
-            found[k] = np.abs(length / self.rest - 1.0).max()
-        return found
+        return np.array([np.abs(self.edges.strain(x)).max(initial=0.0) for x in self.x])
 
     @property
     def max_strain(self) -> float:

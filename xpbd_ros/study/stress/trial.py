@@ -27,6 +27,7 @@ from xpbd_ros.sim.commands import (
 )
 from xpbd_ros.sim.particles.state import forget
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.study.edges import edges_of
 from xpbd_ros.study.numbering import natural_indices
 from xpbd_ros.study.stress.case import Outcome, Setting
 from xpbd_ros.study.stress.textbook import advance, BOX, CAPSULE, Model, PLANE, SPHERE
@@ -289,21 +290,8 @@ def _particles(simulation, name: str) -> np.ndarray:
 
 
 def _track(simulation, x) -> Trajectory:
-    """Return an empty trajectory of a simulation, with the edges of the meshes."""
-    edges = [np.zeros((0, 2), np.int64)]
-    rest = [np.zeros(0)]
-    for cloth in simulation.cloths:
-        mesh = cloth.mesh
-        if mesh.grid is None:
-            found = mesh.edges
-        else:
-            found = np.concatenate([np.stack([a.ravel(), b.ravel()], 1) for a, b in (
-                (mesh.grid[:, 1:], mesh.grid[:, :-1]), (mesh.grid[1:], mesh.grid[:-1]))])
-        edges.append(found + cloth.first)
-        d = mesh.positions[found[:, 0]] - mesh.positions[found[:, 1]]
-        rest.append(np.sqrt((d**2).sum(1)))
-    return Trajectory(simulation.frame_dt, np.concatenate(edges), np.concatenate(rest),
-                      np.ones(len(x), bool),
+    """Return an empty trajectory of a simulation."""
+    return Trajectory(simulation.frame_dt, edges_of(simulation), np.ones(len(x), bool),
                       np.concatenate([c.mesh.triangles + c.first for c in simulation.cloths]),
                       _tetrahedra(simulation))
 
@@ -348,12 +336,12 @@ def _model(trial: Trial, simulation) -> Model:
         angle.append(these.rest_angle)
         hinge_alpha.append(these.compliance)
     if not edges:    # finite elements: the edges of the mesh, with a comparable stiffness
-        track = _track(simulation, simulation.frame().x)
+        mesh_edges = edges_of(simulation)
         stiff = [1.0 / trial.scene['cloths'][cloth.name]['effects'].get(
             'membrane', {}).get('young', 1e3) for cloth in simulation.cloths]
-        edges.append(track.edges)
-        rest.append(track.rest)
-        alpha.append(np.full(len(track.rest), max(stiff)))
+        edges.append(mesh_edges.particles)
+        rest.append(mesh_edges.rest)
+        alpha.append(np.full(len(mesh_edges.rest), max(stiff)))
     colliders = [placed.entry for placed in simulation.effects['contact'].placed.values()
                  ] if 'contact' in simulation.effects else []
     return Model(
