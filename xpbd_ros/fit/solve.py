@@ -4,8 +4,7 @@ Nonlinear least squares for the logarithms of a scene's values.
 The search begins at the best of some values over the range of each key. Then
 scipy.optimize.least_squares (trust region) minimises the sum of squared residuals. The sum is then
 computed along each key; where it is lower, the minimum was a local one, and the search starts from
-there. With the
-Jacobian J at its end, by central differences, the covariance of the logarithms is
+there. With the Jacobian J at its end, by central differences, the covariance of the logarithms is
 s² (JᵀJ)⁻¹, where s² is the mean squared residual. That holds for independent errors of the points;
 errors that points share, such as a camera's pose, come on top.
 """

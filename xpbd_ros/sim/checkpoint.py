@@ -3,11 +3,10 @@ A simulation's whole state as bytes, from which another process continues bit fo
 
 Besides positions and velocities it contains all that the next frame depends on: the integrator's
 history, pins and their targets, colliders and their motion, lists of candidates, counters, and a
-state kept by ``SaveState``, as a second pickle. Meshes,
-kernels and threads are left out; the simulation that restores it has its own. Arrays are stored as
-they lie in memory, which depends on the width of vectors: that must be the same. The bytes are a
-pickle whose classes are restricted to those of the simulation, so that a log of unknown origin
-runs no code.
+state kept by ``SaveState``, as a second pickle. Meshes, kernels and threads are left out; the
+simulation that restores it has its own. Arrays are stored as they lie in memory, which depends on
+the width of vectors: that must be the same. The bytes are a pickle whose classes are restricted to
+those of the simulation, so that a log of unknown origin runs no code.
 """
 
 from collections.abc import Iterator

@@ -103,16 +103,12 @@ class BuildContext:
     """rows of numbers in a file"""
     forces: bool = True
     """True if multipliers are stored: for reaction forces, or for several passes"""
-
     lines: bool = False
     """True if the solver may solve whole lines: method ``line``, or ``auto``"""
-
     explicit: bool = False
     """True if it may be the leapfrog: method ``explicit``, or ``auto``"""
-
     coloured: bool = False
     """True if constraints are swept by colours (``constraints.coloured_batches``)"""
-
     iterations: int = 1
     """of the solver"""
     threads: int = 1

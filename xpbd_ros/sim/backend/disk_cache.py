@@ -17,7 +17,7 @@ from xpbd_ros.sim.backend.simd import BITS
 
 
 def sources_hash() -> str:
-    """Hash every source file that may hold a kernel, and the way they are compiled."""
+    """Hash every source file whose kernels others call, and the way they are compiled."""
     digest = hashlib.blake2b(f'{BITS} {config.BOUNDSCHECK}'.encode(), digest_size=8)
     package = Path(__file__).parents[2]
     for folder in ('effects', 'sim'):

@@ -64,14 +64,14 @@ def grid_mesh(size: tuple[float, float], resolution: tuple[int, int]) -> Mesh:
     """
     Return a flat rectangular grid with its corner at the origin and alternating diagonals.
 
+    Each cell gives a quarter of its area to each of its corners, so that particles on the boundary
+    have half the mass of interior ones and a hanging strip stretches exactly as the continuum does
+    (doc/numerics.md 5.12).
+
     Parameters
     ----------
     size : extent along warp (x) and weft (y) [m]
     resolution : particles along warp and weft, each at least 1
-
-    Each cell gives a quarter of its area to each of its corners, so that particles on the boundary
-    have half the mass of interior ones and a hanging strip stretches exactly as the continuum does
-    (doc/numerics.md 5.12).
 
     """
     columns, rows = resolution

@@ -1,18 +1,21 @@
 """
 Solver methods: each sweeps a substep's constraints in a few walks over the effects.
 
-``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` goes on in exactly the
-reverse order, which BDF2 needs to stay stable. ``line`` (doc/numerics.md 3.2) solves the effects
-that have lines, or paths along the edges of meshes, by whole lines, twice, sweeps the others forth
-before and back after, or once in between if they are soft, and closes with one Gauss-Seidel pass
-over the edges of the lines, with the same multipliers: it mends the single edges whose directions
-turned while the lines were solved.
-``jacobi`` moves all particles at once, by a part of what each constraint asks for. ``explicit`` is
-the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and the forces are
-those where the substep starts.
-Where a frame begins and ends, v is moved by half of what acts there (``add_explicit_forces`` adds
-forces without a projection, ``damp_half_kick`` damps their sum), which pins and colliders feel;
-that half is left out for ``strain_limit`` and ``tether``.
+``gauss_seidel`` projects every effect once. ``gauss_seidel_symmetric`` continues in exactly the
+reverse order, which BDF2 needs to stay stable.
+
+``line`` (doc/numerics.md 3.2) solves the effects that have lines, or paths along the edges of
+meshes, by whole lines, twice, sweeps the others forth before and back after, or once in between if
+they are soft, and closes with one Gauss-Seidel pass over the edges of the lines, with the same
+multipliers: it mends the single edges whose directions turned while the lines were solved.
+
+``jacobi`` moves all particles at once, by a part of what each constraint asks for.
+
+``explicit`` is the leapfrog (Störmer 1907, Verlet 1967): in the loop v lags by half a substep, and
+the forces are those where the substep starts. Where a frame begins and ends, v is moved by half of
+what acts there (``add_explicit_forces`` adds forces without a projection, ``damp_half_kick``
+damps their sum), which pins and colliders feel; that half is left out for ``strain_limit`` and
+``tether``.
 """
 
 from typing import NamedTuple

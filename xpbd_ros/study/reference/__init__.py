@@ -5,8 +5,7 @@ It has two methods, which share no code with the simulation and compute forces i
 each other:
 
 ``newton``    backward Euler or BDF2; each step minimises its energy by Newton's method with a
-              sparse factorisation (doc/numerics.md 11), without multipliers or
-              sweeps.
+              sparse factorisation (doc/numerics.md 11), without multipliers or sweeps.
 ``explicit``  leapfrog with exact damping in the kicks. Its error has even powers of dt only.
 
 ``limit`` extrapolates either to dt → 0. ``problem_of`` converts a compiled simulation.

@@ -1,5 +1,5 @@
 """
-HardCase cases that break solvers, run by the simulation and by a textbook solver for comparison.
+Cases that break solvers, run by the simulation and by a textbook solver for comparison.
 
 A family is a module of this package. A case is a function in it, registered with
 ``@hard(id, title)``, that yields attempts: runs (``trial``) and refused scenes (``refusals``). All

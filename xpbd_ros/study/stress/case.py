@@ -1,4 +1,4 @@
-"""HardCase cases: solver setting, outcome, and the registry of cases."""
+"""Hard cases: solver setting, outcome, and the registry of cases."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

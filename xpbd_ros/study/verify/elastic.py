@@ -94,7 +94,7 @@ def rope():
     """A rigid chain of 1.5 times its span takes the shape and the forces of a catenary."""
     def hung(n):
         simulation = build((n + 1, 1), (1.5, 1.0), {'stretch': {'compliance': 0.0}},
-                           density=1.0 / 1.0, substeps=32, method='line', integrator='bdf2',
+                           substeps=32, method='line', integrator='bdf2',
                            effects_={'damping': {'rate': 10.0}}, pins=hold(
                                a='corner_00', b={'at': 'corner_01', 'target': [1.0, 0, 0]}))
         frame = run(simulation, 420)
