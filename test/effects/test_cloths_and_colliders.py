@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from support.crossings import crossings
 from support.tiers import quick_only
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import MoveCollider, Pose
+from xpbd_ros.study.stress.crossings import crossings
 
 THICKNESS, GAP = 0.005, 0.004
 ROOM = 4.0 * (THICKNESS + GAP)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from support.crossings import crossings, of_edges, to_triangle
+from support.distances import of_edges, to_triangle
 from support.scenes import EXAMPLES, GRAVITY, run, simulate
 from support.tiers import slow
 from xpbd_ros.effects.self_collision import load_pairs
@@ -26,6 +26,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     TRAVEL,
     TRIANGLES,
 )
+from xpbd_ros.study.stress.crossings import crossings
 
 THICKNESS = 0.01
 STRETCH = {'stretch': {'warp': 40.0, 'weft': 40.0}}

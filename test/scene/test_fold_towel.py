@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from support.crossings import crossings
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.study.stress.crossings import crossings
 
 FINGERS = [f'pad_force_{side}_{finger}_n' for side in ('left', 'right')
            for finger in ('upper', 'lower')]

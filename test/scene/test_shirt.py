@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from support.crossings import crossings
 from support.meshes import file_of
 from support.shirt import HEM, NECK, shirt, SHOULDER
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.study.prediction import check
+from xpbd_ros.study.stress.crossings import crossings
 
 FINGERS = [f'{side}_{finger}' for side in ('left', 'right') for finger in ('upper', 'lower')]
 LIFTED, LAID, CLOSED, OPEN = 132, 234, 24, 360

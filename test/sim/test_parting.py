@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from support.crossings import volume
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
+from xpbd_ros.study.stress.crossings import volume
 
 NEED = 0.05
 

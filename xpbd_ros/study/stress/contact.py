@@ -7,6 +7,7 @@ import numpy as np
 
 from xpbd_ros.sim.commands import PlaceCollider, Pose, RemoveCollider
 from xpbd_ros.study.stress.case import hard, Setting
+from xpbd_ros.study.stress.crossings import crossings
 from xpbd_ros.study.stress.refusals import Refusal
 from xpbd_ros.study.stress.scenes import FEW, FLAT, N, sheet, SIZE, SPACING, USUAL
 from xpbd_ros.study.stress.trial import Trial
@@ -270,25 +271,3 @@ def itself():
                 'speed': 30.0 if label == 'slammed shut' else 10.0, 'check': through}
             yield Trial(setting, scene, 2.0, start=place, label=label,
                         cloth_distance=min(thickness, 0.5 * SPACING), **tangle)
-
-
-COPLANAR = 1e-9
-"""an edge whose ends are closer than this to a triangle's plane does not cross it [m]"""
-
-
-def crossings(x: np.ndarray, triangles: np.ndarray) -> int:
-    """Return the number of crossing pairs of an edge and a triangle without a common particle."""
-    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0)
-    a, b, c = (x[triangles[:, k]] for k in range(3))
-    p, q = x[edges[:, 0], None], x[edges[:, 1], None]
-
-    def volume(u, v, w):
-        return (u * np.cross(v, w)).sum(-1)
-
-    up, down = volume(a - p, b - p, c - p), volume(a - q, b - q, c - q)
-    size = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
-    found = (up * down < 0.0) & (np.minimum(np.abs(up), np.abs(down)) > COPLANAR * size)
-    sides = np.array([volume(s - p, t - p, q - p) for s, t in ((a, b), (b, c), (c, a))])
-    found &= (sides.min(0) > 0.0) | (sides.max(0) < 0.0)
-    found &= ~(edges[:, None, :, None] == triangles[None, :, None, :]).any((2, 3))
-    return int(found.sum())
