@@ -91,12 +91,17 @@ def pointer_at(context, builder, array_type, array, index, kind):
     return builder.bitcast(pointer, kind.as_pointer())
 
 
+def shuffle_mask(numbers):
+    """Return a mask of ``shuffle_vector``: lanes by number, those of the second vector last."""
+    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
+
+
 def splatted(builder, scalar, kind):
     """Return a vector of an LLVM type with a scalar in every lane."""
     single = builder.insert_element(ir.Constant(kind, ir.Undefined), scalar,
                                     ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
-    return builder.shuffle_vector(single, ir.Constant(kind, ir.Undefined), zeros)
+    return builder.shuffle_vector(single, ir.Constant(kind, ir.Undefined),
+                                  shuffle_mask([0] * kind.count))
 
 
 def widened(context, builder, value, kind, vector):
@@ -324,8 +329,7 @@ def exchange(builder, rows, size):
     """
     count = rows[0].type.count
     low = [count + q - size if q & size else q for q in range(count)]
-    masks = [ir.Constant(ir.VectorType(ir.IntType(32), count), mask)
-             for mask in (low, [q + size for q in low])]
+    masks = [shuffle_mask(mask) for mask in (low, [q + size for q in low])]
     for k in range(len(rows)):
         if not k & size:
             rows[k], rows[k + size] = [

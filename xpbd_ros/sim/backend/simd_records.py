@@ -9,15 +9,11 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from xpbd_ros.sim.backend.simd import exchange, place, vector_of
+from xpbd_ros.sim.backend.simd import exchange, place, shuffle_mask, vector_of
 
 PACK = 16
 """constraints that share no particle, side by side: the lanes of the widest vector there is"""
 FIELDS = 4
-
-
-def _constants(numbers):
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 
 def _record(context, builder, signature, arguments, number):
@@ -45,13 +41,13 @@ def _indexed(context, builder, signature, arguments, count):
 def _joined(builder, rows):
     """Return vectors one after another in one."""
     while len(rows) > 1:
-        both = _constants(range(2 * rows[0].type.count))
+        both = shuffle_mask(range(2 * rows[0].type.count))
         rows = [builder.shuffle_vector(a, b, both) for a, b in zip(rows[::2], rows[1::2])]
     return rows[0]
 
 
 def _parts(builder, whole, size):
-    return [builder.shuffle_vector(whole, whole, _constants(range(k, k + size)))
+    return [builder.shuffle_vector(whole, whole, shuffle_mask(range(k, k + size)))
             for k in range(0, whole.type.count, size)]
 
 

@@ -9,7 +9,15 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from xpbd_ros.sim.backend.simd import lanes_of, place, pointer_at, splatted, Vector, widened
+from xpbd_ros.sim.backend.simd import (
+    lanes_of,
+    place,
+    pointer_at,
+    shuffle_mask,
+    splatted,
+    Vector,
+    widened,
+)
 
 WIDE = Vector(types.float64, lanes_of(64))
 WIDTH = WIDE.count
@@ -38,10 +46,6 @@ def _positions(context, builder, signature, arguments):
     chosen = place(context, builder, signature.args[2], index, start, WIDTH)
     return [place(context, builder, signature.args[0], array, builder.add(first, builder.load(
         builder.gep(chosen, [start.type(q)], inbounds=True)))) for q in range(WIDTH)]
-
-
-def _mask(numbers):
-    return ir.Constant(ir.VectorType(ir.IntType(32), len(numbers)), list(numbers))
 
 
 @intrinsic
@@ -137,7 +141,7 @@ def load_columns(typing, array, row):
     def generate(context, builder, signature, arguments):
         whole = builder.load(_rows(context, builder, signature, arguments), align=8)
         return context.make_tuple(builder, result, [
-            builder.shuffle_vector(whole, whole, _mask(range(a, _ROW * WIDTH, _ROW)))
+            builder.shuffle_vector(whole, whole, shuffle_mask(range(a, _ROW * WIDTH, _ROW)))
             for a in range(_ROW)])
     return result(array, types.intp), generate
 
@@ -148,9 +152,9 @@ def store_columns(typing, array, row, x, y, z):
     def generate(context, builder, signature, arguments):
         x_, y_, z_ = (widened(context, builder, v, k, WIDE)
                       for v, k in zip(arguments[2:], signature.args[2:]))
-        two = _mask(range(2 * WIDTH))
+        two = shuffle_mask(range(2 * WIDTH))
         one, other = builder.shuffle_vector(x_, y_, two), builder.shuffle_vector(z_, z_, two)
-        whole = builder.shuffle_vector(one, other, _mask(
+        whole = builder.shuffle_vector(one, other, shuffle_mask(
             [a * WIDTH + q for q in range(WIDTH) for a in range(_ROW)]))
         builder.store(whole, _rows(context, builder, signature, arguments), align=8)
         return context.get_dummy_value()

@@ -9,6 +9,7 @@ from math import sqrt
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.geometry.closest_points import cross
 
 SHORT = 0.125
 """largest component of a rotation vector whose exponential is evaluated by its series [rad]"""
@@ -75,11 +76,6 @@ product = jit(multiply, inline=True)
 """``multiply`` for kernels"""
 
 
-@jit(inline=True)
-def _cross(a, b):
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
 @jit
 def flow(w, v):
     """
@@ -94,7 +90,7 @@ def flow(w, v):
         doublings, size = doublings + 1, 0.5 * size
     t = v
     for n in range(TERMS, 1, -1):    # v + w × v / 2! + w × (w × v) / 3! …
-        a = _cross(w, t)
+        a = cross(w, t)
         t = v[0] + a[0] / n, v[1] + a[1] / n, v[2] + a[2] / n
     s = 0.25 * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])    # square of half the angle
     sine, cosine = 1.0, 1.0
