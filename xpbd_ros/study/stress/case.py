@@ -4,6 +4,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
+NONE_SET = 'no setting'
+"""column of refusals and node cases"""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -54,6 +57,8 @@ class Outcome:
     """criteria that the textbook solver missed"""
     skipped: bool = False
     """True if the case was not run"""
+    column: str = NONE_SET
+    """its solver setting"""
 
 
 class Attempt(Protocol):

@@ -1,7 +1,7 @@
 """Run the hard cases, and draw and tabulate their results."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 import time
 
@@ -9,7 +9,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.study.chart import INK, page, save
 from xpbd_ros.study.parallel import run_tasks
 from xpbd_ros.study.stress import all_hard
-from xpbd_ros.study.stress.case import Outcome, Setting
+from xpbd_ros.study.stress.case import NONE_SET, Outcome, Setting
 from xpbd_ros.study.stress.guards import GUARDS
 from xpbd_ros.study.stress.refusals import Refusal
 from xpbd_ros.study.stress.trial import Trial
@@ -17,8 +17,6 @@ from xpbd_ros.study.stress.trial import Trial
 NODE_CASES = {'H20': 'clocks that jump', 'H21': 'slower than real time',
               'H23': 'non-finite inputs at run time'}
 """titles of the cases that need a node (``xpbd_ros.node_stress``), by id"""
-NONE_SET = 'no setting'
-"""column of refusals and node cases"""
 GOOD, BAD, REFUSED, NONE = '#3b8c5a', '#b5443c', '#7fb3d5', '#ededed'
 
 
@@ -79,26 +77,14 @@ def is_quick(case, attempt) -> bool:
 
 def columns(results: list[Result]) -> list[str]:
     """Return the settings of all attempts, without their labels, in order; NONE_SET last."""
-    found = dict.fromkeys(_setting(each) for result in results for each in result.outcomes)
+    found = dict.fromkeys(each.column for result in results for each in result.outcomes)
     return [name for name in found if name != NONE_SET] + [NONE_SET] * (NONE_SET in found)
-
-
-def _setting(outcome: Outcome) -> str:
-    return ' '.join(outcome.setting.split()[:_words(outcome.setting)]) or NONE_SET
-
-
-def _words(text: str) -> int:
-    """Return the number of words of an attempt's name that are its setting."""
-    words = text.split()
-    if len(words) < 3 or 'x' not in words[2]:
-        return 0
-    return 4 if 'float32' in words[3:4] else 3
 
 
 def draw(results: list[Result], file: Path) -> Path:
     """Draw a map of cases and settings: passed, refused, failed; with the textbook solver."""
     names = columns(results)
-    shown = [name for name in names if sum(_setting(each) == name for result in results
+    shown = [name for name in names if sum(each.column == name for result in results
                                            for each in result.outcomes) > 2]
     shown = [name for name in shown if name != NONE_SET] + ['others', NONE_SET, 'textbook']
     figure, axes = page(11.0, 1.6 + 0.24 * len(results))
@@ -106,7 +92,7 @@ def draw(results: list[Result], file: Path) -> Path:
     for y, result in enumerate(results):
         for x, name in enumerate(shown):
             these = [each for each in result.outcomes if name == 'textbook' or name == (
-                _setting(each) if _setting(each) in shown else 'others')]
+                each.column if each.column in shown else 'others')]
             if name == 'textbook':
                 marks = [each.textbook for each in these if each.textbook is not None]
             else:
@@ -154,5 +140,4 @@ def _cell(x: int, y: int, colour: str):
 
 def skipped(id_: str, title: str, why: str) -> Result:
     """Return the result of a case that cannot be run here, with the reason."""
-    return Result(id_, title, 'node', (replace(Outcome('node', False), why=why, skipped=True),),
-                  0.0)
+    return Result(id_, title, 'node', (Outcome('node', False, why=why, skipped=True),), 0.0)

@@ -103,7 +103,7 @@ class Trial:
         except InputError as error:
             text = str(error).split(': ', 1)[-1]
             refused_setting = text.startswith('solver.')
-            return Outcome(self.name, refused_setting, reported=text,
+            return Outcome(self.name, refused_setting, reported=text, column=str(self.setting),
                            why='' if refused_setting else 'was refused')
         why, recovery = self.judge(ours, self.baseline_strain('simulate'))
         told = [text for text in self.reports if ours.stats.get(text) or any(
@@ -127,7 +127,7 @@ class Trial:
             ours.energy_rise if finite else None,
             None if self.recovery_strain is None else recovery is not None, recovery,
             '; '.join([*reported, *[self.note] * bool(self.note)]), '; '.join(why), book,
-            book_why)
+            book_why, column=str(self.setting))
 
     def baseline_strain(self, solver: str) -> float:
         """Return the largest strain in the second half of the same scene without the cause."""
