@@ -105,6 +105,8 @@ def test_normals_of_a_ball_point_outward():
     flat = simulate((3, 2))
     assert (measure.normals(flat.cloths[0], flat.frame().x) == [0.0, 0.0, 1.0]).all()
     assert (measure.normals(flat.cloths[0], flat.frame().x * 0.0) == 0.0).all(), 'no area'
+    row = simulate((3, 1))
+    assert (measure.normals(row.cloths[0], row.frame().x) == 0.0).all(), 'no triangles'
 
 
 def test_the_tension_of_a_hanging_strip_is_the_weight_below():

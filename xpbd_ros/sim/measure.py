@@ -95,7 +95,7 @@ def normals(cloth: Cloth, x: np.ndarray) -> np.ndarray:
     found = np.stack([sum(np.bincount(triangles[:, k], areas[:, axis], len(x)) for k in range(3))
                       for axis in range(3)], axis=1)
     size = length(found)
-    return np.divide(found, size[:, None], out=np.zeros_like(found), where=size[:, None] > 0.0)
+    return np.divide(found, size[:, None], out=np.zeros(found.shape), where=size[:, None] > 0.0)
 
 
 def strains(cloth: Cloth, x: np.ndarray) -> np.ndarray:
