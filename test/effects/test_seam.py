@@ -86,6 +86,17 @@ def test_the_second_side_of_a_seam_pulls_at_its_pins_too():
     assert frame.pins['all'].force[2] == pytest.approx(-0.06 * GRAVITY, rel=1e-7)
 
 
+def test_a_seam_between_pinned_particles_pulls_at_both_pins():
+    """By its gap over its compliance, whether or not the cloths beside it can move."""
+    apart, gap = ((3, 4), (0.2, 0.3), (0.0, 0.0, -0.25)), 0.05
+    simulation = scene({'a': A, 'b': apart}, seam(compliance=COMPLIANCE), gravity=0.0, pins={
+        'upper': {'cloth': 'a', 'at': 'edge_x1'}, 'lower': {'cloth': 'b', 'at': 'edge_x0'}})
+    frame = run(simulation, 2)
+    for name, side in (('upper', -1.0), ('lower', 1.0)):
+        np.testing.assert_allclose(frame.pins[name].force, [0.0, 0.0, side * gap / COMPLIANCE],
+                                   atol=1e-9)
+
+
 def test_numbers_are_matched_in_the_order_that_they_are_given():
     simulation = scene({'a': A, 'b': B}, seam([2, 5, 8, 11], [9, 6, 3, 0]))
     one, other = (cloth.slots for cloth in simulation.cloths)

@@ -76,7 +76,6 @@ class Seam(NamedTuple):
 
     runs: np.ndarray
     """first pair of each run of pairs without a common particle, and their number, (runs + 1,)"""
-
     first: np.ndarray
     """slot, shape (pairs,)"""
     second: np.ndarray
@@ -120,7 +119,7 @@ def _close(seam, p, state, substep):
     x, before, f = state.x, state.x_prev, seam.force
     i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
     m, n = state.mobility[i], state.mobility[j]
-    if m + n == 0.0:
+    if m + n + alpha == 0.0:
         return
     dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
     part = -1.0 / (m + n + alpha)
