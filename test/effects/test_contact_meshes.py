@@ -179,6 +179,15 @@ def test_a_mesh_that_comes_while_it_runs_and_room_for_it():
                                    f'room for 0; raise effects.contact.mesh_nodes by {nodes}')
 
 
+def test_a_mesh_that_is_replaced_and_put_back_in_one_frame_has_its_own_distances():
+    simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 400_000}, substeps=4)
+    tall, flat = (PlaceCollider('crate', 'mesh', corners(box_surface(0.3, 0.2, half)), Pose())
+                  for half in (0.15, 0.05))
+    simulation.step([tall])
+    frame = run(simulation, 60, [(flat, tall)])
+    np.testing.assert_allclose(frame.x[0], [0.0, 0.0, 0.15 + R], atol=1e-6)
+
+
 def test_a_mesh_without_room_is_refused_before_any_distances(monkeypatch):
     monkeypatch.setattr(distance_field, '_stamp', None)
     simulation = particle({}, (0.0, 0.0, 0.2), contact={'mesh_nodes': 1000})

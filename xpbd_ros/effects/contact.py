@@ -309,7 +309,8 @@ class BuiltContact(Built):
                 return (f"collider '{name}': all {len(nodes)} colliders are in use "
                         '(effects.contact.max_colliders)')
             if isinstance(command, PlaceCollider):
-                nodes[name] = nodes.get(name, 0) if self._has_shape(command) else 0
+                keeps = self._has_shape(command) and name not in (key[0] for key in self._fields)
+                nodes[name] = nodes.get(name, 0) if keeps else 0
                 if command.shape == 'mesh' and not nodes[name]:
                     try:
                         field = placed_field(command.size, self.thickness,
