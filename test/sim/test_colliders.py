@@ -20,6 +20,7 @@ from xpbd_ros.sim.contact.colliders import (
     write_pose,
 )
 from xpbd_ros.sim.contact.signed_distance import shape_distance, signed_distance
+from xpbd_ros.sim.contact.wrenches import work_of_colliders
 
 RADIUS, HALF = 0.3, 0.5
 SIZES = {SPHERE: (RADIUS, 0.0, 0.0), CAPSULE: (RADIUS, HALF, 0.0), CYLINDER: (RADIUS, HALF, 0.0),
@@ -172,3 +173,12 @@ def test_a_colliders_distance_is_that_of_its_shape(shape):
     colliders = one_collider(shape, SIZES[shape], pose, pose)
     for p in np.random.default_rng(shape).uniform(-1.2, 1.2, (20, 3)).tolist():
         assert signed_distance(colliders, 0, *p) == shape_distance(shape, *SIZES[shape], *p)
+
+
+def test_the_work_of_a_belt_is_bounded_also_where_its_body_moves_against_it():
+    """Friction works with the speed of the surface, pushes with that of the pose."""
+    dt, speed, impulse = 0.1, 2.0, np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 0.0]])
+    belt = one_collider(PLANE, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+                        (-speed * dt, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    belt.has_twist[0], belt.twist[0, 0] = True, speed
+    assert work_of_colliders(impulse, belt, dt) >= 3.0 * speed

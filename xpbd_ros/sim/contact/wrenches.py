@@ -102,7 +102,7 @@ def sum_up(contacts, team):
                 partial[chunk, a, 0] = 0.0
     wait(team)
     for c in range(count):
-        first, found = first_chunk(contacts, c), 0.0
+        first = first_chunk(contacts, c)
         begin, end, step = turns(team, 6)
         for a in range(begin, end, step):
             found = 0.0
@@ -174,10 +174,10 @@ def work_of_colliders(impulse, colliders, dt: float) -> float:
     if not len(moves):
         return 0.0
     start, goal = colliders.start[moves], colliders.goal[moves]
-    twist = np.hstack([goal[:, :3] - start[:, :3],
-                       quaternion.turns(start[:, 3:], goal[:, 3:])]) / dt
-    twist[colliders.has_twist[moves]] += colliders.twist[moves][colliders.has_twist[moves]]
-    return float(np.abs(impulse[moves] * twist).sum())
+    speed = np.abs(np.hstack([goal[:, :3] - start[:, :3],
+                              quaternion.turns(start[:, 3:], goal[:, 3:])])) / dt
+    given = colliders.has_twist[moves, None] * np.abs(colliders.twist[moves])
+    return float((np.abs(impulse[moves]) * (speed + given)).sum())
 
 
 @jit
