@@ -238,6 +238,14 @@ def test_the_work_of_a_force_is_not_taken_for_instability(force):
                                                             (12, 1)), rtol=1e-9)
 
 
+def test_the_work_of_pins_that_give_way_is_not_taken_for_instability():
+    """They lift a sheet from rest, as rigid ones do."""
+    pins = {name: {**pin, 'target': [0.0, 0.0, 1.0]} for name, pin in SOFT_PINS.items()}
+    simulation = sheet(128, gravity=(0.0, 0.0, 0.0), pins=pins)
+    run(simulation, 30)
+    assert simulation.stats()['explicit_redone'] == 0
+
+
 @pytest.mark.parametrize('after', [(0.3, 1.0, 0.0), (0.0, 10.0, 0.0),
                                    (np.nan, 1.0, 0.0), (0.0, np.nan, 0.0), (0.0, np.inf, 0.0)])
 def test_what_cannot_come_of_the_frame_before_is_not_calm(after):

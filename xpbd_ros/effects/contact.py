@@ -235,7 +235,7 @@ class BuiltContact(Built):
     def forget(self):
         begin_multistep(self.contacts.wrenches.multistep)
 
-    def work(self, state, dt):
+    def work(self, dt):
         return work_of_colliders(self.contacts.wrenches.impulse, self.colliders, dt)
 
     def reset(self, state):

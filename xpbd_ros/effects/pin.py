@@ -52,7 +52,7 @@ from xpbd_ros.sim.pins.held_places import Pin, place_of
 from xpbd_ros.sim.pins.picking import nearest_particle, Picking, unused_name, within
 from xpbd_ros.sim.pins.springs import Spring
 from xpbd_ros.sim.pins.states import chosen, Held, list_particles, PinStates, rows
-from xpbd_ros.sim.pins.wrenches import deliver, weigh_pinned, weigh_springs
+from xpbd_ros.sim.pins.wrenches import deliver, weigh_pinned, weigh_springs, work_of
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     prepare,
@@ -313,10 +313,8 @@ class BuiltPin(Built):
         for pin in self._lists:
             pin.force[:] = pin.last[:] = pin.older[:] = 0.0
 
-    def work(self, state, dt):
-        count = self.data.count[0]
-        power = (self.data.force[:count] * state.v.T[self.data.particle[:count]]).sum(1)
-        return float(dt * np.abs(power).sum())
+    def work(self, dt):
+        return sum(map(work_of, self._lists))
 
     def compile(self, state):
         self._v_before = state.v.take(self.data.particle[:self.data.count[0]], axis=1)

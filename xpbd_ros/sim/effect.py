@@ -241,7 +241,7 @@ class Built:
         """Return the energy of what is no edge or oblong cell [J] (``explicit_guard``)."""
         return 0.0
 
-    def work(self, state: State, dt: float) -> float:
+    def work(self, dt: float) -> float:
         """
         Return a bound of the work of a moving body in the frame just done [J].
 

@@ -39,6 +39,17 @@ def weigh_springs(spring, wrench):
         add_wrench(spring.pin, k, (f[0], f[1], f[2]), wrench)
 
 
+@jit
+def work_of(pin):
+    """Return a bound of the work of moving pins in a frame, by the mean forces on them [J]."""
+    found = 0.0
+    for k in range(pin.count[0]):
+        f, now, before = pin.force[k], place_of(pin, k, 1.0), place_of(pin, k, 0.0)
+        found += abs(f[0] * (now[0] - before[0]) + f[1] * (now[1] - before[1])
+                     + f[2] * (now[2] - before[2]))
+    return found
+
+
 @jit(inline=True)
 def add_wrench(pin, k, f, wrench):
     """

@@ -170,6 +170,8 @@ class ExplicitGuard:
         """Compile the check and ``line``."""
         self._look()
         simulation, solver = self._simulation, self._simulation.solver
+        for built in simulation.effects.values():
+            built.work(simulation.frame_dt)
         if solver.method == 'explicit':
             simulation._crew.compile(*simulation._arguments(solver.rough))
 
@@ -252,7 +254,7 @@ class ExplicitGuard:
     def _is_stable(self, before, loads) -> bool:
         simulation, dt = self._simulation, self._simulation.frame_dt
         with np.errstate(all='ignore'):    # not a number is not stable
-            work = sum(built.work(simulation.state, dt) for built in simulation.effects.values())
+            work = sum(built.work(dt) for built in simulation.effects.values())
             return is_stable(before, self._look(), mass=self._mass, dt=dt, load=loads[0],
                              acceleration=loads[1], work=work, noise=self._noise())
 
