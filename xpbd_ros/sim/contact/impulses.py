@@ -19,13 +19,13 @@ a displacement u that differs from Σ d n across the clamp; both colliders bear 
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either
-from xpbd_ros.sim.backend.simd_wide import load_columns, load_wide, store_wide, WIDTH
+from xpbd_ros.sim.backend.simd_wide import load_columns, load_wide, WIDTH
 from xpbd_ros.sim.backend.threads import wait, worker, workers
 from xpbd_ros.sim.contact.contacts import wait_for_others
 from xpbd_ros.sim.contact.corners import add_extra, add_later, note_extra
-from xpbd_ros.sim.contact.multistep_impulses import mark, mark_pack, spread_impulses
+from xpbd_ros.sim.contact.multistep_impulses import mark, mark_pack, older_part, spread_impulses
 from xpbd_ros.sim.contact.particle_lanes import numbers, positions
-from xpbd_ros.sim.contact.pieces import candidate, CHUNK, LANES, rounds
+from xpbd_ros.sim.contact.pieces import add_lanes, candidate, CHUNK, LANES, rounds
 from xpbd_ros.sim.contact.wrenches import add_reaction, first_chunk, sum_up
 from xpbd_ros.sim.particles.history import NONE, TOUCHED, weights_before
 
@@ -96,12 +96,6 @@ def add_pack(contacts, c, k, state, h):
 
 
 @jit(inline=True)
-def add_lanes(partial, i, f):
-    """Add a vector to the sums from a flat index on."""
-    store_wide(partial, i, load_wide(partial, i) + f)
-
-
-@jit(inline=True)
 def begins(history, index, k, active):
     """Return True if a particle index[k], … in the lanes of the mask had a history."""
     if history is None:
@@ -169,15 +163,6 @@ def difference(state, older, i, axis, d, ratio, a, b):
     start, before = state.x_prev[axis, i], state.history.x[axis, i]
     moved, gone = state.x[axis, i] - d - start, a * (start - before)
     return moved - (moved - gone + older_part(older, axis, i, before, b)) / ratio
-
-
-@jit(inline=True)
-def older_part(older, axis, i, before, b):
-    """Return b (x_{n-1} - x_{n-2}); ``older`` is None with BDF2."""
-    if older is None:
-        return 0.0
-    else:    # Numba prunes the branch that is not taken
-        return b * (before - older[axis, i])
 
 
 @jit

@@ -26,7 +26,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import any_lane, both, either, select
-from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
+from xpbd_ros.sim.backend.simd_wide import load_wide, WIDTH
 from xpbd_ros.sim.backend.threads import (
     alone,
     count_up,
@@ -37,7 +37,7 @@ from xpbd_ros.sim.backend.threads import (
     worker,
 )
 from xpbd_ros.sim.contact.particle_lanes import block, numbers
-from xpbd_ros.sim.contact.pieces import LANES, over_lanes
+from xpbd_ros.sim.contact.pieces import add_lanes, LANES, over_lanes
 from xpbd_ros.sim.particles.history import (
     fullest,
     later,
@@ -274,21 +274,14 @@ def add_usual(history, contacts, sums, c, mine, q, state, h):
     py = select(mine, m * ((y - y0) * per - vy - h * g[1]), 0.0)
     pz = select(mine, m * ((z - z0) * per - vz - h * g[2]), 0.0)
     rx, ry, rz = x - p[c, 0], y - p[c, 1], z - p[c, 2]
-    lane = q % LANES
-    add_lanes(sums, USUAL, lane, px)
-    add_lanes(sums, USUAL + 1, lane, py)
-    add_lanes(sums, USUAL + 2, lane, pz)
-    add_lanes(sums, USUAL + 3, lane, ry * pz - rz * py)
-    add_lanes(sums, USUAL + 4, lane, rz * px - rx * pz)
-    add_lanes(sums, USUAL + 5, lane, rx * py - ry * px)
+    begin = USUAL * LANES + q % LANES
+    add_lanes(sums, begin, px)
+    add_lanes(sums, begin + LANES, py)
+    add_lanes(sums, begin + 2 * LANES, pz)
+    add_lanes(sums, begin + 3 * LANES, ry * pz - rz * py)
+    add_lanes(sums, begin + 4 * LANES, rz * px - rx * pz)
+    add_lanes(sums, begin + 5 * LANES, rx * py - ry * px)
     return True
-
-
-@jit(inline=True)
-def add_lanes(sums, column, lane, part):
-    """Add a vector to the sums of a column from ``lane`` on."""
-    i = column * LANES + lane
-    store_wide(sums, i, load_wide(sums, i) + part)
 
 
 @jit(inline=True)
@@ -377,7 +370,7 @@ def _displacement(contacts, i, k):
 def _gone(history, i, k, start, a, b):
     """Return x̄ - x_n = a (x_n - x_{n-1}) - b (x_{n-1} - x_{n-2}) along axis k [m]."""
     before = history.x[k, i]
-    return a * (start - before) - _older(history.older_x, i, k, before, b)
+    return a * (start - before) - older_part(history.older_x, k, i, before, b)
 
 
 @jit(inline=True)
@@ -390,7 +383,8 @@ def _before(older, history, m, i, k, fall):
 
 
 @jit(inline=True)
-def _older(older, i, k, before, b):
+def older_part(older, k, i, before, b):
+    """Return b (x_{n-1} - x_{n-2}) along axis k [m]; ``older`` is None with BDF2."""
     if older is None:
         return 0.0
     else:    # Numba prunes the branch that is not taken

@@ -10,7 +10,7 @@ takes every n-th one, so that none has all of them.
 from numba import types
 
 from xpbd_ros.sim.backend.jit import inline, jit
-from xpbd_ros.sim.backend.simd_wide import WIDTH
+from xpbd_ros.sim.backend.simd_wide import load_wide, store_wide, WIDTH
 from xpbd_ros.sim.backend.threads import is_on_device
 
 CHUNK, LANES = 64, 8
@@ -55,6 +55,12 @@ def _candidate(team, n, begin):
         own = team.worker + n // each * team.workers
         return begin + own // LANES * CHUNK + own % LANES + n % each * LANES
     return of_sum
+
+
+@jit(inline=True)
+def add_lanes(sums, i, f):
+    """Add a vector to sums from a flat index on."""
+    store_wide(sums, i, load_wide(sums, i) + f)
 
 
 @jit(inline=True)

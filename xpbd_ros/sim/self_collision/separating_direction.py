@@ -16,6 +16,7 @@ from math import inf, sqrt
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.geometry.closest_points import dot, minus
+from xpbd_ros.sim.self_collision.neighbour_list import at
 
 STEPS = 40
 """most steps of the search; a pair that is not separated by then counts as crossing"""
@@ -117,12 +118,6 @@ def part(points, share, count, n, need):
         share[low] += step
         v = add(v, step, way)
     return False, best
-
-
-@jit(inline=True)
-def at(points, k):
-    """Return row k of an array."""
-    return points[k, 0], points[k, 1], points[k, 2]
 
 
 @jit(inline=True)
