@@ -96,10 +96,10 @@ def holds(static, a, c, kinetic):
 
 
 @jit(inline=True)
-def tangential(contacts, k, state, substep):
+def tangential(contacts, k, state):
     """Return Δp_t of contact k [m]."""
     i, n, x, before = contacts.particle[k], contacts.normal, state.x, state.x_prev
-    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    ux, uy, uz = surface_motion(contacts, k, state)
     # in float64, as by lanes: the difference of two float32 numbers may not be one
     px = np.float64(x[0, i]) - before[0, i] - ux
     py = np.float64(x[1, i]) - before[1, i] - uy
@@ -119,7 +119,7 @@ def limits(friction, k):
 
 
 @jit
-def resist_clamped(pads, friction, state, substep):
+def resist_clamped(pads, friction, state):
     """Do so for particles between two colliders, at once for both (``contact.clamp_friction``)."""
     if pads is not None:
         contacts, x = friction.contacts, state.x
@@ -129,15 +129,15 @@ def resist_clamped(pads, friction, state, substep):
             pads.clamped[k] = 0
         wait(state.team)
         for k in range(first, contacts.count[0], step):
-            if hold(pads, friction, k, state, substep):
+            if hold(pads, friction, k, state):
                 continue
             j = partner(pads, contacts, k)
             if j < 0:
                 continue
             pads.clamped[j] = pads.clamped[k] = 1
             i = contacts.particle[k]
-            px, py, pz = tangential(contacts, j, state, substep)
-            rx, ry, rz = tangential(contacts, k, state, substep)
+            px, py, pz = tangential(contacts, j, state)
+            rx, ry, rz = tangential(contacts, k, state)
             tx, ty, tz = s[j, 0] + s[k, 0], s[j, 1] + s[k, 1], s[j, 2] + s[k, 2]
             one, other = limits(friction, j), limits(friction, k)
             first, second = shared_friction(
@@ -152,7 +152,7 @@ def resist_clamped(pads, friction, state, substep):
 
 
 @jit(inline=True)
-def hold(pads, friction, k, state, substep):
+def hold(pads, friction, k, state):
     """
     Solve normal forces and friction of a clamped particle together; return False if it is not.
 
@@ -168,8 +168,8 @@ def hold(pads, friction, k, state, substep):
     free = without_pushes(pads, contacts, k, (
         now[0] - s[j, 0] - s[k, 0], now[1] - s[j, 1] - s[k, 1], now[2] - s[j, 2] - s[k, 2]))
     x[0, i], x[1, i], x[2, i] = free
-    px, py, pz = surface_motion(contacts, j, state, substep)
-    rx, ry, rz = surface_motion(contacts, k, state, substep)
+    px, py, pz = surface_motion(contacts, j, state)
+    rx, ry, rz = surface_motion(contacts, k, state)
     clamp = clamp_at(pads, contacts, j, k, free, (
         before[0, i] + 0.5 * (px + rx), before[1, i] + 0.5 * (py + ry),
         before[2, i] + 0.5 * (pz + rz)))
@@ -193,7 +193,7 @@ def hold(pads, friction, k, state, substep):
 
 
 @jit(inline=True)
-def resist_candidate(friction, k, state, substep):
+def resist_candidate(friction, k, state):
     """Project candidate k."""
     contacts, x, s = friction.contacts, state.x, friction.contacts.slip
     if contacts.push[k] == 0.0 and s[k, 0] == 0.0 and s[k, 1] == 0.0 and s[k, 2] == 0.0:
@@ -201,7 +201,7 @@ def resist_candidate(friction, k, state, substep):
     if is_clamped(contacts.pads, k):
         return
     i = contacts.particle[k]
-    tx, ty, tz = tangential(contacts, k, state, substep)
+    tx, ty, tz = tangential(contacts, k, state)
     sticks, slides = limits(friction, k)
     sx, sy, sz = shortened(s[k, 0] - tx, s[k, 1] - ty, s[k, 2] - tz, sticks, slides)
     x[0, i] += sx - s[k, 0]
@@ -211,7 +211,7 @@ def resist_candidate(friction, k, state, substep):
 
 
 @jit(inline=True)
-def resist_pack(friction, c, k, state, substep):
+def resist_pack(friction, c, k, state):
     """
     Project the candidates k, k + 1, … of collider c by lanes, with the same bits.
 
@@ -266,15 +266,14 @@ def are_clamped(pads, k):
 def resist(friction, state, substep):
     """Undo tangential motion, within the cone |s| ≤ μ d."""
     contacts, team = friction.contacts, state.team
-    resist_clamped(contacts.pads, friction, state, substep)
+    resist_clamped(contacts.pads, friction, state)
     for c in range(contacts.colliders.count[0] if contacts.count[0] > 0 else 0):
         begin, last = contacts.first[c], contacts.first[c + 1]
         for n in range(rounds(team, begin, last)):
             k = candidate(team, n, begin)
-            if not (WIDTH > 1 and k + WIDTH <= last
-                    and resist_pack(friction, c, k, state, substep)):
+            if not (WIDTH > 1 and k + WIDTH <= last and resist_pack(friction, c, k, state)):
                 for j in range(k, min(k + WIDTH, last)):
-                    resist_candidate(friction, j, state, substep)
+                    resist_candidate(friction, j, state)
         wait_for_others(contacts, team)
     fast = contacts.count[2] != 0    # friction too moves them far
     wait(team)

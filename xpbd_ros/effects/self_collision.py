@@ -261,7 +261,7 @@ def stop(effect, state, substep):
         if part_all(team, planes, near, state) == 0:
             return
         push_again(effect.contacts, state, turn >= ROUNDS // 2)
-    give_way(team, effect, near, planes, effect.contacts, state, substep)
+    give_way(team, effect, near, planes, effect.contacts, state)
 
 
 @jit
@@ -279,7 +279,7 @@ def push_again(contacts, state, eased):
 
 
 @jit
-def give_way(team, effect, near, planes, contacts, state, substep):
+def give_way(team, effect, near, planes, contacts, state):
     """Hold back the particles of pairs that pushes cannot separate (``motion_limit``)."""
     if planes is None:
         if alone(team):
@@ -290,7 +290,7 @@ def give_way(team, effect, near, planes, contacts, state, substep):
         for turn in range(TURNS):
             if alone(team):
                 mark_all(planes, near, contacts, state, turn > 0)
-                rest_step(near, planes.held, contacts, state, substep)
+                rest_step(near, planes.held, contacts, state)
             wait_uneven(team)
             find_planes(effect, state)
             if alone(team):

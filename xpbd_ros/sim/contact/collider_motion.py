@@ -10,7 +10,7 @@ from xpbd_ros.sim.geometry.quaternion import flow, product, rotate
 
 
 @jit(inline=True)
-def surface_motion(contacts, k, state, substep):
+def surface_motion(contacts, k, state):
     """Return the displacement of the collider's surface at contact k in this substep [m]."""
     colliders, c, i = contacts.colliders, contacts.collider[k], contacts.particle[k]
     if not (colliders.moving[c] or colliders.has_twist[c]):

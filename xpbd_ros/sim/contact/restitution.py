@@ -68,7 +68,7 @@ def note_approach(bounce, contacts, k):
 def speed_away(contacts, k, state, substep):
     """Return the normal speed of the particle of contact k away from the surface [m/s]."""
     i, v, n, h = contacts.particle[k], state.v, contacts.normal, substep.h
-    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    ux, uy, uz = surface_motion(contacts, k, state)
     return ((v[0, i] - ux / h) * n[k, 0] + (v[1, i] - uy / h) * n[k, 1]
             + (v[2, i] - uz / h) * n[k, 2])
 
@@ -133,7 +133,7 @@ def rebound_candidate(bounce, contacts, k, state, substep, least):
     e, h = bounce.restitution[contacts.collider[k]], substep.h
     if e == 0.0 or contacts.push[k] == 0.0:
         return
-    ux, uy, uz = surface_motion(contacts, k, state, substep)
+    ux, uy, uz = surface_motion(contacts, k, state)
     w, n = bounce.approach[k], contacts.normal[k]
     before = (w[0] - ux / h) * n[0] + (w[1] - uy / h) * n[1] + (w[2] - uz / h) * n[2]
     if before < -least:
@@ -177,7 +177,7 @@ def calm_particle(pads, contacts, last, state, substep):
             most, strongest = along, k
         k = contacts.earlier[k]
     if strongest >= 0:
-        wx, wy, wz = surface_motion(contacts, strongest, state, substep)
+        wx, wy, wz = surface_motion(contacts, strongest, state)
         h = substep.h
         off = min((v[0, i] - wx / h) * u[0] + (v[1, i] - wy / h) * u[1]
                   + (v[2, i] - wz / h) * u[2], size * size / h) / size

@@ -134,7 +134,7 @@ def go_share(near, state, i, share):
 
 
 @jit
-def rest_step(near, held, contacts, state, substep):
+def rest_step(near, held, contacts, state):
     """
     Set ``near.step`` to the mean displacement in this substep of what held particles rest on.
 
@@ -153,7 +153,7 @@ def rest_step(near, held, contacts, state, substep):
         for k in range(contacts.count[0]):
             if held[contacts.particle[k]]:
                 rank, count = add_to_step(step, rank, count, PUSHED if contacts.push[k] > 0.0
-                                          else BESIDE, surface_motion(contacts, k, state, substep))
+                                          else BESIDE, surface_motion(contacts, k, state))
     if count > 0:
         step /= count
 
