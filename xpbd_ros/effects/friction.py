@@ -120,15 +120,15 @@ def limits(friction, k):
 
 @jit
 def resist_clamped(pads, friction, state):
-    """Do so for particles between two colliders, at once for both (``contact.clamp_friction``)."""
+    """Project particles between two colliders, for both at once (``contact.clamp_friction``)."""
     if pads is not None:
         contacts, x = friction.contacts, state.x
         s = contacts.slip
-        first, step = worker(state.team), workers(state.team)
-        for k in range(first, contacts.count[0], step):
+        begin, step = worker(state.team), workers(state.team)
+        for k in range(begin, contacts.count[0], step):
             pads.clamped[k] = 0
         wait(state.team)
-        for k in range(first, contacts.count[0], step):
+        for k in range(begin, contacts.count[0], step):
             if hold(pads, friction, k, state):
                 continue
             j = partner(pads, contacts, k)

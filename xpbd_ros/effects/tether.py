@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
@@ -167,9 +167,9 @@ class Ways:
 
     slots: np.ndarray
     """of its particles, shape (particles,)"""
-    edges: coo_array
+    edges: csr_array
     """between neighbours"""
-    lines: coo_array | None
+    lines: csr_array | None
     """straight ways at rest [m]; None on a grid, where all ways are straight"""
     rest: np.ndarray
     """unstressed positions [m], shape (particles, 3)"""

@@ -218,7 +218,7 @@ def press(pads, contacts, last, i, state):
 
 @jit(inline=True)
 def is_squeezed_out(pads, contacts, last, at):
-    """Return True if a particle between several colliders would be at the depth of a pad's."""
+    """Return True if a particle between several colliders would be too deep in a pad."""
     k, depth = last, contacts.colliders.depth
     if contacts.earlier[last] < 0:
         return False

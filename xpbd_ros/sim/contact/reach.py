@@ -19,7 +19,7 @@ def in_reach(contacts, state, c, q, most):
     Parameters
     ----------
     c, q : index of the collider, first slot of the block
-    most : distance from which on none of them is [m], vector
+    most : φ beyond which no pair is in reach [m], vector
 
     """
     thickness, slots, p = contacts.thickness[0], len(state.inv_mass), contacts.after

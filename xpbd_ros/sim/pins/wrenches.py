@@ -6,7 +6,7 @@ from xpbd_ros.sim.pins.held_places import place_of
 
 @jit(inline=True)
 def deliver(pin, k, axis, f, part, a, b, share):
-    """Add the impulse J of a force f on a held particle, ``part`` of the mean over the frame."""
+    """Add J / h of a force f on a held particle; ``share``, a and b are those of its history."""
     i = pin.particle[k]
     now = share * f + a * pin.last[i, axis] - b * pin.older[i, axis]
     pin.older[i, axis], pin.last[i, axis] = pin.last[i, axis], now
