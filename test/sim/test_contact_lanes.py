@@ -266,7 +266,7 @@ def resist_singly(friction, state, substep):
     """Do the same as ``resist``."""
     contacts = friction.contacts
     for k in range(contacts.count[0]):
-        resist_candidate(friction, k, state, substep)
+        resist_candidate(friction, k, state)
     if contacts.count[2]:
         push_once(contacts, state, False, False)
     leave_corners(contacts, state)
