@@ -86,12 +86,7 @@ def add_pack(contacts, c, k, state, h):
     mark_pack(state.history, contacts, c, k, state, active)
     n = k - contacts.first[c]
     begin = (first_chunk(contacts, c) + n // CHUNK) * 6 * LANES + n % LANES
-    add_lanes(partial, begin, fx)
-    add_lanes(partial, begin + LANES, fy)
-    add_lanes(partial, begin + 2 * LANES, fz)
-    add_lanes(partial, begin + 3 * LANES, ry * fz - rz * fy)
-    add_lanes(partial, begin + 4 * LANES, rz * fx - rx * fz)
-    add_lanes(partial, begin + 5 * LANES, rx * fy - ry * fx)
+    add_lanes(partial, begin, rx, ry, rz, fx, fy, fz)
     return True
 
 

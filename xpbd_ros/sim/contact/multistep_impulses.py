@@ -274,13 +274,7 @@ def add_usual(history, contacts, sums, c, mine, q, state, h):
     py = select(mine, m * ((y - y0) * per - vy - h * g[1]), 0.0)
     pz = select(mine, m * ((z - z0) * per - vz - h * g[2]), 0.0)
     rx, ry, rz = x - p[c, 0], y - p[c, 1], z - p[c, 2]
-    begin = USUAL * LANES + q % LANES
-    add_lanes(sums, begin, px)
-    add_lanes(sums, begin + LANES, py)
-    add_lanes(sums, begin + 2 * LANES, pz)
-    add_lanes(sums, begin + 3 * LANES, ry * pz - rz * py)
-    add_lanes(sums, begin + 4 * LANES, rz * px - rx * pz)
-    add_lanes(sums, begin + 5 * LANES, rx * py - ry * px)
+    add_lanes(sums, USUAL * LANES + q % LANES, rx, ry, rz, px, py, pz)
     return True
 
 

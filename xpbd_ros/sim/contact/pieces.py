@@ -58,9 +58,19 @@ def _candidate(team, n, begin):
 
 
 @jit(inline=True)
-def add_lanes(sums, i, f):
-    """Add a vector to sums from a flat index on."""
-    store_wide(sums, i, load_wide(sums, i) + f)
+def add_lanes(sums, i, rx, ry, rz, fx, fy, fz):
+    """Add forces f at r, by lanes, to sums of f and r × f, LANES apart from a flat index on."""
+    _add(sums, i, fx)
+    _add(sums, i + LANES, fy)
+    _add(sums, i + 2 * LANES, fz)
+    _add(sums, i + 3 * LANES, ry * fz - rz * fy)
+    _add(sums, i + 4 * LANES, rz * fx - rx * fz)
+    _add(sums, i + 5 * LANES, rx * fy - ry * fx)
+
+
+@jit(inline=True)
+def _add(sums, i, part):
+    store_wide(sums, i, load_wide(sums, i) + part)
 
 
 @jit(inline=True)
