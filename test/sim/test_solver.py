@@ -10,9 +10,11 @@ import pytest
 
 from support.scenes import GRAVITY, run, simulate
 from support.tiers import quick_only, slow
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim import measure
+from xpbd_ros.sim.backend.simd import width_of
 
 METHODS = ('gauss_seidel', 'gauss_seidel_symmetric', 'line')
 
@@ -78,6 +80,7 @@ def test_a_spinning_pair_loses_momentum_at_its_order(integrator):
 
 PROGRAM = """
 import sys
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 sheet = compile_scene(load_scene('swing', {
@@ -88,6 +91,7 @@ for _ in range(6):
 print(sheet.hash())
 """
 ROPES = """
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 sheet = compile_scene(scene_from_mapping({
@@ -101,6 +105,7 @@ for _ in range(6):
 print(sheet.hash())
 """
 PATHS = """
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 for precision in ('float64', 'float32'):
@@ -111,6 +116,7 @@ for precision in ('float64', 'float32'):
     print(skin.hash())
 """
 LAYERS = """
+from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 towel = compile_scene(load_scene('fold', {'solver.method': 'line', 'solver.substeps': 8}))
@@ -143,6 +149,12 @@ def test_same_bits_whatever_the_vector_width(program, widths):
         assert done.returncode == 0, done.stderr
         found[bits] = done.stdout
     assert len(set(found.values())) == 1, found
+
+
+@pytest.mark.parametrize('text', ['abc', '1024', '64', '-1'])
+def test_a_vector_width_that_there_is_not_is_refused(text):
+    with pytest.raises(InputError, match='variable XPBD_ROS_VECTOR_BITS: must be one of 32, 128'):
+        width_of(text)
 
 
 @pytest.mark.parametrize('method', [

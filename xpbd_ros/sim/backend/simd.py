@@ -24,6 +24,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic, lower_builtin, models, register_model
 import numpy as np
 
+from xpbd_ros.errors import brief, InputError
 from xpbd_ros.sim.backend.operators import type_first
 
 PROCESSOR = binding.get_host_cpu_name()
@@ -32,8 +33,21 @@ FEATURES = binding.get_host_cpu_features()
 """instruction sets that LLVM says it has, such as avx2"""
 WIDTH_VARIABLE = 'XPBD_ROS_VECTOR_BITS'
 """environment variable that overrides the width"""
-BITS = int(os.environ.get(WIDTH_VARIABLE) or (
-    512 if FEATURES.get('avx512f') else 256 if FEATURES.get('avx') else 128))
+WIDTHS = (32, 128, 256, 512)
+"""that kernels are written for"""
+
+
+def width_of(text: str | None) -> int:
+    """Return the width that the environment variable asks for, or that of the machine [bits]."""
+    if not text:
+        return 512 if FEATURES.get('avx512f') else 256 if FEATURES.get('avx') else 128
+    if text not in map(str, WIDTHS):
+        raise InputError(f'the environment variable {WIDTH_VARIABLE}: must be one of '
+                         f'{", ".join(map(str, WIDTHS))} (got {brief(text):.40})')
+    return int(text)
+
+
+BITS = width_of(os.environ.get(WIDTH_VARIABLE))
 """width of a vector"""
 
 
