@@ -333,18 +333,23 @@ def test_elements_mix_and_their_energy_and_sides_are_looked_at(name, effect, key
 
 
 @pytest.mark.slow
-def test_a_balloon_mixes_and_bounces_with_either_method_to_the_same_height(monkeypatch):
-    """Gas stretches the skin, whose sides are looked at; a switch keeps the momentum."""
+def test_a_balloon_mixes_and_a_switch_keeps_its_momentum(monkeypatch):
+    """
+    Gas stretches the skin, whose sides are looked at.
+
+    The ball has bounced once, in frame 14, and flies until frame 38: the next impact differs from
+    method to method.
+    """
     raw = load_scene('balloon').raw
     heights = []
-    for rough in ((), (40,)):
+    for rough in ((), (20,)):
         rough_in(monkeypatch, rough)
         balloon = compile_scene(scene_from_mapping(
             {**raw, 'solver': {}}, where=str(load_scene('balloon').where), name='balloon'))
         assert balloon.solver.mixes and balloon.solver.method == 'explicit'
-        heights.append([frame.x[:, 2].mean() for frame in (balloon.step() for _ in range(60))])
-        assert balloon.stats()['line_frames'] == (21 if rough else 0)
-    np.testing.assert_allclose(*heights, atol=5e-3)
+        heights.append([frame.x[:, 2].mean() for frame in (balloon.step() for _ in range(38))])
+        assert balloon.stats()['line_frames'] == (19 if rough else 0)
+    np.testing.assert_allclose(*heights, atol=1e-4)
 
 
 @pytest.mark.parametrize('options', [
