@@ -12,7 +12,7 @@ the share θ of the damping at its end and the rest at its start,
     v <- ((1 - (1 - θ) h rate) v + h g) / (1 + θ h rate),   mobility <- mobility / (1 + θ h rate),
 
 of second order with θ = 1/2 up to h rate = 1; from h rate = 2 on θ = 1. A frame's first substep
-does without the part at its start, and the half kick that ends the frame takes it.
+leaves out the part at its start, and the half kick that ends the frame applies it.
 
 Limits: it also damps the motion of the cloth as a whole.
 """
@@ -84,9 +84,10 @@ def _parts(damping, h):
 @jit
 def _damp_leapfrog(damping, state, substep):
     """
-    Damp v, to which other forces have added, by that before: (x - x_n) / h - h g as predicted.
+    Damp v, which other forces have changed, by its value before them and before gravity.
 
-    Its rounding error is that of x / h, of which the velocity takes (1 - θ) h rate.
+    That is (x - x_n) / h - h g, with x as predicted from it. Its rounding error, that of x over h,
+    enters v times (1 - θ) h rate.
     """
     v, w, slots, h = state.v, state.inv_mass, len(state.inv_mass), substep.h
     early, late = _parts(damping, h)
@@ -108,7 +109,7 @@ def _damp_leapfrog(damping, state, substep):
 @stage(damp_half_kick, Damping, on_device=True)
 @jit
 def damp_kick(damping, state, substep):
-    """Where the frame ends, take (1 - θ) h rate v from the kick, of what stays as it is, too."""
+    """Damp the half kick that ends a frame by (1 - θ) h rate v, also of particles in contact."""
     if half_of(substep) < 0.0:
         return
     v, w, move, slots = state.v, state.inv_mass, state.apart.move, len(state.inv_mass)

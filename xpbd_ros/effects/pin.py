@@ -121,7 +121,8 @@ class BuiltPin(Built):
         """rate of effect ``damping`` [1/s], shape (1,)"""
         if parameters.compliance or any(entry.compliance for entry in self.entries.values()):
             self.also = (Spring(_room(count, world.slots, poses), np.ones(count),
-                                np.zeros((count, 3)), np.ones(count), np.zeros((count, 3))),)
+                                np.zeros((count, 3)), np.ones(count),
+                                np.zeros((count if world.explicit else 0, 3))),)
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
         self.open: dict[str, Motion] = {}

@@ -35,7 +35,7 @@ class Spring(NamedTuple):
     softness: np.ndarray
     """compliance of that step, n α [m/N], shape (particles,)"""
     moved: np.ndarray
-    """of ``explicit``: displacement in the substep before [m], shape (particles, 3)"""
+    """displacement in the substep before [m], shape (particles, 3); (0, 3) without ``explicit``"""
 
 
 @stage(prepare, Spring, on_device=True)
