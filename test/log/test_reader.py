@@ -1,5 +1,6 @@
 """Whatever happened to a log, what can be read is read, and what cannot is said."""
 
+import os
 from pathlib import Path
 import random
 
@@ -382,12 +383,13 @@ def test_what_is_no_log_is_said_in_one_line(tmp_path):
     (tmp_path / 'text.mcap').write_text('these are words\n')
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'two').mkdir()
+    os.mkfifo(tmp_path / 'pipe.mcap')
     for name in ('one_0.mcap', 'two_0.mcap'):
         (tmp_path / 'two' / name).write_bytes(b'')
     for name, said in {
             'missing': 'no such file or folder', 'empty.mcap': 'is empty',
             'begun.mcap': 'is empty', 'text.mcap': 'is not an MCAP file',
-            'folder': 'holds no .mcap file',
+            'folder': 'holds no .mcap file', 'pipe.mcap': 'is neither a file nor a folder',
             'two': 'holds several .mcap files; name one of one_0.mcap, two_0.mcap'}.items():
         with pytest.raises(InputError) as caught:
             LogReader(tmp_path / name)

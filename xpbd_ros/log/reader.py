@@ -188,8 +188,10 @@ def log_files(path: Path) -> tuple[list[Path], list[str]]:
     """
     if not path.exists():
         raise InputError(f'{path}: no such file or folder')
-    if not path.is_dir():
+    if path.is_file():
         return [path], []
+    if not path.is_dir():    # opening a pipe would wait for a writer
+        raise InputError(f'{path}: is neither a file nor a folder')
     found = sorted(path.glob('*.mcap'))
     if not found:
         for file in sorted(path.glob('*.mcap.zst*')):
