@@ -10,9 +10,9 @@ from support.scenes import EXAMPLES, run, simulate
 from support.tiers import slow
 from xpbd_ros.effects.membrane import inverse_rest_edges, Parameters
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.scene.stability import stability_limit
 from xpbd_ros.sim.geometry.mesh_repair import surface_mesh
 from xpbd_ros.sim.particles.state import places
 

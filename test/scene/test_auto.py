@@ -8,10 +8,11 @@ import pytest
 from support.scenes import run, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import COMPENSATED, largest_rate, MIN_SUBSTEPS
+from xpbd_ros.scene.auto import COMPENSATED, MIN_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.scene.stability import largest_rate
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.stepping.methods import is_swept_once
 from xpbd_ros.study.prediction.stiffness import stiffness

@@ -8,9 +8,9 @@ import pytest
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
+from xpbd_ros.scene.stability import stability_limit
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
 from xpbd_ros.sim.stepping import explicit_guard
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
-from xpbd_ros.scene.auto import resolve, rounds_away, stability_limit
+from xpbd_ros.scene.auto import resolve, rounds_away
 from xpbd_ros.scene.device import card_of
 from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
+from xpbd_ros.scene.stability import stability_limit
 from xpbd_ros.scene.threads import with_threads
 from xpbd_ros.scene.warp import check_warps
 from xpbd_ros.sim.command_check import plain

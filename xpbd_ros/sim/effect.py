@@ -185,7 +185,7 @@ class Built:
     ends, so that ``auto`` must not switch methods"""
     pulls_taut: bool = False
     """True if it may pull cloth taut or keep particles in steps of backward Euler: lines then need
-    more substeps to straighten (``scene.auto.TAUT``)"""
+    more substeps to straighten (``scene.stability.TAUT``)"""
     constraints: Any = None
     """one by one, for people and NumPy: ``particles`` (slots), ``compliance``, ``residual(x)`` and
     ``energy(x)``; None where the effect has none"""

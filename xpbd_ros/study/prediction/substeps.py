@@ -10,8 +10,8 @@ order, √10 fewer substeps make it 10 times as large (doc/numerics.md 3.2).
 from dataclasses import replace
 from math import ceil, inf, sqrt
 
-from xpbd_ros.scene.auto import largest_rate, stable_substeps, substep_ratio
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.scene.stability import largest_rate, stable_substeps, substep_ratio
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.sim.stepping.solver import Solver
 from xpbd_ros.study.prediction.stiffness import Row, stiffness
