@@ -6,7 +6,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 INK, MUTED = '#1f2328', '#6b737c'
-COLOURS = ('#2f6db5', '#d9822b', '#3b8c5a', '#b5443c', '#7a5aa6', '#8a7a3c', '#3c8a8a', '#b55f96')
+COLOURS = ('#0072b2', '#e69f00', '#009e73', '#d55e00', '#cc79a7', '#8a7a3c', '#56b4e9', '#7a5aa6')
+"""the first five stay apart for readers who do not tell red from green"""
 
 
 def page(width: float, height: float, *, rows: int = 1, columns: int = 1):

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 import math
 from pathlib import Path
 
-from matplotlib.lines import Line2D
-
 from xpbd_ros.sim.stepping.methods import METHODS
 from xpbd_ros.study.accuracy.choose import Row
 from xpbd_ros.study.accuracy.measure import Study
@@ -13,7 +11,8 @@ from xpbd_ros.study.accuracy.solver_setting import BASELINES, Setting
 from xpbd_ros.study.chart import COLOURS, INK, MUTED, page, save
 
 COLOUR = dict(zip(METHODS, (COLOURS[0], COLOURS[2], COLOURS[3], COLOURS[1], COLOURS[4])))
-COLOUR.update(dict(zip(BASELINES, ('#4d5560', '#8b95a1', '#b8a24a', '#a0522d'))))
+COLOUR.update(dict(zip(BASELINES, ('#4d5560', '#8b95a1', '#b8a24a', '#8c5a3c'))))
+MARKER = dict(zip((*METHODS, *BASELINES), 'sDo^Pv<>X'))
 DASHES = {'ndf2': '-', 'bdf2': (0, (5, 1.5, 1, 1.5)), 'backward_euler': '--', 'leapfrog': '-',
           'symplectic_euler': ':'}
 
@@ -52,60 +51,52 @@ def within(rows: Sequence[Row], by: str, ms: float) -> dict[str, Row]:
 
 def draw(study: Study, file: Path, *, chosen: Row | None, budget: float) -> Path:
     """Draw a study to a file, and return its path; ``budget`` [ms]."""
-    figure, axes = page(12.0, 5.4, columns=2)
+    figure, axes = page(11.5, 6.4, columns=2)
     _precision(axes[0, 0], study, chosen, budget)
     _bars(axes[0, 1], study, chosen, budget)
+    figure.legend(handles=axes[0, 0].get_legend_handles_labels()[0], fontsize=7, frameon=False,
+                  loc='outside lower center', ncols=5, handlelength=4.0, columnspacing=1.5)
     return save(figure, file)
 
 
 def _precision(axis, study: Study, chosen: Row | None, budget: float) -> None:
     by = study.by
     known = curves(study.rows, by)
-    everything = [row for these in known.values() for row in these]
     for name, these in known.items():
         setting = these[0].setting
-        several = setting.iterations > 1
+        colour = COLOUR[setting.method]
+        single = setting.precision != 'float64'
         axis.loglog([row.timed.ms_p50 for row in these], [row.error(by) for row in these],
-                    color=COLOUR[setting.method], linestyle=DASHES[setting.integrator],
-                    linewidth=1.0, markersize=4, markerfacecolor='white' if several else None,
-                    marker='x' if setting.precision != 'float64' else 's' if several else 'o',
-                    label=name)
+                    color=colour, linestyle=DASHES[setting.integrator], linewidth=1.0,
+                    marker=MARKER[setting.method], markersize=5, markeredgewidth=0.8,
+                    fillstyle='top' if single else 'full', markerfacecoloralt='white',
+                    markerfacecolor='white' if setting.iterations > 1 else colour, label=name)
     front = sorted((row.timed.ms_p50, row.error(by)) for row in study.rows if row.pareto)
     if front:
-        axis.plot(*zip(*front), color='#f2c14e', linewidth=6, alpha=0.45, zorder=0,
+        axis.plot(*zip(*front), color='#f0e442', linewidth=7, alpha=0.6, zorder=0,
                   solid_capstyle='round', label='Pareto front')
-    frame_ms = 1e3 * study.frame_dt
-    axis.axvline(frame_ms, color=INK, linewidth=1.0)
-    axis.annotate('real time', (frame_ms, 0.02), (-3, 0), rotation=90, fontsize=7, ha='right',
-                  xycoords=axis.get_xaxis_transform(), textcoords='offset points')
-    if budget != frame_ms:
-        axis.axvline(budget, color=INK, linewidth=0.8, linestyle=':')
-        axis.annotate(f'budget {budget:.3g} ms', (budget, 0.02), (-3, 0), rotation=90, fontsize=7,
-                      ha='right', xycoords=axis.get_xaxis_transform(),
-                      textcoords='offset points')
-    if study.floor > 0.0:
-        axis.axhspan(1e-300, study.floor, color=MUTED, alpha=0.15, linewidth=0)
-    errors = [max(row.error(by), 1e-300) for row in everything]
-    if errors:
-        low = min(errors)
-        axis.set_ylim(min(low, max(study.floor, low / 30.0)) / 2.0,
-                      min(max(errors), study.truth.size) * 1.5)
     if chosen is not None:
-        axis.plot([chosen.timed.ms_p50], [chosen.error(by)], marker='o', markersize=11,
+        axis.plot([chosen.timed.ms_p50], [chosen.error(by)], marker='o', markersize=12,
                   markerfacecolor='none', markeredgecolor=INK, markeredgewidth=1.6,
                   linestyle='none', label='recommended')
+    frame_ms = 1e3 * study.frame_dt
+    if budget != frame_ms:
+        axis.axvline(budget, color=INK, linewidth=1.0, linestyle=':',
+                     label=f'budget: {budget:.3g} ms')
+    axis.axvline(frame_ms, color=INK, linewidth=1.0, label=f'real time: {frame_ms:.3g} ms')
+    if study.floor > 0.0:
+        axis.axhspan(1e-300, study.floor, color=MUTED, alpha=0.15, linewidth=0,
+                     label=f'uncertainty of the true solution: {study.floor:.1g} m')
+    errors = [max(row.error(by), 1e-300) for these in known.values() for row in these]
+    if errors:
+        low = min(errors)
+        axis.set_ylim(min(low, study.floor if study.floor > low / 30.0 else low) / 2.0,
+                      min(max(errors), study.truth.size) * 1.5)
     axis.set_xlabel('CPU time of a frame, median [ms]', fontsize=8)
     axis.set_ylabel(f'{study.what} [m]', fontsize=8)
     axis.set_title(f'{study.scene.name}: error against time '
                    f'({study.particles} particles)', fontsize=10, loc='left')
     axis.grid(alpha=0.2, which='major')
-    if study.floor > 0.0:
-        handle = Line2D([], [], color=MUTED, alpha=0.3, linewidth=6,
-                        label=f'uncertainty of the true solution: {study.floor:.1g} m')
-        handles = [*axis.get_legend_handles_labels()[0], handle]
-    else:
-        handles = axis.get_legend_handles_labels()[0]
-    axis.legend(handles=handles, fontsize=6, frameon=False, loc='lower left')
 
 
 def _bars(axis, study: Study, chosen: Row | None, budget: float) -> None:
