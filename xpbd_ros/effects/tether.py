@@ -45,7 +45,7 @@ class Parameters:
     """The slack of the tethers."""
 
     slack: float = quantity(0.05, minimum=0.0, live=True,
-                            doc='slack, relative to the length of the way')
+                            doc='slack, relative to the geodesic distance')
 
 
 class Pulls(NamedTuple):
