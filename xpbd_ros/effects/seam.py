@@ -13,10 +13,12 @@ their force.
 A rigid seam whose sides start apart closes at the speed CLOSING: until then C is only the part of
 |C| that exceeds a gap shrinking at that speed.
 
+With ``explicit`` an elastic seam is Newmark's mean of three gaps instead, of second order, as the
+springs of pins are (doc/numerics.md 7.2).
+
 Limits: particles are sewn, not surfaces, so sides of different lengths gather. Both sides need the
 same number of particles. A pass closes one pair after the other, so a heavy cloth that hangs on a
-single pair needs more substeps. With ``explicit`` an elastic seam takes steps of backward Euler,
-of first order.
+single pair needs more substeps.
 """
 
 from dataclasses import dataclass
@@ -28,9 +30,10 @@ import numpy as np
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
-from xpbd_ros.sim.constraints.projection import max_compliance
+from xpbd_ros.sim.constraints.projection import at_the_end, max_compliance
 from xpbd_ros.sim.effect import Built, Cloth, cloth_of, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
+from xpbd_ros.sim.particles.explicit_updates import displacement_before, half_of, newmark
 from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -84,6 +87,12 @@ class Seam(NamedTuple):
     """α [m/N], shape (pairs,)"""
     force: np.ndarray
     """f on the first of each pair [N], shape (pairs, 3)"""
+    aim: np.ndarray
+    """with ``explicit`` x1 - x2 where the implicit step has no force [m], shape (pairs, 3)"""
+    softness: np.ndarray
+    """compliance of that step [m/N], shape (pairs,)"""
+    before: np.ndarray
+    """x1 - x2 a substep before [m], shape (pairs, 3)"""
 
 
 @stage(prepare, Seam, on_device=True)
@@ -93,6 +102,26 @@ def prepare_seams(seam, state, substep):
     begin, end, turn = turns_on_device(state.team, len(seam.force))
     for p in range(begin, end, turn):
         seam.force[p, 0] = seam.force[p, 1] = seam.force[p, 2] = 0.0
+        if not at_the_end(state.apart):
+            _aim(seam, p, state)
+
+
+@jit(inline=True)
+def _aim(seam, p, state):
+    """
+    Set gap and compliance of the implicit step of ``explicit``.
+
+    The seam acts at D = d_n + γ u + β (d_n+1 - d_n - u), u = d_n - d_n-1 of the gap d = x1 - x2:
+    as a softer one, α / β, with a gap of its own.
+    """
+    x, i, j, alpha = state.x_prev, seam.first[p], seam.second[p], seam.compliance[p]
+    late, beta = newmark(state.mobility[i] + state.mobility[j], alpha)
+    for a in range(3):
+        d = x[a, i] - x[a, j]
+        u = d - seam.before[p, a]
+        seam.aim[p, a] = d + u - (d + late * u) / beta
+        seam.before[p, a] = d
+    seam.softness[p] = alpha / beta
 
 
 @jit(inline=True)
@@ -105,12 +134,22 @@ def pairs_of(seam, team, run):
 @stage(project_inequalities, Seam, on_device=True)
 @jit
 def sew(seam, state, substep):
-    """Project each pair, one after the other."""
-    for run in range(len(seam.runs) - 1):
-        begin, end, turn = pairs_of(seam, state.team, run)
-        for p in range(begin, end, turn):
-            _close(seam, p, state, substep)
-        wait_on_device(state.team)
+    """Project each pair, one after the other; with ``explicit`` once more in reverse order."""
+    runs = len(seam.runs) - 1
+    for run in range(runs):
+        _close_run(seam, run, state, substep)
+    if not at_the_end(state.apart):
+        for run in range(runs - 2, -1, -1):
+            _close_run(seam, run, state, substep)
+
+
+@jit
+def _close_run(seam, run, state, substep):
+    """Project the pairs of a run."""
+    begin, end, turn = pairs_of(seam, state.team, run)
+    for p in range(begin, end, turn):
+        _close(seam, p, state, substep)
+    wait_on_device(state.team)
 
 
 @jit(inline=True)
@@ -122,6 +161,9 @@ def _close(seam, p, state, substep):
     if m + n + alpha == 0.0:
         return
     dx, dy, dz = x[0, i] - x[0, j], x[1, i] - x[1, j], x[2, i] - x[2, j]
+    if not at_the_end(state.apart):
+        alpha = seam.softness[p]
+        dx, dy, dz = dx - seam.aim[p, 0], dy - seam.aim[p, 1], dz - seam.aim[p, 2]
     part = -1.0 / (m + n + alpha)
     if alpha == 0.0:
         gap = sqrt((before[0, i] - before[0, j])**2 + (before[1, i] - before[1, j])**2
@@ -138,16 +180,25 @@ def _close(seam, p, state, substep):
 @stage(add_explicit_forces, Seam, on_device=True)
 @jit
 def kick_seams(seam, state, substep):
-    """H² w f, with the forces of the last substep."""
-    move, m = state.apart.move, state.mobility
+    """H² w f: of the gap where the substep resolves it, else with the last substep's force."""
+    x, move, m = state.x, state.apart.move, state.mobility
     for run in range(len(seam.runs) - 1):
         begin, end, turn = pairs_of(seam, state.team, run)
         for p in range(begin, end, turn):
-            i, j = seam.first[p], seam.second[p]
+            i, j, alpha = seam.first[p], seam.second[p], seam.compliance[p]
             for a in range(3):
+                if alpha > m[i] + m[j]:
+                    seam.force[p, a] = (x[a, j] - x[a, i]) / alpha
                 move[a, i] += m[i] * seam.force[p, a]
                 move[a, j] -= m[j] * seam.force[p, a]
         wait_on_device(state.team)
+    if half_of(substep) < 0.0:
+        begin, end, turn = turns_on_device(state.team, len(seam.force))
+        for p in range(begin, end, turn):
+            i, j = seam.first[p], seam.second[p]
+            for a in range(3):
+                seam.before[p, a] = (x[a, i] - displacement_before(state, i, a, substep.h)) - (
+                    x[a, j] - displacement_before(state, j, a, substep.h))
 
 
 @stage(react_to_half_kick, Seam, on_device=True)
@@ -210,8 +261,10 @@ class BuiltSeam(Built):
         self.data = None
         if first:
             sides = np.concatenate(first), np.concatenate(second)
+            pairs, late = len(sides[0]), len(sides[0]) if world.explicit else 0
             self.data = Seam(runs_of(*sides), *sides, np.concatenate(compliance),
-                             np.zeros((len(sides[0]), 3)))
+                             np.zeros((pairs, 3)), np.zeros((late, 3)), np.zeros(late),
+                             np.zeros((late, 3)))
             if 'strain_limit' in world.built:
                 world.built['strain_limit'].take_turns()
 
@@ -233,6 +286,10 @@ class BuiltSeam(Built):
 
     def reset(self, state):
         self.again()
+
+    def adopt(self, old):
+        for seam, before in zip(self.parts, old.parts):
+            seam.force[:] = before.force
 
 
 def side_of(cloths: dict[str, Cloth], side: Side, path: str) -> np.ndarray:

@@ -74,6 +74,27 @@ def stay(state, i, h):
         state.apart.move[k, i] = -h * h * state.gravity[k]
 
 
+@jit(inline=True)
+def displacement_before(state, i, k, h):
+    """Return h v_n-1/2 of particle i [m] in the half kick where a frame begins."""
+    if state.inv_mass[i] == 0.0:
+        return h * state.v[k, i]
+    return h * state.v[k, i] - 0.5 * (state.apart.move[k, i] + h * h * state.gravity[k])
+
+
+@jit(inline=True)
+def newmark(m, alpha):
+    """
+    Return γ and β of a spring with a compliance between particles of mobility m together.
+
+    It acts at x_n + γ u + β (x_n+1 - x_n - u), u the displacement before. γ = 0 and β = 1/4 are
+    Newmark's mean of x_n-1, 2 x_n and x_n+1, γ = β = 1 are backward Euler. As m / α, the square of
+    frequency and substep, goes from 1 to 2, the one becomes the other.
+    """
+    late = 1.0 if alpha == 0.0 else min(1.0, max(0.0, m / alpha - 1.0))
+    return late, 0.25 + 0.75 * late
+
+
 @jit
 def half_kick(state, h, share):
     """v += share h (F / m + g) from the accumulated h² F / m; pinned particles keep v."""

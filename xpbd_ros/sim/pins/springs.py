@@ -11,6 +11,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.constraints.projection import at_the_end
+from xpbd_ros.sim.particles.explicit_updates import displacement_before, newmark
 from xpbd_ros.sim.particles.history import weights_at
 from xpbd_ros.sim.pins.held_places import Pin, place_of
 from xpbd_ros.sim.pins.wrenches import deliver
@@ -60,10 +61,8 @@ def aim(spring, state, substep, k):
     """
     Set target and compliance of the implicit step of a spring: p + R q and n α at its end.
 
-    With ``explicit`` the spring acts at X = x_n + γ u + β (x_n+1 - x_n - u), u the displacement
-    before: as a softer one, n α / β, to a target farther away. γ = 0 and β = 1/4 are Newmark's
-    mean of x_n-1, 2 x_n and x_n+1, γ = β = 1 are backward Euler. As m / (n α), the square of
-    frequency and substep, goes from 1 to 2, the one becomes the other.
+    With ``explicit`` the spring acts at X = x_n + γ u + β (x_n+1 - x_n - u) (``newmark``): as a
+    softer one, n α / β, to a target farther away.
     """
     pin, i = spring.pin, spring.pin.particle[k]
     alpha = spring.compliance[k]
@@ -73,8 +72,7 @@ def aim(spring, state, substep, k):
             spring.place[k, a] = goal[a]
         spring.softness[k] = alpha
     else:
-        late = min(1.0, max(0.0, state.mobility[i] / alpha - 1.0))
-        beta = 0.25 + 0.75 * late
+        late, beta = newmark(state.mobility[i], alpha)
         goal = place_of(pin, k, substep.begin + late * (substep.end - substep.begin))
         for a in range(3):
             start, u = state.x_prev[a, i], spring.moved[k, a]
@@ -116,11 +114,10 @@ def stretch_springs(spring, state, substep):
 @jit
 def stretch_springs_at_the_ends(spring, state, substep):
     """Do so in a half kick; where the frame begins, h v_n-1/2 is the displacement before."""
-    pin, part, h, g = spring.pin, substep.end - substep.begin, substep.h, state.gravity
+    pin, part = spring.pin, substep.end - substep.begin
     for k in range(pin.count[0]):
         i = pin.particle[k]
         for axis in range(3):
             f = (state.x[axis, i] - spring.place[k, axis]) / spring.softness[k]
             deliver(pin, k, axis, f, part, 0.0, 0.0, 1.0)
-            spring.moved[k, axis] = h * state.v[axis, i] - 0.5 * (
-                state.apart.move[axis, i] + h * h * g[axis])
+            spring.moved[k, axis] = displacement_before(state, i, axis, substep.h)
