@@ -8,7 +8,8 @@ the cloth as a whole not at all.
 
 Limits: it acts on ``stretch`` and ``shear``; rigid edges (compliance 0) have no damper. The
 methods ``line`` and ``explicit`` have no such damping and are refused; ``auto`` takes
-``gauss_seidel_symmetric``. In a substep without a history it is stronger, by h / H.
+``gauss_seidel_symmetric``. One iteration of ``gauss_seidel`` or ``jacobi`` is of first order, two
+are of the integrator's. In a substep without a history it is stronger, by h / H.
 """
 
 from dataclasses import dataclass
