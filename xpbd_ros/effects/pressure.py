@@ -38,7 +38,7 @@ from xpbd_ros.sim.constraints.projection import (
     recall,
     xpbd_residual,
 )
-from xpbd_ros.sim.constraints.spin_correction import keep_places, turn_back
+from xpbd_ros.sim.constraints.spin_correction import keep_places, resume, set_aside, turn_back
 from xpbd_ros.sim.effect import Built, Effect, sides_of
 from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.parameters import quantity
@@ -92,7 +92,8 @@ class Pressure(NamedTuple):
     sums: np.ndarray
     """of 6 V, by lane, shape (PACK,)"""
     before: np.ndarray
-    """positions before the constraints moved the particles [m], shape (3, slots)"""
+    """positions before the constraints moved the particles; while ``turned``, less those after
+    it [m], shape (3, slots)"""
     turned: np.ndarray
     """True if the rotation that they made in this iteration is undone, shape (1,)"""
 
@@ -100,14 +101,8 @@ class Pressure(NamedTuple):
 @stage(prepare, Pressure)
 @jit
 def prepare_pressure(pressure, state, substep):
-    """Zero the multiplier."""
+    """Zero the multiplier, and note the positions before the constraints move the particles."""
     pressure.force[:] = 0.0
-    begin_iteration(pressure, state)
-
-
-@jit
-def begin_iteration(pressure, state):
-    """Note the positions before the constraints move the particles."""
     keep_places(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
     pressure.turned[0] = False
 
@@ -120,17 +115,20 @@ def turn_surface_back(pressure, state, substep):
 
     In further turns of the inequalities there is none of theirs: what contacts turn stays.
     """
+    first, last = pressure.slots[0], pressure.slots[1]
     if at_the_end(state.apart) and not pressure.turned[0]:
-        turn_back(state.x, state.mobility, state.mass, pressure.slots[0], pressure.slots[1],
-                  pressure.before)
+        turn_back(state.x, state.mobility, state.mass, first, last, pressure.before)
+        set_aside(state.x, first, last, pressure.before)
         pressure.turned[0] = True
 
 
 @stage(limit_motion, Pressure)
 @jit
 def begin_next_iteration(pressure, state, substep):
-    """Note the positions at the start of the next iteration."""
-    begin_iteration(pressure, state)
+    """Go on with the displacements by the constraints alone, those of all iterations."""
+    if pressure.turned[0]:
+        resume(state.x, pressure.slots[0], pressure.slots[1], pressure.before)
+        pressure.turned[0] = False
 
 
 @jit

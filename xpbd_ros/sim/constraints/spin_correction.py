@@ -26,6 +26,22 @@ def keep_places(x, first, last, before):
 
 
 @jit
+def set_aside(x, first, last, before):
+    """Keep the displacements since ``keep_places`` instead, as before - x; ``resume`` ends it."""
+    for k in range(3):
+        for i in range(first, last):
+            before[k, i] -= x[k, i]
+
+
+@jit
+def resume(x, first, last, before):
+    """Let displacements since ``set_aside`` count as if they had been before ``keep_places``."""
+    for k in range(3):
+        for i in range(first, last):
+            before[k, i] += x[k, i]
+
+
+@jit
 def turn_back(x, mobility, mass, first, last, before):
     """
     Cancel the rotation by the displacements since ``keep_places``; none if a particle is pinned.
