@@ -5,6 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.scenes import simulate
+from xpbd_ros.effects.cross_bend import crossings
+from xpbd_ros.sim.geometry.mesh_repair import surface_mesh
 
 B = 3e-4
 
@@ -21,6 +23,19 @@ def test_a_fold_stores_the_energy_of_hinges_at_90_degrees(angle, share):
         x[beyond] = middle + Rotation.from_rotvec([angle, 0.0, 0.0]).apply(x[beyond] - middle)
         energies[name] = simulation.effects[name].constraints.energy(x.T)
     assert energies['cross_bend'] == pytest.approx(share * energies['hinge'], rel=0.02)
+
+
+@pytest.mark.parametrize('rest, fold', [(0.0, 90.0), (0.0, -90.0), (30.0, 90.0), (-30.0, -90.0),
+                                        (120.0, -90.0), (-120.0, 90.0)])
+def test_a_curved_hinge_stores_it_at_90_degrees_from_rest(rest, fold):
+    """Further from flat, or towards it beyond 90°: B |e|² (π/2)² / (A0 + A1) / 2."""
+    def folded(degrees):
+        c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        return np.array([[0, 0, 0], [1, 0, 0], [0.2, 1.0, 0], [0.6, -0.7 * c, 0.7 * s]])
+    (pair,), (length,), (k,) = crossings(surface_mesh(
+        folded(rest), np.array([[0, 1, 2], [1, 0, 3]]), (1.0, 0.0, 0.0)))
+    apart = np.linalg.norm(np.diff(folded(rest + fold)[pair], axis=0))
+    assert 0.5 * k * (apart - length)**2 == pytest.approx(0.5 * (0.5 * np.pi)**2 / 0.85)
 
 
 def test_a_flat_sheet_and_no_sheet_store_nothing():

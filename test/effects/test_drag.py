@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from support.scenes import GRAVITY, run, run_until_still, simulate
 from support.tiers import quick_only, slow
@@ -81,15 +82,17 @@ def test_a_sheet_in_a_gust_has_the_order_of_bdf2():
 
 
 @pytest.mark.parametrize('precision', ['float64', slow('float32')])
-def test_the_force_on_a_pinned_sheet_is_that_of_the_formula(precision):
+@pytest.mark.parametrize('turn', [[0.0, 0.0, 0.0], [0.5, -0.7, 0.3]])
+def test_the_force_on_a_pinned_sheet_is_that_of_the_formula(precision, turn):
     """A wind at an angle; all particles are pinned, and each takes the part of its own area."""
-    wind = np.array([3.0, 1.0, -2.0])
-    frame = run(sheet(wind, pins={'a': {'cloth': 'c', 'at': [0]},
-                                  'b': {'cloth': 'c', 'at': list(range(1, 12))}},
-                      precision=precision), 2)
+    turn, wind = Rotation.from_rotvec(turn), np.array([3.0, 1.0, -2.0])
+    frame = run(sheet(turn.apply(wind).tolist(), precision=precision,
+                      pose={'orientation': turn.as_quat().tolist()},
+                      pins={'a': {'cloth': 'c', 'at': [0]},
+                            'b': {'cloth': 'c', 'at': list(range(1, 12))}}), 2)
     area, along = 0.6 * 0.4, np.array([3.0, 1.0, 0.0])
-    expected = 0.5 * AIR * area * (NORMAL * 2.0 * np.array([0.0, 0.0, -2.0])
-                                   + 2.0 * SKIN * np.linalg.norm(along) * along)
+    expected = turn.apply(0.5 * AIR * area * (NORMAL * 2.0 * np.array([0.0, 0.0, -2.0])
+                                              + 2.0 * SKIN * np.linalg.norm(along) * along))
     np.testing.assert_allclose(frame.pins['a'].force, expected / 24.0, rtol=1e-5)
     np.testing.assert_allclose(frame.pins['b'].force, expected * 23.0 / 24.0, rtol=1e-5)
 
@@ -216,6 +219,8 @@ def test_gusts_swell_about_the_mean_and_begin_anew_at_a_reset():
         return [float(simulation.effects['wind'].data.now[0]) for _ in range(frames)
                 if simulation.step() is not None]
     first = velocities()
+    np.testing.assert_allclose(first, 1.0 + 0.5 * np.sin(4.0 * np.pi * np.arange(1, 31) / 60.0),
+                               atol=1e-8)    # a frame is whole nanoseconds
     assert np.mean(first) == pytest.approx(1.0, abs=1e-9)
     assert max(first) == pytest.approx(1.5, abs=0.01) and min(first) == pytest.approx(0.5, abs=.01)
     velocities(7)

@@ -7,6 +7,7 @@ from scipy.spatial import Delaunay
 from support.meshes import disc, obj_text
 from support.scenes import DOWN, GRAVITY, run, simulate
 from support.tiers import quick_only
+from xpbd_ros.effects.strain_limit import forget_turns, note_turn, PATIENCE
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
@@ -146,6 +147,27 @@ def test_what_is_beyond_the_limit_is_told():
         strains(frame).max() - 0.1, abs=1e-9)
     assert simulation.stats()['strain_over_limit'] > 0.2
     assert np.isfinite(frame.x).all() and np.abs(frame.v).max() < 1.0
+
+
+@pytest.mark.parametrize('growth, ends', [(0.96, False), (0.97, True), (1.0, True)])
+def test_repetitions_end_where_the_excess_does_not_halve_in_20(growth, ends):
+    trend = np.zeros(3)
+    for k in range(100):
+        assert trend[2] == 0.0 or ends and k > PATIENCE
+        note_turn(trend, growth**k)
+    assert (trend[2] == 1.0) == ends
+    forget_turns(trend)
+    assert not trend.any()
+
+
+@pytest.mark.parametrize('options, repeats', [
+    ({}, False), ({'scene_effects': {'self_collision': {'thickness': 0.01}}}, True),
+    ({'scene_effects': {'contact': {'thickness': 0.01}}, 'colliders': {'t': {'plane': {}}}},
+     True)])
+def test_a_limit_is_repeated_where_contacts_follow_it(options, repeats):
+    """``test_seam`` has seams."""
+    data = simulate((7, 3), effects={'strain_limit': {}}, **options).effects['strain_limit'].data
+    assert (data.trend is not None) == repeats
 
 
 def test_without_a_limit_it_would_be():

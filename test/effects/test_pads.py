@@ -1,6 +1,7 @@
 """Pads: a squeeze has a force, and friction the limit μ F, whatever solves it."""
 
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
-from xpbd_ros.sim.contact.pads import surface_area
+from xpbd_ros.sim.contact.pads import solve, surface_area
 from xpbd_ros.sim.geometry.mesh import grid_mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh
 from xpbd_ros.sim.self_collision.neighbour_list import EDGES
@@ -372,6 +373,57 @@ def test_shared_friction_is_the_minimum_of_both(count):
         assert energy(q) <= best + (1e-12 if flat else 0.02 * slides.sum())
         assert np.linalg.norm(first) <= slides[0] * (1.0 + 1e-12)
         assert np.linalg.norm(second) <= slides[1] * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize('turned', [False, True])
+@pytest.mark.parametrize('pull, slip', [(1.4, 0.0), (1.6, 0.6)])
+def test_between_fingers_static_friction_of_one_holds_against_the_other(pull, slip, turned):
+    """μ_s d = 1.5 m and μ_k d = 1 m of the finger at rest; the other slides far with ``pull``."""
+    at_rest, far = (0.0, 0.0, 0.0), (-10.0, 0.0, 0.0)
+    way, sticks, slides = (at_rest, far), (1.5, pull), (1.0, pull)
+    if turned:
+        way, sticks, slides = way[::-1], sticks[::-1], slides[::-1]
+    found = shared_friction(*way, sticks, slides)
+    np.testing.assert_allclose(np.sum(found, 0), [slip, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(found[0 if turned else 1], [pull, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize('way, left', [(2.9, 0.0), (3.1, 1.1)])
+def test_fingers_at_rest_hold_with_both_static_frictions(way, left):
+    """μ_s d of 1 m and 2 m together; beyond, μ_k d of 0.5 m and 1.5 m."""
+    p = (0.0, way, 0.0)
+    found = np.sum(shared_friction(p, p, (1.0, 2.0), (0.5, 1.5)), 0)
+    np.testing.assert_allclose(np.add(p, found), [0.0, left, 0.0], atol=1e-12)
+
+
+class Solved(NamedTuple):
+    """What ``solve`` reads of pads and contacts."""
+
+    normal: np.ndarray
+    earlier: np.ndarray
+    ratio: np.ndarray
+    deficit: np.ndarray
+    touches: np.ndarray
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 4])
+def test_the_pushes_of_several_pads_are_the_minimum_of_their_energy(count):
+    """|u|² / 2 + Σ κ max(0, b - n·u)² / 2 of any colliders: u = Σ d n."""
+    rng = np.random.default_rng(count)
+    for _ in range(20):
+        normal = rng.normal(size=(count, 3))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        deficit, ratio = rng.normal(0.5, 1.0, count), 10.0**rng.uniform(-2.0, 2.0, count)
+        pads = Solved(normal, np.arange(-1, count - 1), ratio, deficit,
+                      (deficit > 0.0).astype(np.int32))
+        u = np.array(solve(pads, pads, count - 1))
+        np.testing.assert_allclose(
+            u, (ratio * np.maximum(0.0, deficit - normal @ u)) @ normal, atol=1e-9)
+
+
+def test_compliance_scale_divides_the_stiffness_of_pads():
+    soft = clamped(colliders=fingers(1e6), scale=4.0).effects['contact'].colliders
+    assert list(soft.stiffness[:2]) == [0.25e6, 0.25e6]
 
 
 def test_it_is_rigid_without_a_pad_and_has_no_arrays():

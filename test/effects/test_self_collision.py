@@ -389,9 +389,14 @@ def test_a_cloth_slides_on_cloth_as_it_would_on_a_slope(friction, solver):
         assert (speed - before) / 0.2 == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.parametrize('degrees, sticks', [(15.0, True), (30.0, False)])
-def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, sticks):
-    """μ = 0.4: 21.8°. The pins of the slope feel the weight less what the momentum gains."""
+@pytest.mark.parametrize('degrees, static, sticks', [
+    (15.0, 0.4, True), (30.0, 0.4, False), (30.0, 0.7, True)])
+def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, static, sticks):
+    """
+    μ_k = 0.4: 21.8°, and 35° where μ_s is 0.7.
+
+    The pins of the slope feel the weight less what the momentum gains.
+    """
     turn = Rotation.from_euler('y', -degrees, degrees=True)
     q = turn.as_quat().tolist()
     down = turn.apply([0.0, 0.0, 1.0])
@@ -399,6 +404,7 @@ def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, sticks):
     simulation = scene({'a': ((8, 8), (0.4, 0.4), {'orientation': q}),
                         'b': ((5, 5), (0.1, 0.1), {'orientation': q, 'position': place})},
                        pins={'all': {'cloth': 'a', 'at': list(range(64))}})
+    simulation.effects['self_collision'].data.pairs.friction.static[:] = static
     start = simulation.frame().x[64:].mean(0)
     frames = [simulation.step() for _ in range(30)]
     moved = np.linalg.norm(frames[-1].x[64:].mean(0) - start)

@@ -7,12 +7,13 @@ import pytest
 
 from support.scenes import run, simulate
 from support.tiers import slow
+from xpbd_ros.effects.drag import RESOLVED
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import COMPENSATED, MIN_SUBSTEPS
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
-from xpbd_ros.scene.stability import largest_rate
+from xpbd_ros.scene.stability import largest_rate, stability_limit
 from xpbd_ros.sim.commands import SetKey
 from xpbd_ros.sim.stepping.methods import is_swept_once
 from xpbd_ros.study.prediction.stiffness import stiffness
@@ -90,6 +91,44 @@ def test_auto_takes_a_fifth_of_the_substeps_of_explicit():
     assert resolved({'compliance': 10.0}).substeps == MIN_SUBSTEPS == 4
     half = lines(resolved({'compliance': 1e-3}, frame_rate=120.0))
     assert half.substeps == ceil(0.2 * sqrt(rate) / 120.0)
+
+
+def test_what_colliders_or_wind_may_stretch_gets_a_third_of_the_substeps():
+    """Still air stretches nothing."""
+    def substeps(**keys):
+        return resolved({'compliance': 1e-3}, solver={'method': 'line'}, **keys).substeps
+    needed = sqrt(6.0 * 19**2 / 0.2 / 2.0 / 1e-3) / 60.0
+    for effects, share in (({'drag': {}}, 0.2), ({'wind': {'velocity': [0, 0, 1e-3]}}, 1.0 / 3.0),
+                           ({'contact': {'thickness': 0.01}}, 1.0 / 3.0)):
+        assert substeps(effects=effects) == ceil(share * needed)
+
+
+def test_wind_has_the_substeps_that_resolve_its_drag():
+    """h ρ C u / (2 × 0.2 kg/m²) ≤ RESOLVED, gusts included; in a mix too."""
+    wind = {'wind': {'velocity': [0, 0, 70.0], 'gust': [0, 30.0, 1.0]},
+            'drag': {'density': 1.2, 'normal': 1.3, 'tangential': 0.02}}
+    grip = 1.2 * (0.5 * 1.3 + 2.0 * 0.02) * (70.0 + np.hypot(30.0, 1.0)) / 0.2
+    for method in ('line', 'auto'):
+        solver = resolved({'compliance': 10.0}, solver={'method': method}, effects=wind)
+        assert solver.method == ('line' if method == 'line' else 'explicit')
+        assert solver.substeps == ceil(grip / 60.0 / RESOLVED)
+
+
+@pytest.mark.parametrize('effects', [{'membrane': {'young': 2000.0, 'poisson': 0.3}},
+                                     {'area': {'stiffness': 2000.0}}])
+def test_stretch_that_no_line_solves_gets_all_of_the_substeps(effects):
+    simulation = simulate((12, 9), effects=effects, substeps=None, method='line', integrator=None)
+    limit = stability_limit(simulation.effects, simulation.state)
+    assert simulation.solver.substeps == ceil(limit * simulation.frame_dt) > 8
+
+
+@pytest.mark.parametrize('precision, gravity, method', [
+    ('float64', 1e-3, 'explicit'), ('float32', 1e-3, 'line'), ('float32', 9.8, 'explicit'),
+    ('float32', 0.0, 'explicit')])
+def test_a_fall_that_float32_rounds_away_leaves_auto_with_line(precision, gravity, method):
+    """At 1 m from the origin, in the substeps of ``explicit``."""
+    assert resolved({'compliance': 1e-3}, solver={'precision': precision},
+                    gravity=[0.0, 0.0, -gravity]).method == method
 
 
 def test_float32_gets_more_for_the_same_budget():

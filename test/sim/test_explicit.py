@@ -254,6 +254,33 @@ def test_what_cannot_come_of_the_frame_before_is_not_calm(after):
     assert not explicit_guard.is_stable((0.0, 1.0, 0.0), after, **kept)
 
 
+@pytest.mark.parametrize('more', [
+    {'before': (0.0, 0.0, 2.0)}, {'after': 2.0}, {'work': 2.0}, {'noise': 2.0},
+    {'load': 4.0, 'acceleration': 2.0}, {'before': (0.0, 2.0, 0.0)}], ids=str)
+def test_energy_is_at_most_doubled_by_what_is_accounted_for(more):
+    """2 J: of pins before or after, of their work, of rounding, of a force, or of before."""
+    kept = {'mass': 1.0, 'load': 0.0, 'acceleration': 0.0, 'dt': 0.5, **more}
+    before, pinned = kept.pop('before', (0.0, 0.0, 0.0)), kept.pop('after', 0.0)
+    for energy, stable in ((3.9, True), (4.1, False)):
+        assert explicit_guard.is_stable(before, (0.0, energy, pinned), **kept) == stable
+
+
+def test_what_is_looked_at_is_strain_and_the_energy_of_free_particles_and_of_edges():
+    simulation = sheet(64)
+    state, random = simulation.state, np.random.default_rng(2)
+    state.x[:, simulation.slot] += random.normal(0.0, 0.01, (3, len(simulation.slot)))
+    state.v[:, simulation.slot] = random.normal(0.0, 1.0, (3, len(simulation.slot)))
+    _, energy, pinned = simulation._guard._look()
+    each = 0.5 * state.mass * (state.v**2).sum(0)
+    held = (state.inv_mass == 0.0) & (state.mass > 0.0)
+    assert held.sum() == 2
+    assert pinned == pytest.approx(each[held].sum(), rel=1e-12)
+    assert energy == pytest.approx(each[~held].sum() + elastic_energy(simulation), rel=1e-12)
+    for size in (0.9, 1.2):
+        state.x[:] = size * simulation._start
+        assert simulation._guard._look()[0] == pytest.approx(abs(size - 1.0), rel=1e-12)
+
+
 @pytest.mark.parametrize(('stiffness', 'redone'), [(0.01, 0), (1.0, 1)])
 def test_soft_diagonals_may_be_compressed_and_stiff_ones_not(stiffness, redone):
     """A sheet sheared to 25°, warp and weft at rest: short diagonals lose 0.69 of their length."""
