@@ -1,9 +1,12 @@
-"""Directions that part a pair through a substep, against brute force over all directions."""
+"""Directions that part a pair through a substep, against brute force; and particles held back."""
+
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from xpbd_ros.sim.self_collision.motion_limit import go_share, limit_shares, rest_step
 from xpbd_ros.sim.self_collision.separating_direction import part, write_vectors
 from xpbd_ros.study.stress.crossings import volume
 
@@ -76,3 +79,77 @@ def test_what_slides_over_a_triangle_is_parted_however_far(way):
     assert part(points, np.zeros(8), count, tuple(turn.apply([0.0, 0.0, 1.0])), 0.05)[0]
     lean = np.array([0.1, 0.0, 0.1]) / np.hypot(0.1, 0.1)
     assert part(points, np.zeros(8), count, tuple(turn.apply(lean)), 0.05)[0]
+
+
+class Plane(NamedTuple):
+    """What ``limit_shares`` reads and writes of ``Planes``."""
+
+    side: np.ndarray
+    number: np.ndarray
+    normal: np.ndarray
+    need: np.ndarray
+    share: np.ndarray
+
+
+class Near(NamedTuple):
+    """What it reads of ``NeighbourList``."""
+
+    x: np.ndarray
+    step: np.ndarray
+    slot: np.ndarray
+    count: np.ndarray
+
+
+class Particles(NamedTuple):
+    """What it reads of ``State``."""
+
+    x: np.ndarray
+    inv_mass: np.ndarray
+    history: None
+
+
+@pytest.mark.parametrize('pinned', [False, True])
+@pytest.mark.parametrize('side', [1, 2], ids=['triangle', 'edges'])
+def test_sides_that_are_held_back_stay_apart_and_what_moves_less_is_free(side, pinned):
+    """Whatever all do together; a pinned particle takes up to 0.8 of the distance."""
+    random, held, distance = np.random.default_rng(side), 0, 10.0 * NEED
+    sign = np.where(np.arange(4) < side, 1.0, -1.0)
+    for _ in range(200):
+        n, step = random.normal(size=3), random.normal(0.0, 2.0, 3)
+        n /= np.linalg.norm(n)
+        start, way = random.uniform(-1.0, 1.0, (4, 3)), random.normal(0.0, distance, (4, 3))
+        along = start @ n
+        start[:side] += (distance + along[side:].max() - along[:side].min()) * n
+        weight = np.ones(4)
+        if pinned:
+            i = random.integers(4)
+            weight[i] = 0.0
+            way[i] += (random.uniform(-0.8, 0.8) * distance - way[i] @ n) * n
+        planes = Plane(np.array([side]), np.arange(4)[None], n[None], np.array([NEED]), np.ones(4))
+        near = Near(np.pad(start, ((0, 0), (0, 1)), constant_values=1e3), step, np.arange(4),
+                    np.zeros(4, np.int64))
+        state = Particles((start + step + way).T.copy(), weight, None)
+        limit_shares(planes, 0, near, state)
+        for i in range(4):
+            go_share(near, state, i, planes.share[i])
+        at = state.x.T @ n
+        assert at[:side].min() - at[side:].max() >= NEED * (1.0 - 1e-9)
+        np.testing.assert_allclose(state.x.T - start - step, np.where(
+            weight > 0.0, planes.share, 1.0)[:, None] * way, atol=1e-12)
+        free = sign * (way @ n) >= (0.0 if pinned else 0.52 * NEED - 0.5 * distance)
+        assert (planes.share[free] == 1.0).all()
+        held += near.count[2]
+    assert held > 100
+
+
+@pytest.mark.parametrize('pinned', [0, 1, 2])
+def test_held_particles_rest_on_the_pinned_ones_among_them(pinned):
+    """Their common displacement is the mean of those; of all that are held if none is pinned."""
+    random, held = np.random.default_rng(pinned), np.array([True, False, True, True, True])
+    x, way, weight = random.normal(size=(5, 3)), random.normal(size=(5, 3)), np.ones(5)
+    weight[[2, 4][:pinned]] = 0.0
+    weight[1] = 0.0    # pinned, and not held
+    near = Near(x, np.full(3, 7.0), np.arange(5), np.zeros(4, np.int64))
+    rest_step(near, held, None, Particles((x + way).T.copy(), weight, None))
+    np.testing.assert_allclose(near.step, way[held if pinned == 0 else [2, 4][:pinned]].mean(0),
+                               rtol=1e-12)
