@@ -5,12 +5,15 @@ import pytest
 from scipy.spatial import Delaunay
 
 from support.meshes import disc, obj_text
-from support.scenes import DOWN, GRAVITY, run, simulate
+from support.scenes import DOWN, GRAVITY, run, run_stage, simulate
 from support.tiers import quick_only
 from xpbd_ros.effects.strain_limit import forget_turns, note_turn, PATIENCE
+from xpbd_ros.effects.tether import Pulls
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
+from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.stepping import stages
 
 SOFT = {'stretch': {'warp': 2.0, 'weft': 2.0}}
 """of 10 N/m² of cloth, 1 m long: a strain of several times its length"""
@@ -284,6 +287,29 @@ def test_tethers_of_a_mesh_are_at_most_8_percent_too_long(seed, tmp_path):
         assert len(longer) == len(vertices) - 1
         assert longer.min() >= 1.0 - 1e-12
         assert longer.max() <= 1.08
+
+
+def test_a_tether_that_is_slack_again_pulls_at_nothing():
+    """In a later projection; threads, which store pulls and then add them, add the same."""
+    simulation, found = hang({'tether': {'slack': 0.0}}, pins={
+        'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_10'}}), []
+    tether, state = simulation.effects['tether'].data, simulation.state
+    state.mobility[:] = state.inv_mass * 1e-4
+    start, count = state.x.copy(), tether.count[0]
+    for pulls in (None, Pulls(np.argsort(tether.pinned[:count], kind='stable'),
+                              np.zeros((3, count)))):
+        state.reaction[:] = 0.0
+        for longer in (1.2, 0.9):
+            state.x[:] = start * [[1.0], [1.0], [longer]]
+            run_stage(stages.project_inequalities, tether._replace(pulls=pulls), state,
+                      Substep(0.01, 0.0, 0.5))
+            found.append((state.reaction.copy(), state.x.copy()))
+    (pull, x), *others = found
+    lifted = (x - start * [[1.0], [1.0], [1.2]]) @ state.mass / 1e-4
+    np.testing.assert_allclose(pull.sum(1), -0.5 * lifted, rtol=1e-9, atol=1e-9)
+    assert np.count_nonzero(pull[2]) == 2 and lifted[2] > 0.1
+    for other, _ in others:
+        np.testing.assert_allclose(other, pull, rtol=1e-12, atol=1e-12)
 
 
 def test_cloth_without_pins_has_no_tethers():
