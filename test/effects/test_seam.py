@@ -10,9 +10,9 @@ from support.scenes import DOWN, GRAVITY, run, run_until_still, SETTINGS
 from support.tiers import slow
 from xpbd_ros.effects.seam import runs_of
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.auto import stability_limit
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.scene.stability import stability_limit
 from xpbd_ros.sim.commands import MovePin, Pose, SetKey
 from xpbd_ros.sim.measure import angular_momentum, elastic_energy, kinetic_energy, momentum
 
