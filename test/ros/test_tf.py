@@ -4,17 +4,22 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 import json
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import time
 
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import TransformStamped
 import numpy as np
 import pytest
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import MultiDOFJointState
 from visualization_msgs.msg import Marker
 
 from support import tf_broadcaster
 from support.logs import recorded_inputs
-from support.node import child_environment, Cloth, pin, pose_stamped, targets, TOWEL
+from support.node import child_environment, Cloth, pin, pose_stamped, targets, TOWEL, transform
 from xpbd_ros.ros.logged_commands import Recording
 from xpbd_ros.scene.compile import compile_scene
 
@@ -80,6 +85,49 @@ def test_parts_follow_tf_and_repeat_from_the_log(start, peer, broadcast, tmp_pat
     assert off.max() < 1e-3, 'm off the path'
 
 
+def test_frames_are_followed_after_the_clock_went_back(start, peer, tmp_path):
+    """In every mode: a bag that begins again, or a simulator that was reset."""
+    from tf2_msgs.msg import TFMessage
+    (tmp_path / 'scene.yaml').write_text(SCENE)
+    cloth = Cloth(peer, start(scene=tmp_path / 'scene.yaml', mode='lockstep',
+                              use_sim_time='true'))
+    cloth.node.wait_for('running')
+    balls = peer.hear(MultiDOFJointState, '/cloth/collider_wrenches')
+    now_ns = time.time_ns()
+
+    def tell_clock() -> None:
+        peer.say('/clock', Clock(clock=Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9)))
+
+    def tell_frame(x: float) -> None:
+        moved = TransformStamped(child_frame_id='tool', transform=transform((x, 1.0, 0.2)))
+        moved.header.frame_id = 'world'
+        moved.header.stamp = Time(sec=now_ns // 10**9, nanosec=now_ns % 10**9)
+        peer.say('/tf', TFMessage(transforms=[moved]))
+
+    def follows(x: float) -> bool:
+        """Let time pass with the frame at x, and return whether the ball is there."""
+        nonlocal now_ns
+        now_ns += 20_000_000
+        tell_clock()
+        tell_frame(x)
+        cloth.step()
+        places = {name: each.translation.x for message in balls[-1:]
+                  for name, each in zip(message.joint_names, message.transforms)}
+        return abs(places.get('ball', 9.0) - x) < 1e-6
+    peer.until(lambda: follows(0.1), 'the ball')
+    cloth.node.process.send_signal(signal.SIGSTOP)    # when it goes on, it reads the clock first
+    tell_frame(0.0)
+    now_ns = 1000 * 10**9
+    tell_clock()
+    cloth.node.process.send_signal(signal.SIGCONT)
+    peer.until(lambda: follows(0.2), 'the ball by the earlier time')
+    assert cloth.set(use_sim_time=False) == cloth.set(use_sim_time=True) == (True, '')
+    now_ns = 500 * 10**9
+    peer.until(lambda: follows(0.3), 'the ball by the time of another clock')
+    assert cloth.node.end() == 0
+    peer.company.clear()
+
+
 def repeated_places(run: Path) -> np.ndarray:
     """Repeat a log without TF, bit for bit; return the places of the ball that follows TF."""
     done = subprocess.run(
@@ -115,6 +163,7 @@ def step_until(cloth: Cloth, true: Callable[[dict], bool], what: str) -> dict:
 def test_inputs_in_another_frame_act_where_it_was_at_their_stamp(lockstep, broadcast):
     cloth, half = lockstep, 0.5**0.5
     broadcast()
+    cloth.peer.until(lambda: cloth.peer.node.count_publishers('/tf_static'), 'the broadcaster')
     cloth.mark(pin('left', (-0.2, 0.2, -0.496), frame_id='base'))
     found = step_until(cloth, lambda pins: 'left' in pins, 'the grasp')
     t, q = found['left'][0].translation, found['left'][0].rotation

@@ -275,8 +275,6 @@ class ClothNode(LifecycleNode):
 
     def _jumped(self, by_ns: int) -> None:
         self.status.jumped(by_ns)
-        if by_ns < 0 and self.following is not None:
-            self.following.clear()
         self.get_logger().warning(f'the clock jumped by {by_ns * 1e-9:+.3f} s; stamps follow it')
 
     def step(self, late_ns=None) -> None:

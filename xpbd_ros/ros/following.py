@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 
 from xpbd_ros.errors import InputError
@@ -13,6 +15,9 @@ from xpbd_ros.ros.inlet import Inlet
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.sim.commands import Command
 from xpbd_ros.sim.simulation import Simulation
+
+BACK = Duration(nanoseconds=-1)
+"""jump of the node's clock at which what was followed is forgotten"""
 
 
 class Following:
@@ -38,6 +43,8 @@ class Following:
         self._joint_states: dict = {}    # by topic
         self._topics: dict = {}    # subscribed topics of other programs, by name in the scene
         self._inlets: list[Inlet] = []
+        self._jumps = node.get_clock().create_jump_callback(
+            JumpThreshold(min_forward=None, min_backward=BACK), post_callback=self._forget)
         try:
             self._followers = Followers(simulation, scene, self, now_ns=self._now_ns,
                                         warn=node.get_logger().warning,
@@ -98,8 +105,8 @@ class Following:
         """Return the values for ``/diagnostics``."""
         return self._followers.diagnostics()
 
-    def clear(self) -> None:
-        """Forget transforms and joint states, after the clock went back."""
+    def _forget(self, _) -> None:
+        """Forget transforms, joint states and poses: their stamps are of another time."""
         self.inputs.clear()
         for states in self._joint_states.values():
             states.clear()
@@ -108,6 +115,7 @@ class Following:
 
     def close(self) -> None:
         """Destroy the subscriptions."""
+        self._jumps.unregister()
         self.inputs.close()
         for inlet in self._inlets:
             inlet.close()

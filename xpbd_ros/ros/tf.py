@@ -57,7 +57,11 @@ class Transforms:
         return Pose((t.x, t.y, t.z), unit((q.x, q.y, q.z, q.w)))
 
     def clear(self) -> None:
-        """Forget all transforms but the static ones."""
+        """Forget all transforms but the static ones, those that wait to be read included."""
+        waiting = self._listener.tf_sub
+        with waiting.handle:
+            while waiting.handle.take_message(waiting.msg_type, False) is not None:
+                pass
         self._buffer.clear()
 
     def close(self) -> None:
