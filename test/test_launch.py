@@ -11,10 +11,17 @@ from xpbd_ros.share import share_folder
 
 try:
     from launch import LaunchContext
-    from launch.actions import DeclareLaunchArgument
+    from launch.actions import (
+        DeclareLaunchArgument,
+        ExecuteProcess,
+        IncludeLaunchDescription,
+        RegisterEventHandler,
+        Shutdown,
+    )
+    from launch.events.process import ProcessExited
     from launch.launch_description_sources import PythonLaunchDescriptionSource
     from launch.substitutions import LocalSubstitution
-    from launch_ros.actions import LifecycleNode
+    from launch_ros.actions import LifecycleNode, Node
 except ImportError as error:
     missing = f'needs ROS 2 launch and launch_ros: {error}'
 else:
@@ -164,10 +171,39 @@ def test_the_robot_moves_once_the_cloth_node_listens(given, count):
     context = LaunchContext()
     context.launch_configurations.update({'tf': 'false', **given})
     source = PythonLaunchDescriptionSource(str(LAUNCH / 'robot.launch.py'))
-    publisher, motion = source.get_launch_description(context).entities[-2:]
+    publisher, *_, motion = source.get_launch_description(context).entities[-4:]
     assert publisher.condition.evaluate(context) == (count == 2)
     words = [''.join(part.perform(context) for part in word) for word in motion.cmd]
     assert words[-1] == f'subscribers:={count}'
+
+
+@needs_launch
+def test_the_robot_stops_with_the_cloth_node():
+    """Which may refuse the scene: then its motion would wait for ever."""
+    source = PythonLaunchDescriptionSource(str(LAUNCH / 'robot.launch.py'))
+    handler, = (each.event_handler for each in
+                source.get_launch_description(LaunchContext()).entities
+                if isinstance(each, RegisterEventHandler))
+    (_, cloth), context = started('cloth')
+    command_line(cloth, context)
+
+    def ended(action):
+        return ProcessExited(action=action, name='cloth', cmd=[], cwd=None, env=None, pid=1,
+                             returncode=2)
+    assert handler.matches(ended(cloth))
+    action, = handler.handle(ended(cloth), context)
+    assert isinstance(action, Shutdown)
+    assert not handler.matches(ended(ExecuteProcess(cmd=['true'])))
+
+
+@needs_launch
+def test_what_may_be_missing_comes_before_the_cloth_node():
+    """Launch gives up where a package is missing, and leaves what it has started running."""
+    source = PythonLaunchDescriptionSource(str(LAUNCH / 'robot.launch.py'))
+    entities = source.get_launch_description(LaunchContext()).entities
+    publisher, = (k for k, each in enumerate(entities) if isinstance(each, Node))
+    cloth, = (k for k, each in enumerate(entities) if isinstance(each, IncludeLaunchDescription))
+    assert publisher < cloth
 
 
 def test_the_launch_files_need_nothing_but_launch():

@@ -14,11 +14,18 @@ from pathlib import Path
 import sys
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    ExecuteProcess,
+    IncludeLaunchDescription,
+    RegisterEventHandler,
+    Shutdown,
+)
 from launch.conditions import IfCondition
+from launch.event_handlers import OnProcessExit
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import Command, LaunchConfiguration, PythonExpression
-from launch_ros.actions import Node
+from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 SHARE = Path(__file__).resolve().parents[1]    # holds launch/, robots/
@@ -43,15 +50,19 @@ def generate_launch_description():
         DeclareLaunchArgument(
             'rviz', default_value='false', choices=['true', 'false'],
             description='Show the cloth in RViz as well'),
-        IncludeLaunchDescription(
-            PythonLaunchDescriptionSource(str(SHARE / 'launch' / 'cloth.launch.py')),
-            launch_arguments={name: LaunchConfiguration(name)
-                              for name in ('scene', 'record', 'rviz')}.items()),
-        Node(
+        Node(    # first: where it is missing, launch gives up with nothing started
             package='robot_state_publisher', executable='robot_state_publisher',
             parameters=[{'robot_description': ParameterValue(
                 Command(['cat ', LaunchConfiguration('description')]), value_type=str)}],
             condition=IfCondition(LaunchConfiguration('tf'))),
+        RegisterEventHandler(OnProcessExit(    # else the motion would wait for the node for ever
+            target_action=lambda action: (isinstance(action, LifecycleNode)
+                                          and action.node_package == 'xpbd_ros'),
+            on_exit=Shutdown(reason='the cloth node has ended'))),
+        IncludeLaunchDescription(
+            PythonLaunchDescriptionSource(str(SHARE / 'launch' / 'cloth.launch.py')),
+            launch_arguments={name: LaunchConfiguration(name)
+                              for name in ('scene', 'record', 'rviz')}.items()),
         ExecuteProcess(    # it begins once the cloth node listens, too
             cmd=[sys.executable, str(ROBOTS / 'two_finger_motion.py'), '--ros-args', '-p',
                  ['subscribers:=', PythonExpression([

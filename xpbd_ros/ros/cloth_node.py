@@ -86,7 +86,8 @@ class ClothNode(LifecycleNode):
         except (InputError, ParameterException) as error:
             self.get_logger().error(str(error))
         except Exception as error:
-            self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
+            if rclpy.ok():    # otherwise a signal shut the context down during a call
+                self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
         else:
             return TransitionCallbackReturn.SUCCESS
         self._release()
