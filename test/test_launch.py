@@ -144,6 +144,17 @@ def test_a_namespace_moves_the_node_and_what_rviz_listens_to():
 
 
 @needs_launch
+@pytest.mark.parametrize(('given', 'name'), [({}, '/robot/cloth'),
+                                             ({'namespace': 'left'}, '/robot/left/cloth')])
+def test_a_namespace_pushed_around_it_moves_both(given, name):
+    """By PushRosNamespace, in a launch file that includes this one."""
+    (rviz, cloth), context = started('cloth', rviz='true', ros_namespace='/robot', **given)
+    command_line(cloth, context)
+    assert cloth.node_name == name
+    assert f'/cloth/particles:={name}/particles' in command_line(rviz, context)
+
+
+@needs_launch
 def test_refuses_a_parameter_file_that_is_not_there():
     """Launch itself would warn, and start the node on its defaults."""
     with pytest.raises(ValueError, match=r'params_file: no such file: nope\.yaml'):

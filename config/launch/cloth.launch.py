@@ -79,13 +79,15 @@ def nodes(context):
         ros_arguments=['--log-level', LaunchConfiguration('log_level')],
         output='screen',
         sigterm_timeout='30')    # s after Ctrl-C: what the node needs to close its log, and more
+    pushed = context.launch_configurations.get('ros_namespace', '')    # by PushRosNamespace
+    full = f'{pushed}/{namespace}'.strip('/')
     cloths = cloths_of(given['scene'] or scene_in(file))
     rviz = Node(
         package='rviz2', executable='rviz2', namespace=namespace,
         arguments=['-d', str(view(cloths))],
         parameters=[{'use_sim_time': parameters['use_sim_time']}],
-        remappings=[(f'/cloth/{topic}', f'/{namespace}/cloth/{topic}')
-                    for topic in (*clouds(cloths), *OTHER_TOPICS) if namespace],
+        remappings=[(f'/cloth/{topic}', f'/{full}/cloth/{topic}')
+                    for topic in (*clouds(cloths), *OTHER_TOPICS) if full],
         condition=IfCondition(LaunchConfiguration('rviz')))
     return [rviz, cloth]    # rviz first: where it is missing, launch gives up with nothing started
 
