@@ -421,7 +421,7 @@ def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, static, stic
         assert moved == pytest.approx(slide, rel=0.15)
 
 
-@pytest.mark.parametrize('compliance', [0.0, 1e-6])
+@pytest.mark.parametrize('compliance', [0.0, slow(1e-6)])
 def test_what_lies_on_pinned_cloth_weighs_on_its_pins(compliance):
     """On the springs of a compliant pin too: pushes load them as they would a rigid pin."""
     simulation = scene({'a': square(0.0), 'b': square(0.01, 5, 0.1, x=0.06, y=0.07)},

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from support.scenes import EXAMPLES, FEW, SETTINGS, simulate, USUAL, with_effects
-from support.tiers import quick_only
+from support.tiers import quick_only, slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.commands import Grasp, Pose, Release, SetKey
@@ -45,8 +45,9 @@ def test_the_start_of_a_frame_gives_the_same_frame(method, integrator, names):
         np.testing.assert_array_equal(again.v, simulation.state.v)
 
 
-def test_the_start_of_every_kept_frame_gives_that_frame_in_the_memory_of_the_first():
-    simulation = with_effects(method='line', integrator='bdf2', substeps=20, names=USUAL)
+@pytest.mark.parametrize('names', [FEW, slow(USUAL)], ids=lambda names: f'{len(names)} effects')
+def test_the_start_of_every_kept_frame_gives_that_frame_in_the_memory_of_the_first(names):
+    simulation = with_effects(method='line', integrator='bdf2', substeps=20, names=names)
     corner, memory = Pose(tuple(simulation.frame().x[-1])), []
     for commands in ([], [Grasp('held', corner, 0.01)], [], [SetKey('gravity', (1.0, 0.0, -9.0))],
                      [Release('held')], []):
