@@ -45,7 +45,7 @@ duration: 0.5
 solver: {method: gauss_seidel, integrator: bdf2, substeps: 12, iterations: 2}
 cloths:
   c:
-    grid: {size: [0.3, 0.15], resolution: [13, 7]}
+    grid: {size: [0.3, 0.16], resolution: [13, 7]}
     density: 0.2
     effects:
       stretch: {warp: 300.0, weft: 300.0}
@@ -62,7 +62,7 @@ solver: {method: gauss_seidel, integrator: bdf2, substeps: 12, iterations: 2}
 gravity: [4.9, 0.0, -8.5]
 cloths:
   c:
-    grid: {size: [0.2, 0.2], resolution: [6, 6]}
+    grid: {size: [0.2, 0.21], resolution: [6, 6]}
     pose: {position: [0.0, 0.0, 0.003]}
     density: 0.3
     friction: 0.3

@@ -567,7 +567,8 @@ def test_nothing_gets_out_of_a_room_with_thin_walls_that_turns(substeps, rough):
             name: {'box': {'size': np.where(place, 0.002, 1.2).tolist()}, 'max_speed': 100.0,
                    'position': place.tolist(), 'restitution': 1.0, 'friction': 0.3}
             for name, place in walls.items()},
-        scene_effects={'contact': {'thickness': 0.004}, **({'friction': {}} if rough else {})})
+        friction=0.3 if rough else 0.0,
+        scene_effects={'contact': {'thickness': 0.004}, 'friction': {}})
     simulation.state.v[:, simulation.slot] = np.random.default_rng(0).normal(0.0, 35.0, (3, 64))
     for k in range(120):
         turn = Rotation.from_rotvec([0.04 * k, 0.07 * k, -0.03 * k])

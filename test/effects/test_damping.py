@@ -11,7 +11,7 @@ INTEGRATORS = pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2', '
 def falling(rate, substeps, gravity=-GRAVITY, integrator='backward_euler', **options):
     """Return a particle that only damping acts on."""
     return simulate((1, 1), gravity=(0, 0, gravity), substeps=substeps,
-                    scene_effects={'damping': {'rate': rate}}, integrator=integrator,
+                    scene_effects={'pin': {}, 'damping': {'rate': rate}}, integrator=integrator,
                     method='explicit' if integrator == 'leapfrog' else 'gauss_seidel', **options)
 
 

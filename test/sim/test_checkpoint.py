@@ -6,7 +6,7 @@ import zlib
 import pytest
 
 from support.logs import SHEET
-from support.scenes import FEW, with_effects
+from support.scenes import FEW, USUAL, with_effects
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_text
@@ -42,7 +42,8 @@ def after_a_grasp(make, frames: int = 5):
     pytest.param('explicit', 'leapfrog', marks=pytest.mark.slow)])
 def test_a_simulation_continues_from_a_checkpoint_bit_for_bit(method, integrator):
     def make():
-        return with_effects(names=FEW, method=method, integrator=integrator, substeps=12)
+        return with_effects(names=USUAL if method == 'gauss_seidel' else FEW, method=method,
+                            integrator=integrator, substeps=12)
     first, second = after_a_grasp(make), make()
     restore(second, checkpoint(first))
     assert second.index == first.index

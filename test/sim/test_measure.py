@@ -128,7 +128,8 @@ def test_particles_that_touch_are_those_on_the_floor():
                              'pose': {'position': [0.0, 0.0, 0.002],
                                       'orientation': [0.5**0.5, 0.0, 0.0, 0.5**0.5]},
                              'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
-        'colliders': {'floor': {'plane': {}}}, 'effects': {'contact': {'thickness': 0.002}},
+        'colliders': {'floor': {'plane': {}}}, 'effects': {
+            'pin': {}, 'damping': {'rate': 0.0}, 'contact': {'thickness': 0.002}, 'friction': {}},
         'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 8},
     }, where='here', name='here'))
     simulation.step()
@@ -141,7 +142,8 @@ def test_the_contact_forces_of_a_sheet_on_the_floor_are_its_weight():
         'cloths': {'sheet': {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.2,
                              'pose': {'position': [0.0, 0.0, 0.002]},
                              'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
-        'colliders': {'floor': {'plane': {}}}, 'effects': {'contact': {'thickness': 0.002}},
+        'colliders': {'floor': {'plane': {}}}, 'effects': {
+            'pin': {}, 'damping': {'rate': 0.0}, 'contact': {'thickness': 0.002}, 'friction': {}},
         'solver': {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 8},
     }, where='here', name='here'))
     assert not measure.contact_forces(simulation).any()

@@ -149,7 +149,7 @@ def test_pins_give_the_momentum_in_the_frames_of_a_switch(compliance, monkeypatc
 
 def test_a_sheet_falls_through_air_at_its_last_speed_with_either_method(monkeypatch):
     """½ ρ c v² A = M g; published velocities belong to the ends of frames."""
-    mixed = sheet(pins={}, scene_effects={'drag': {}})
+    mixed = sheet(effects={}, pins=None, scene_effects={'drag': {}})
     last = np.sqrt(0.2 * GRAVITY / (0.5 * 1.2 * 1.2))    # with the defaults of drag
     mixed.state.v[2, mixed.slot] = -last
     rough_in(monkeypatch, {3})

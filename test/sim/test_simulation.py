@@ -317,7 +317,7 @@ def test_compiling_moves_nothing():
 @pytest.mark.parametrize('grid', [
     (7, 1), *(slow(grid) for grid in ((1, 1), (2, 1), (1, 2), (1, 7), (2, 2)))])
 @pytest.mark.parametrize('options', [
-    {'names': FEW}, slow({}),
+    {'names': (*FEW, 'damping', 'friction')}, slow({}),
     slow({'method': 'line', 'integrator': 'bdf2'}),
     slow({'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'})],
     ids=lambda options: options.get('method', 'few' if options else 'plain'))

@@ -127,8 +127,10 @@ def lying(threads: int, colliders, *, effects=None, contact=None, frames=5, **so
 
 
 @pytest.mark.parametrize('colliders, options', [
-    (GROUND, {'method': 'gauss_seidel', 'integrator': 'backward_euler'}), *(
+    (GROUND, {'method': 'gauss_seidel', 'integrator': 'backward_euler', 'effects': {
+        'pin': {}, 'self_collision': {'thickness': 0.004}}}), *(    # steps of test_self_collision
         pytest.param(*each, marks=pytest.mark.slow) for each in [
+            (GROUND, {'method': 'gauss_seidel', 'integrator': 'backward_euler'}),
             (GROUND, {'method': 'line', 'integrator': 'ndf2'}),
             (MANY, {'method': 'gauss_seidel', 'integrator': 'backward_euler'}),
             (MANY, {'method': 'line', 'integrator': 'ndf2', 'precision': 'float32'}),
