@@ -6,8 +6,8 @@ import pytest
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.geometry.box_tree import (
+    bisected,
     find_packs,
-    morton_codes,
     new_box_tree,
     overlaps,
     update_boxes,
@@ -70,10 +70,21 @@ def test_points_that_are_not_finite_hide_no_others():
     assert sorted(found) == [(i,) for i in range(100) if np.isfinite(points[i, 0])]
 
 
-def test_items_are_in_morton_order_by_group():
-    rest = np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0],
-                     [0.0, 0.0, 0.0]])
-    tree = new_box_tree(np.arange(5)[:, None], rest, np.array([1, 1, 1, 1, 0]))
-    assert tree.corners.tolist() == [[4, 1, 2, 3, 0]]
-    assert (np.diff(morton_codes(rest[[1, 2, 3, 0]])) > 0).all()
-    assert morton_codes(np.zeros((3, 3))).tolist() == [0, 0, 0]
+def test_nodes_of_a_group_are_on_either_side_of_a_plane():
+    points = np.random.default_rng(2).uniform(0.0, 1.0, (1000, 3)) * [1.0, 2.0, 0.1]
+    order = bisected(points, np.zeros(1000, np.int64))
+    assert sorted(order) == list(range(1000))
+    for size in (PACK, PACK**2):
+        for first in range(0, 1000 - size, 2 * size):
+            one = points[order[first:first + size]]
+            other = points[order[first + size:first + 2 * size]]
+            assert (one.max(0) <= other.min(0)).any()
+
+
+def test_groups_stand_one_after_another():
+    group = np.array([1, 2, 0] * 50)
+    order = bisected(np.random.default_rng(3).uniform(0.0, 1.0, (150, 3)), group)
+    assert sorted(order) == list(range(150))
+    assert (np.diff(group[order]) >= 0).all()
+    assert bisected(np.zeros((20, 3)), np.zeros(20, np.int64)).tolist() == list(range(20))
+    assert bisected(np.zeros((0, 3)), np.zeros(0, np.int64)).tolist() == []

@@ -1,9 +1,9 @@
 """
 Tree of bounding boxes over points, edges or triangles, for overlap queries.
 
-Items stand in Morton order of their positions at rest (G. M. Morton, 1966), so neighbours in the
-tree are neighbours on the surface. A node bounds PACK neighbouring nodes or items; its members
-never change, and ``update_boxes`` refits it to new positions. Queries compare a box with PACK
+Items are ordered by recursive bisection of their positions at rest, so neighbours in the tree are
+neighbours on the surface. A node bounds PACK neighbouring nodes or items; its members never
+change, and ``update_boxes`` refits it to new positions. Queries compare a box with PACK
 boxes side by side. Results are in tree order, so they depend on nothing but the boxes.
 """
 
@@ -25,9 +25,6 @@ from xpbd_ros.sim.backend.simd import (
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
-
-MORTON_BITS = 20
-"""bits of each coordinate in a Morton code"""
 
 
 class BoxTree(NamedTuple):
@@ -64,7 +61,7 @@ def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray,
     threads : that query the tree at once
 
     """
-    order = np.lexsort((morton_codes(rest[corners].mean(1)), group[corners[:, 0]]))
+    order = bisected(rest[corners].mean(1), group[corners[:, 0]])
     sizes = [len(corners)]
     while sizes[-1] > PACK:
         sizes.append(-(-sizes[-1] // PACK))
@@ -75,16 +72,25 @@ def new_box_tree(corners: np.ndarray, rest: np.ndarray, group: np.ndarray,
                    np.zeros((threads, 2, max(1, begin[1] // PACK)), np.int64))
 
 
-def morton_codes(points: np.ndarray) -> np.ndarray:
-    """Return the Morton codes of points, shape (points, 3), in the cube around them."""
-    low = points.min(0, initial=np.inf)
-    size = (points - low).max(initial=0.0)
-    cells = ((points - low) * ((2**MORTON_BITS - 1) / (size or 1.0))).astype(np.int64)
-    code = np.zeros(len(points), np.int64)
-    for bit in range(MORTON_BITS):
-        for a in range(3):
-            code |= (cells[:, a] >> bit & 1) << (3 * bit + a)
-    return code
+def bisected(points: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """
+    Return the order of points, shape (points, 3), group by group.
+
+    Those of a group are divided across the longest side of the box around them, at the place that
+    is a multiple of the largest node's size, until the places between are in one pack.
+    """
+    order = np.argsort(group, kind='stable')
+    ends = [*(np.flatnonzero(np.diff(group[order])) + 1).tolist(), len(order)]
+    parts = [(first, end) for first, end in zip([0, *ends], ends) if end > first]
+    while parts:
+        first, end = parts.pop()
+        bit = (first ^ (end - 1)).bit_length() - 1    # the highest in which the places differ
+        if 1 << max(bit, 0) >= PACK:
+            part, middle = order[first:end], (end - 1) >> bit << bit
+            side = np.ptp(points[part], axis=0).argmax()
+            order[first:end] = part[np.argsort(points[part, side], kind='stable')]
+            parts += [(first, middle), (middle, end)]
+    return order
 
 
 @jit
@@ -142,11 +148,10 @@ def mark_items(team, tree, marks):
 
 
 @jit(inline=True)
-def box_of(tree, k, size):
-    """Return the low and high corner of box k, ``size`` larger on each side [m]."""
+def box_of(tree, k):
+    """Return the low and high corner of box k [m]."""
     low, high = tree.low, tree.high
-    return ((low[0, k] - size, low[1, k] - size, low[2, k] - size),
-            (high[0, k] + size, high[1, k] + size, high[2, k] + size))
+    return (low[0, k], low[1, k], low[2, k]), (high[0, k], high[1, k], high[2, k])
 
 
 @jit(inline=True)

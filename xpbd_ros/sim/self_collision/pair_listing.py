@@ -37,9 +37,9 @@ EVERY = (1 << PACK) - 1
 """bits of all items of a pack"""
 
 
-def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
+def list_pairs_of(team, near, kind, tree, others, end, which, to_the_end):
     """
-    List the pairs of items of two trees closer than ``size`` + margins, from ``end`` on.
+    List the pairs of items of two trees closer than their margins, from ``end`` on.
 
     Each pair of a tree with itself is listed once. Unless ``to_the_end``, the search ends soon
     after the first pair beyond the capacity.
@@ -49,7 +49,6 @@ def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
     team : threads that take part
     near, kind : neighbour list, and kind of its pairs
     tree, others : trees of the two sides
-    size : distance [m]
     end : end of the pairs so far
     which : ALL, RENEWED or SWAPPED
     to_the_end : False if it is enough to know that there is no room for all
@@ -62,28 +61,28 @@ def list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
 
 
 @inline(list_pairs_of)
-def _list_pairs_of(team, near, kind, tree, others, size, end, which, to_the_end):
+def _list_pairs_of(team, near, kind, tree, others, end, which, to_the_end):
     if isinstance(team, types.NoneType):
-        return lambda team, near, kind, tree, others, size, end, which, to_the_end: (
-            list_alone(near, kind, tree, others, size, end, which, to_the_end))
-    return lambda team, near, kind, tree, others, size, end, which, to_the_end: (
-        list_together(team, near, kind, tree, others, size, end, which, to_the_end))
+        return lambda team, near, kind, tree, others, end, which, to_the_end: (
+            list_alone(near, kind, tree, others, end, which, to_the_end))
+    return lambda team, near, kind, tree, others, end, which, to_the_end: (
+        list_together(team, near, kind, tree, others, end, which, to_the_end))
 
 
 @jit
-def list_alone(near, kind, tree, others, size, end, which, to_the_end):
+def list_alone(near, kind, tree, others, end, which, to_the_end):
     """Do so on one thread."""
     first, room = end, near.kind_room[kind]
     for pack in range(0, tree.corners.shape[1], PACK):
         if end > room and not to_the_end:
             break
-        end = list_pack(near, near.corners, 0, kind, tree, others, size, pack, end, room, which)
+        end = list_pack(near, near.corners, 0, kind, tree, others, pack, end, room, which)
     near.keep[first:min(end, room)] = UNKNOWN
     return end
 
 
 @jit
-def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
+def list_together(team, near, kind, tree, others, end, which, to_the_end):
     """Do so on all threads of a team."""
     if workers(team) > 1:
         me, found, pieces = worker(team), 0, near.pieces
@@ -92,7 +91,7 @@ def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
         for p in range(me, packs_of(tree), workers(team)):
             pieces[0, p] = found
             if found <= room:
-                found = list_pack(near, buffer, me, kind, tree, others, size, PACK * p, found,
+                found = list_pack(near, buffer, me, kind, tree, others, PACK * p, found,
                                   room, which)
             pieces[1, p] = found - pieces[0, p]
         if found > room:
@@ -103,7 +102,7 @@ def list_together(team, near, kind, tree, others, size, end, which, to_the_end):
     wait_uneven(team)
     if alone(team):
         near.plan[FULL] = 0
-        near.plan[TOLD] = list_alone(near, kind, tree, others, size, end, which, to_the_end)
+        near.plan[TOLD] = list_alone(near, kind, tree, others, end, which, to_the_end)
     wait_uneven(team)
     return near.plan[TOLD]
 
@@ -138,7 +137,7 @@ def room_in(corners):
 
 
 @jit
-def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, which):
+def list_pack(near, corners, me, kind, tree, others, pack, end, room, which):
     """
     Append the pairs of the items of a pack to a list of a thread.
 
@@ -147,7 +146,7 @@ def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, whic
     corners, end, room : the list, its end, and its end at most
     me : number of the thread
     pack : first item
-    near, kind, tree, others, size, which : as for ``list_pairs_of``
+    near, kind, tree, others, which : as for ``list_pairs_of``
 
     Returns
     -------
@@ -157,24 +156,24 @@ def list_pack(near, corners, me, kind, tree, others, size, pack, end, room, whic
     wanted, count = EVERY if which == ALL else tree.marked[pack // PACK], 0
     if wanted == 0:
         return end
-    packs, reached = find_packs(others, bounds_of(tree, pack, size), me)
+    packs, reached = find_packs(others, bounds_of(tree, pack), me)
     for n in range(reached):
         other = packs[n]
         free = allowed(others, kind, pack, other, which)
         if free == 0 and other != pack:
             continue
-        mine = wanted & overlaps(tree, pack, bounds_of(others, other, size))
+        mine = wanted & overlaps(tree, pack, bounds_of(others, other))
         while mine:
             lane = lowest_bit(mine)
             mine &= mine - 1
-            hit = overlaps(others, other, box_of(tree, pack + lane, size))
+            hit = overlaps(others, other, box_of(tree, pack + lane))
             hit &= free | -(2 << lane) if kind != TRIANGLES and other == pack else free
             if count + 2 * PACK > CANDIDATES:
-                end, count = keep_close(near, corners, kind, size, end, room, count), 0
+                end, count = keep_close(near, corners, kind, end, room, count), 0
             if hit:
                 count += add_candidates(near, near.kin, corners, kind, tree, others, pack + lane,
                                         other, hit, count, which)
-    return keep_close(near, corners, kind, size, end, room, count)
+    return keep_close(near, corners, kind, end, room, count)
 
 
 @jit(inline=True)
@@ -193,16 +192,16 @@ def allowed(others, kind, pack, other, which):
 
 
 @jit(inline=True)
-def bounds_of(tree, pack, size):
-    """Return the box around the items of a pack, ``size`` larger on each side [m]."""
+def bounds_of(tree, pack):
+    """Return the box around the items of a pack [m]."""
     if len(tree.begin) == 2:    # the only pack
-        low, high = box_of(tree, pack, size)
+        low, high = box_of(tree, pack)
         for k in range(pack + 1, pack + PACK):
-            l, h = box_of(tree, k, size)
+            l, h = box_of(tree, k)
             low = min(low[0], l[0]), min(low[1], l[1]), min(low[2], l[2])
             high = max(high[0], h[0]), max(high[1], h[1]), max(high[2], h[2])
         return low, high
-    return box_of(tree, tree.begin[1] + pack // PACK, size)
+    return box_of(tree, tree.begin[1] + pack // PACK)
 
 
 @jit(inline=True)
@@ -294,12 +293,12 @@ def add_candidate(near, corners, kind, tree, others, c, d, count, which):
 
 
 @jit
-def keep_close(near, corners, kind, size, end, room, count):
-    """Append those of the candidates behind a list that are closer than ``size`` + margins."""
+def keep_close(near, corners, kind, end, room, count):
+    """Append those of the candidates behind a list that are closer than their margins."""
     first = room_in(corners)
     for q in range(first, first + count, lanes(near.start)):
         a, b, c, d = load_corners(near.start, corners, q)
-        v, reach = closest(kind, a, b, c, d)[0], size + travel_of(kind, a, b, c, d)
+        v, reach = closest(kind, a, b, c, d)[0], travel_of(kind, a, b, c, d)
         found = bits(dot(v, v) < reach * reach) & ((1 << min(PACK, first + count - q)) - 1)
         while found:
             k = q + lowest_bit(found)

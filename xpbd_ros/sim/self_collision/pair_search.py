@@ -40,7 +40,10 @@ HALVINGS = 8
 WORD = 4
 """flags in a word of memory"""
 MARGIN = TRAVEL
-"""column of ``NeighbourList.start`` that holds the margins during a search"""
+"""
+column of ``NeighbourList.start`` that holds the margins during a search, each with half of the
+thickness and of the rounding errors
+"""
 
 
 @jit
@@ -90,13 +93,12 @@ def renew_some(team, near, left):
 @jit
 def seek_some(team, near, surface, thickness):
     """Seek the pairs of the renewed particles; return False if there is no room for all."""
-    rounding = begin_search(team, near, surface)
-    size = thickness + rounding
+    begin_search(team, near, surface, thickness)
     drop_all_renewed(team, near, surface)
     if surface is None:
         points, end = near.points, near.plan[POINTS]
-        end = list_pairs_of(team, near, POINTS, points, points, size, end, RENEWED, True)
-        lost = end_points(team, near, near.plan[POINTS], end, thickness, rounding)
+        end = list_pairs_of(team, near, POINTS, points, points, end, RENEWED, True)
+        lost = end_points(team, near, near.plan[POINTS], end, thickness)
         if assigned(team, 0):
             bring_new_forward(team, near, POINTS)
         wait_uneven(team)
@@ -104,11 +106,11 @@ def seek_some(team, near, surface, thickness):
     else:    # Numba prunes the branch that is not taken
         triangles, edges, points = surface.triangles, surface.edges, near.points
         end = near.plan[TRIANGLES]
-        end = list_pairs_of(team, near, TRIANGLES, triangles, points, size, end, RENEWED, True)
-        end = list_pairs_of(team, near, TRIANGLES, points, triangles, size, end, SWAPPED, True)
+        end = list_pairs_of(team, near, TRIANGLES, triangles, points, end, RENEWED, True)
+        end = list_pairs_of(team, near, TRIANGLES, points, triangles, end, SWAPPED, True)
         lost = end_kind(team, near, TRIANGLES, end)
         end = near.plan[EDGES]
-        end = list_pairs_of(team, near, EDGES, edges, edges, size, end, RENEWED, True)
+        end = list_pairs_of(team, near, EDGES, edges, edges, end, RENEWED, True)
         lost += end_kind(team, near, EDGES, end)
         if assigned(team, 0):
             bring_new_forward(team, near, TRIANGLES)
@@ -174,32 +176,34 @@ def list_pairs(team, near, surface, thickness, to_the_end):
 
     Unless ``to_the_end``, the search ends soon after the first pair beyond the capacity.
     """
-    rounding = begin_search(team, near, surface)
-    size = thickness + rounding
+    begin_search(team, near, surface, thickness)
     if surface is None:
         points, first = near.points, begin_kind(team, near, POINTS, 0)
-        end = list_pairs_of(team, near, POINTS, points, points, size, first, ALL, to_the_end)
-        return end_points(team, near, first, end, thickness, rounding)
+        end = list_pairs_of(team, near, POINTS, points, points, first, ALL, to_the_end)
+        return end_points(team, near, first, end, thickness)
     else:    # Numba prunes the branch that is not taken
         triangles, edges, points = surface.triangles, surface.edges, near.points
         end = begin_kind(team, near, TRIANGLES, 0)
-        end = list_pairs_of(team, near, TRIANGLES, triangles, points, size, end, ALL, to_the_end)
+        end = list_pairs_of(team, near, TRIANGLES, triangles, points, end, ALL, to_the_end)
         lost = end_kind(team, near, TRIANGLES, end)
         end = begin_kind(team, near, EDGES, end + int(MORE * end))
-        end = list_pairs_of(team, near, EDGES, edges, edges, size, end, ALL, to_the_end)
+        end = list_pairs_of(team, near, EDGES, edges, edges, end, ALL, to_the_end)
         return lost + end_kind(team, near, EDGES, end)
 
 
 @jit
-def begin_search(team, near, surface):
-    """Load y and the margins, and compute the boxes; return a bound of rounding errors [m]."""
+def begin_search(team, near, surface, thickness):
+    """Load y and the margins, and compute the boxes."""
     start, y = near.start, near.seen
     wait_uneven(team)
     first, end, step = turns(team, len(near.slot))
     for i in range(first, end, step):
         for a in range(3):
             start[i, a] = y[i, a] + near.drift[a] - near.origin[a]
-        start[i, MARGIN] = UP * near.margin[i]
+    wait_uneven(team)
+    half = 0.5 * (thickness + rounding_of(near))
+    for i in range(first, end, step):
+        start[i, MARGIN] = UP * (near.margin[i] + half)
     wait_uneven(team)
     if assigned(team, 0):
         update_boxes(team, near.points, start)
@@ -209,11 +213,10 @@ def begin_search(team, near, surface):
         if assigned(team, -1):
             update_boxes(team, surface.edges, start)
     wait_uneven(team)
-    return rounding_of(near)
 
 
 @jit
-def drop_far(near, first, end, thickness, rounding):
+def drop_far(near, first, end, thickness):
     """Drop pairs further apart than they have to keep + margins from ``first`` on."""
     corners, x, left = near.corners, near.start, first
     for q in range(first // PACK * PACK, min(end, room_of(near)), lanes(x)):
@@ -222,17 +225,17 @@ def drop_far(near, first, end, thickness, rounding):
         i, j, square = corners[0, k], corners[1, k], 0.0
         for a in range(3):
             square += (x[i, a] - x[j, a])**2
-        if square < (near.keep[k] + x[i, MARGIN] + x[j, MARGIN] + rounding)**2:
+        if square < (near.keep[k] - thickness + x[i, MARGIN] + x[j, MARGIN])**2:
             corners[0, left], corners[1, left], near.keep[left] = i, j, near.keep[k]
             left += 1
     return left + max(0, end - room_of(near))
 
 
 @jit
-def end_points(team, near, first, end, thickness, rounding):
+def end_points(team, near, first, end, thickness):
     """Do what ``end_kind`` does for pairs of particles, without those that are too far apart."""
     if alone(team):
-        end = drop_far(near, first, end, thickness, rounding)
+        end = drop_far(near, first, end, thickness)
     return end_kind(team, near, POINTS, told(team, near, end))
 
 
