@@ -33,9 +33,11 @@ def test_a_number_fills_a_pack_and_no_more():
                                   np.delete(NUMBERS, np.s_[3:3 + PACK]))
 
 
+@pytest.mark.parametrize('compresses', sorted({False, simd_integers.COMPRESSES}))
 @pytest.mark.parametrize('permutes', sorted({False, simd_integers.PERMUTES}))
-def test_chosen_numbers_stand_one_after_another(permutes, monkeypatch):
+def test_chosen_numbers_stand_one_after_another(permutes, compresses, monkeypatch):
     monkeypatch.setattr(simd_integers, 'PERMUTES', permutes)
+    monkeypatch.setattr(simd_integers, 'COMPRESSES', compresses)
 
     @jit(cache_name=None)
     def copy(source, begin, chosen, target, index):

@@ -2,7 +2,8 @@
 PACK integers at once: comparison with a number, and compression of those chosen by bits.
 
 Integers have no rounding, so each is done by whatever instructions are fastest: where the machine
-permutes eight lanes by a vector of indices (AVX2), compression takes two of these.
+permutes eight lanes by a vector of indices (AVX2), compression takes two of these; where it has
+an instruction for it (AVX-512), that one.
 """
 
 from llvmlite import ir
@@ -17,6 +18,7 @@ NUMBER, INDEX = ir.IntType(32), ir.IntType(64)
 HALF = 8
 """lanes that one instruction permutes"""
 PERMUTES = bool(FEATURES.get('avx2')) and BITS >= 32 * HALF
+COMPRESSES = bool(FEATURES.get('avx512f')) and BITS >= 32 * PACK
 _PLACES = [[lane for lane in range(HALF) if chosen >> lane & 1] for chosen in range(1 << HALF)]
 
 
@@ -62,10 +64,21 @@ def compress(typing, source, begin, chosen, target, index):
 
     """
     def generate(context, builder, signature, arguments):
-        step = _permuted if PERMUTES else _one_by_one
+        step = _at_once if COMPRESSES else _permuted if PERMUTES else _one_by_one
         step(context, builder, signature, *arguments)
         return context.get_dummy_value()
     return types.void(source, types.intp, types.int64, target, types.intp), generate
+
+
+def _at_once(context, builder, signature, source, begin, chosen, target, index):
+    row, mask = ir.VectorType(NUMBER, PACK), ir.VectorType(ir.IntType(1), PACK)
+    instruction = builder.module.declare_intrinsic(
+        f'llvm.x86.avx512.mask.compress.v{PACK}i32', (), ir.FunctionType(row, [row, row, mask]))
+    found = builder.load(_vector(context, builder, signature.args[0], source, begin, PACK),
+                         align=4)
+    wanted = builder.bitcast(builder.trunc(chosen, ir.IntType(PACK)), mask)
+    builder.store(builder.call(instruction, [found, found, wanted]), _vector(
+        context, builder, signature.args[3], target, index, PACK), align=4)
 
 
 def _permuted(context, builder, signature, source, begin, chosen, target, index):
