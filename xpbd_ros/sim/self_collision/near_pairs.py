@@ -222,8 +222,8 @@ def put_pair(team, near, pairs, kind, m, first, lane):
     turn = turn_of(team, pairs, place, first, len(near.slot))
     pairs.turn[place] = turn
     pairs.keep[place] = pairs.found_keep[m]
-    set_friction(pairs.friction, place, near.cloth[found[m, 0]],
-                 near.cloth[found[m, 1 if kind == POINTS else 3]])
+    set_friction(pairs.friction, place, near.cloth, found[m, 0],
+                 found[m, 1 if kind == POINTS else 3])
     return turn + 1
 
 
@@ -251,9 +251,9 @@ def turn_by_marks(touched, particles, place, first, dummy):
     for p in range(4):
         i = particles[p, place]
         if i < dummy:
-            turn = max(turn, touched[i] - PACK * first)    # less than 0 in earlier groups
+            turn = max(turn, touched[i] - first)    # not more than 0 in earlier groups
     for p in range(4):
-        touched[particles[p, place]] = PACK * first + turn + 1
+        touched[particles[p, place]] = first + turn + 1
     return turn
 
 
@@ -271,9 +271,10 @@ def turn_by_comparison(pairs, place, first, dummy):
 
 
 @jit(inline=True)
-def set_friction(friction, place, one, other):
-    """Copy the coefficients of friction of a pair of cloths."""
+def set_friction(friction, place, cloth, i, j):
+    """Copy the coefficients of friction of the cloths of particles i and j."""
     if friction is not None:
+        one, other = (cloth[i], cloth[j]) if len(friction.kinetic) > 1 else (0, 0)
         friction.slides[place] = friction.kinetic[one, other]
         friction.sticks[place] = friction.static[one, other]
 

@@ -106,8 +106,8 @@ class PairContacts(NamedTuple):
     """scratch: distances that these have to keep [m], shape (capacity,)"""
     touched: np.ndarray
     """
-    scratch: PACK times the first place of the last group that has a particle, plus the number of
-    rounds up to it, by thread of a CPU, shape (threads, particles + 1)
+    scratch: the first place of the last group that has a particle, plus the number of rounds up to
+    it, by thread of a CPU, shape (threads, particles + 1)
     """
     impulse: np.ndarray
     """scratch: impulse of a vector of pairs, of one pair for each thread of a GPU; (3, PACK)"""
@@ -127,7 +127,7 @@ def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
         np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
         rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
         rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
-        np.zeros((threads, particles + 1), np.int64), np.zeros((3, PACK), np.float32), None, None)
+        np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None, None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
