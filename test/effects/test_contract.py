@@ -186,6 +186,7 @@ def test_each_effect_passes_every_check_or_has_an_exception():
 def test_a_bound_moves_its_two_particles_along_the_gradient(name):
     """By no force and no torque in sum, though their masses differ."""
     simulation = compile_scene(scene_from_mapping({
+        'solver': {'method': 'gauss_seidel'},
         'cloths': {'c': {'grid': {'size': [0.6, 0.5], 'resolution': [2, 1]}, 'density': 1.0,
                          'pose': TILT, 'effects': {} if name == 'seam' else {
                              name: BOUNDS[name]}}},

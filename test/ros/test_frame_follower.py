@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from geometry_msgs.msg import Point, PointStamped, PoseStamped, Twist, Vector3, Vector3Stamped
 import numpy as np
 import pytest
+from rclpy.clock import Clock
 from visualization_msgs.msg import Marker, MarkerArray
 import yaml
 
@@ -190,7 +191,7 @@ def test_a_grasp_between_frames_follows_in_the_next_one(monkeypatch):
     simulation = compile_scene(scene)
     silent = SimpleNamespace(info=None, warning=None)
     node = SimpleNamespace(command_queue=SimpleNamespace(refuse=None), pace=lambda: (lambda: 0,),
-                           get_logger=lambda: silent)
+                           get_logger=lambda: silent, get_clock=Clock)
     following = Following(node, scene, simulation, None)
 
     def step(*groups) -> list[type]:

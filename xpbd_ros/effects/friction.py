@@ -312,17 +312,17 @@ class BuiltFriction(Built):
             cloth_of[cloth.slots] = k
         surfaces = [*world.cloths, *entries.values(), *(
             pair for pairs in self.pairs.values() for pair in pairs.values())]
-        sticks = any(getattr(s, 'static_friction', None) is not None for s in surfaces)
         shape = len(world.cloths), len(contact.colliders.shape)
         self.data = Friction(contact.contacts, cloth_of, np.zeros(shape),
-                             np.zeros(shape) if sticks else None)
+                             np.zeros(shape) if sticks(surfaces) else None)
         self.changes = None
         """``changes`` of the contact effect when the coefficients were written"""
 
-    def _between_cloths(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return μ_k and μ_s by cloth and cloth: geometric means."""
+    def _between_cloths(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return μ_k and μ_s by cloth and cloth: geometric means; None where all are μ_k."""
         kinetic, static = np.transpose([both_of(cloth) for cloth in self.cloths])
-        return np.sqrt(np.outer(kinetic, kinetic)), np.sqrt(np.outer(static, static))
+        return np.sqrt(np.outer(kinetic, kinetic)), (
+            np.sqrt(np.outer(static, static)) if sticks(self.cloths) else None)
 
     def begin(self, clock, state):
         if self.contact is not None and self.changes != self.contact.changes:
@@ -341,6 +341,11 @@ class BuiltFriction(Built):
             return both_of(given if isinstance(given, Pair) else Pair(given))
         kinetic, static = (sqrt(a * b) for a, b in zip(both_of(cloth), both_of(entry)))
         return kinetic, static
+
+
+def sticks(surfaces) -> bool:
+    """Return True if a static coefficient is given for one of them."""
+    return any(getattr(surface, 'static_friction', None) is not None for surface in surfaces)
 
 
 def both_of(surface) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from scipy.sparse.csgraph import connected_components
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, alone_on_device, in_first_block, turns, wait_uneven
-from xpbd_ros.sim.contact.contacts import Contacts, DEPENETRATION, push_all
+from xpbd_ros.sim.contact.contacts import Contacts, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
@@ -212,7 +212,7 @@ def find_pairs(effect, state, substep):
     if alone(team):
         stir_contacts(effect.contacts, most)
         pairs.count[0] = SOUGHT
-    find_contacts(team, near, effect.planes, pairs, state.x, DEPENETRATION * substep.h)
+    find_contacts(team, near, effect.planes, pairs, state, substep.h)
     if lost:
         list_planes(team, near, effect.planes, thickness)
 
@@ -394,7 +394,7 @@ class BuiltSelfCollision(Built):
         self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
             backing=new_backing(contacts, len(near.slot), len(pairs.push))))
 
-    def let_rub(self, kinetic: np.ndarray, static: np.ndarray) -> None:
+    def let_rub(self, kinetic: np.ndarray, static: np.ndarray | None) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""
         pairs = self.data.pairs
         self.data = self.data._replace(pairs=pairs._replace(

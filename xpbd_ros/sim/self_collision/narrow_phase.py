@@ -8,6 +8,8 @@ that triangle. So where that contact would push, the normal and the closest poin
 the sweep are used, unless the pair passes through each other before.
 """
 
+from math import sqrt
+
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import (
     any_lane,
@@ -25,6 +27,7 @@ from xpbd_ros.sim.backend.simd import (
 )
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker
+from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.near_pairs import (
     closest,
@@ -55,9 +58,12 @@ from xpbd_ros.sim.self_collision.separating_planes import (
     set_plane,
 )
 
+STICKS = 20.0
+"""relative speed below which cloth sticks to cloth, over the length of a substep [m/s²]"""
+
 
 @jit
-def find_contacts(team, near, planes, pairs, x, apart):
+def find_contacts(team, near, planes, pairs, state, h):
     """
     Set normals, weights and deficits of the near pairs, and list the planes.
 
@@ -67,8 +73,8 @@ def find_contacts(team, near, planes, pairs, x, apart):
     near : neighbour list, with the records of the substep's start and of the displacements
     planes : receives the pairs that may pass through each other; None if only particles collide
     pairs : pair contacts
-    x : present positions [m], shape (3, slots)
-    apart : largest depenetration in the substep [m]
+    state : particles
+    h : length of the substep [s]
 
     """
     if alone(team):
@@ -77,7 +83,9 @@ def find_contacts(team, near, planes, pairs, x, apart):
     for group in range(first, end, step):
         forget_planes(planes, group // PACK)
         for q in range(group, group + PACK, lanes(near.start)):
-            find_some(near, planes, pairs, x, pairs.kind[group // PACK], q, apart, worker(team))
+            find_some(near, planes, pairs, state.x, pairs.kind[group // PACK], q,
+                      DEPENETRATION * h, worker(team))
+            choose_friction(pairs.friction, pairs, near, q, state.v, STICKS * h)
     wait_uneven(team)
 
 
@@ -125,6 +133,46 @@ def find_some(near, planes, pairs, x, kind, q, apart, me):
         while together:
             separate(near, pairs, kind, q + lowest_bit(together))
             together &= together - 1
+
+
+@jit(inline=True)
+def choose_friction(friction, pairs, near, q, v, slow):
+    """Set the coefficients of friction of a vector of pairs in this substep."""
+    if friction is not None:
+        choose_coefficient(friction.static, friction, pairs, near, q, v, slow)
+
+
+@jit(inline=True)
+def choose_coefficient(static, friction, pairs, near, q, v, slow):
+    """
+    Take μ_s where the contact slides by less than ``slow`` [m/s], else μ_k.
+
+    Several pairs share the load of a particle, and none of them knows whether all of them together
+    hold it.
+    """
+    if static is not None:
+        for k in range(q, q + lanes(near.start)):
+            friction.coefficient[k] = friction.slides[k]
+            if pairs.deficit[k] > NEVER and slides_by(pairs, near, k, v) < slow:
+                last = pairs.particles[3, k]
+                friction.coefficient[k] = static[
+                    near.cloth[pairs.particles[0, k]],
+                    near.cloth[pairs.particles[1, k] if last == len(near.slot) else last]]
+
+
+@jit(inline=True)
+def slides_by(pairs, near, k, v):
+    """Return the tangential speed of pair k at the substep's start [m/s]."""
+    n, along, square = pairs.normal, 0.0, 0.0
+    for a in range(3):
+        u = 0.0
+        for p in range(4):
+            i = pairs.particles[p, k]
+            if i < len(near.slot):
+                u += pairs.weight[p, k] * v[a, near.slot[i]]
+        along += n[a, k] * u
+        square += u * u
+    return sqrt(max(0.0, square - along * along))
 
 
 @jit(inline=True)

@@ -276,7 +276,6 @@ def set_friction(friction, place, cloth, i, j):
     if friction is not None:
         one, other = (cloth[i], cloth[j]) if len(friction.kinetic) > 1 else (0, 0)
         friction.slides[place] = friction.kinetic[one, other]
-        friction.sticks[place] = friction.static[one, other]
 
 
 @jit(inline=True)

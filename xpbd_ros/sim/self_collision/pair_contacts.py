@@ -63,12 +63,12 @@ class PairFriction(NamedTuple):
 
     kinetic: np.ndarray
     """μ_k of each pair of cloths, shape (cloths, cloths)"""
-    static: np.ndarray
-    """μ_s of each pair of cloths, shape (cloths, cloths)"""
+    static: np.ndarray | None
+    """μ_s of each pair of cloths, shape (cloths, cloths); None where all are μ_k"""
     slides: np.ndarray
     """μ_k of each pair, shape (capacity,)"""
-    sticks: np.ndarray
-    """μ_s of each pair, shape (capacity,)"""
+    coefficient: np.ndarray | None
+    """μ of each pair in this substep, shape (capacity,); None where all are μ_k"""
     slip: np.ndarray
     """displacement s by friction, accumulated in this substep [m], shape (3, capacity)"""
 
@@ -131,9 +131,10 @@ def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
-                      static: np.ndarray) -> PairFriction:
+                      static: np.ndarray | None) -> PairFriction:
     """Return the friction data of pair contacts, with μ_k and μ_s by pair of cloths."""
-    return PairFriction(kinetic, static, np.zeros_like(pairs.push), np.zeros_like(pairs.push),
+    return PairFriction(kinetic, static, np.zeros_like(pairs.push),
+                        None if static is None else np.zeros_like(pairs.push),
                         np.zeros_like(pairs.normal))
 
 
@@ -306,10 +307,10 @@ def rub_of(friction, pairs, q, push, slip, part, way):
         return slip
     else:    # Numba prunes the branch that is not taken
         sx, sy, sz = slip[0] - way[0], slip[1] - way[1], slip[2] - way[2]
-        size, normal = root(dot((sx, sy, sz), (sx, sy, sz))), push - smaller(
-            load(pairs.overlap, q), push)
-        scale = select(size > load(friction.sticks, q) * normal,
-                       load(friction.slides, q) * normal / select(size > 0.0, size, 1.0), 1.0)
+        size = root(dot((sx, sy, sz), (sx, sy, sz)))
+        most = coefficient(friction.coefficient, friction.slides, q) * (
+            push - smaller(load(pairs.overlap, q), push))
+        scale = select(size > most, most / select(size > 0.0, size, 1.0), 1.0)
         there = either(push > 0.0, dot(slip, slip) > 0.0)
         sx, sy, sz = (select(there, scale * sx, 0.0), select(there, scale * sy, 0.0),
                       select(there, scale * sz, 0.0))
@@ -317,6 +318,15 @@ def rub_of(friction, pairs, q, push, slip, part, way):
                       select(part, sz, slip[2]))
         store_vector(friction.slip, q, (sx, sy, sz))
         return sx - slip[0], sy - slip[1], sz - slip[2]
+
+
+@jit(inline=True)
+def coefficient(chosen, kinetic, q):
+    """Return μ of a vector of pairs in this substep."""
+    if chosen is None:
+        return load(kinetic, q)
+    else:    # Numba prunes the branch that is not taken
+        return load(chosen, q)
 
 
 @jit
