@@ -397,7 +397,7 @@ def test_fingers_at_rest_hold_with_both_static_frictions(way, left):
 
 
 class Solved(NamedTuple):
-    """What ``solve`` reads of pads and contacts."""
+    """Fields of pads and contacts that ``solve`` reads."""
 
     normal: np.ndarray
     earlier: np.ndarray

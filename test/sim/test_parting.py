@@ -82,7 +82,7 @@ def test_what_slides_over_a_triangle_is_parted_however_far(way):
 
 
 class Plane(NamedTuple):
-    """What ``limit_shares`` reads and writes of ``Planes``."""
+    """Fields of ``Planes`` that ``limit_shares`` reads and writes."""
 
     side: np.ndarray
     number: np.ndarray
@@ -92,7 +92,7 @@ class Plane(NamedTuple):
 
 
 class Near(NamedTuple):
-    """What it reads of ``NeighbourList``."""
+    """Fields of ``NeighbourList`` that these functions read."""
 
     x: np.ndarray
     step: np.ndarray
@@ -101,7 +101,7 @@ class Near(NamedTuple):
 
 
 class Particles(NamedTuple):
-    """What it reads of ``State``."""
+    """Fields of ``State`` that these functions read."""
 
     x: np.ndarray
     inv_mass: np.ndarray

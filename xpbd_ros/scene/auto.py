@@ -143,7 +143,11 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool) ->
 
 
 def _check(keys: SolverKeys, method: str, integrator: str, barred, effects) -> None:
-    """Refuse what cannot be combined; ``barred`` has the effect that a setting cannot solve."""
+    """
+    Raise InputError if the settings of the solver are incompatible with each other or an effect.
+
+    ``barred`` maps a method or integrator to the name of an effect that is incompatible with it.
+    """
     if method in barred:
         raise InputError(f"solver.method: '{method}' cannot be combined with {barred[method]}, "
                          'which the scene has; take gauss_seidel_symmetric, gauss_seidel or '
