@@ -56,6 +56,16 @@ def test_a_stream_slower_than_the_frames_does_not_ring(every, stamped):
     np.testing.assert_allclose(velocity[begin:], speed, rtol=1e-6)
 
 
+def test_a_target_without_a_stamp_is_reached_in_the_time_since_the_last():
+    """Evenly, turn and all, where the whole way is more than max_speed allows in a frame."""
+    goal = tuple(Rotation.from_rotvec([0.0, 0.0, 0.9]).as_quat().tolist())
+    poses = follow(Motion(Pose(), 5.0, lever=0.01), 50, lambda frame: {
+        0: [(Pose(), None, 0)], 24: [(Pose((1.0, 0.0, 0.0), goal), None, 0)]}.get(frame, ()))
+    np.testing.assert_allclose(along_x(poses)[24:48], 2.5, rtol=1e-6)
+    np.testing.assert_allclose(turns(poses)[24:48], 0.9 / 24, rtol=0.05)    # a chord for an arc
+    assert poses[-1] == Pose((1.0, 0.0, 0.0), goal)
+
+
 def test_a_twist_gives_the_speed_of_what_comes_once():
     poses = follow(Motion(Pose(), 5.0), 90, lambda frame: [
         (Pose((0.03, 0.0, 0.0)), Twist((0.1, 0.0, 0.0)), 0)] if frame == 0 else [])
@@ -144,6 +154,15 @@ def test_stop_stays_where_it_is():
     motion.stop()
     for frame in range(5, 10):
         motion.advance(nanoseconds(frame + 1), DT)
+    assert motion.pose == here
+    for frame in range(10, 30):    # a stream
+        motion.aim(Pose((0.01 * frame, 0.0, 0.0)), None, 1 + nanoseconds(frame),
+                   nanoseconds(frame))
+        motion.advance(nanoseconds(frame + 1), DT)
+    here = motion.pose
+    assert here.position[0] > 0.2
+    motion.stop()
+    motion.advance(nanoseconds(31), DT)
     assert motion.pose == here
 
 

@@ -102,6 +102,23 @@ def test_velocities_meet_between_frames_too():
     assert np.abs(np.diff(along_x(moved), 2)).max() * 1e6 < 20.0 * LARGEST, 'a jump is 100 times'
 
 
+def test_a_parabola_is_followed_exactly_however_unevenly_it_was_sent():
+    """Slopes are those of the parabola through three poses, at the last one too."""
+    sent = [0.0, 0.08, *0.08 + np.random.default_rng(2).uniform(0.02, 0.08, 40).cumsum()]
+    motion, moved = Motion(Pose(), 5.0), []
+    for frame in range(200):
+        for t in sent:
+            if frame - 1 < 60 * t <= frame:
+                motion.aim(Pose((0.05 * t * t, 0.0, 0.0)), None, EPOCH + round(t * 1e9),
+                           round(frame * 1e9 / 60))
+        motion.advance(round((frame + 1) * 1e9 / 60), FRAME)
+        moved.append(motion.pose.position[0])
+    times = np.sqrt([x / 0.05 for x in moved if 0.0 < x < moved[-1]])
+    assert moved[-1] == 0.05 * sent[-1]**2
+    assert len(times) > 100
+    assert np.diff(times) == pytest.approx(FRAME, abs=1e-8)
+
+
 def test_a_late_pose_is_awaited_and_lengthens_the_delay():
     sent = np.arange(70) / 30
     arrives = np.where(np.arange(70) < 20, sent, sent + 0.15)
@@ -135,6 +152,25 @@ def test_after_a_long_pause_the_stream_resumes_near_its_end():
     assert motion.stream.last_ns == EPOCH + round(sent[-1] * 1e9)
 
 
+def test_where_many_poses_come_at_once_playback_skips_to_near_their_end():
+    """It is there as soon as a period allows, and not in a dash."""
+    def x(t):
+        return 0.01 * t
+    motion, moved, speed = Motion(Pose(), 5.0), [], 0.01
+    sent = np.arange(300) / 30
+    arrives = np.where((sent < 1.0) | (sent > 5.0), sent, 5.0)
+    for frame in range(420):
+        for t in sent[(frame - 1 < 60 * arrives) & (60 * arrives <= frame)]:
+            motion.aim(Pose((x(t), 0.0, 0.0)), None, EPOCH + round(t * 1e9),
+                       round(frame * 1e9 / 60))
+        motion.advance(round((frame + 1) * 1e9 / 60), FRAME)
+        moved.append(motion.pose.position[0])
+    delay = 1e-9 * motion.stream.delay_ns
+    for frame in range(306, 420):
+        assert moved[frame] == pytest.approx(x((frame + 1) / 60 - delay), abs=2e-4)
+    assert np.diff(moved).max() / FRAME < 1.5 * speed * 4.0 / (1.0 / 30 + FRAME)
+
+
 def test_what_comes_again_or_too_late_is_passed_over():
     sent = np.arange(31) / 30
     once, twice = Motion(Pose(), 5.0), Motion(Pose(), 5.0)
@@ -162,15 +198,54 @@ def test_a_stamp_that_stays_is_none():
         assert motion.pose.position[0] == pytest.approx(0.01 * k)
 
 
-def test_the_sign_of_a_quaternion_makes_no_turn():
-    motion, q = Motion(Pose((0.0, 0.0, 0.0), (0.0, 0.6, 0.0, 0.8)), 5.0), (0.0, 0.6, 0.0, 0.8)
-    for k in range(30):
-        sign = (-1.0)**k
-        motion.aim(Pose((0.01 * k, 0.0, 0.0), tuple(sign * c for c in q)), None,
-                   EPOCH + k * 33_333_333, k * 33_333_333)
-        for half in (1, 2):
-            motion.advance(k * 33_333_333 + half * 16_666_667, FRAME)
-            assert abs(np.dot(motion.pose.orientation, q)) == pytest.approx(1.0, abs=1e-12)
+@pytest.mark.parametrize('pause', [0, 9, 10])
+def test_the_sign_of_a_quaternion_makes_no_turn(pause):
+    """Nor where poses come late, by so many frames, and the curve begins again."""
+    motion, angles = Motion(Pose(), 5.0), [0.0]
+    for frame in range(80):
+        for k in range(30):
+            if 2 * k + pause * (k >= 16) == frame:    # that before has the other sign
+                sign, half = (-1.0)**k, 0.01 * k
+                q = 0.0, sign * sin(half), 0.0, sign * cos(half)
+                motion.aim(Pose((0.01 * k, 0.0, 0.0), q), None, EPOCH + k * 33_333_333,
+                           frame * 16_666_667)
+        motion.advance((frame + 1) * 16_666_667, FRAME)
+        angles.append(Rotation(motion.pose.orientation).as_rotvec()[1])
+    assert motion.stream.late == (pause > 0)
+    assert min(np.diff(angles)) > -1e-9
+    assert max(np.diff(angles)) < 0.02
+
+
+def test_angular_velocities_are_in_world_axes():
+    """A body that is tilted, and turns evenly about another axis; cubics of 10 Hz follow it."""
+    start, w = Rotation.from_rotvec([0.9, -0.7, 0.3]), np.array([0.8, 1.1, -0.6])
+    motion, off = Motion(Pose(), 5.0), []
+    for frame in range(120):
+        now_ns = round(frame * 1e9 / 60)
+        if frame % 6 == 0:
+            turn = Rotation.from_rotvec(frame / 60 * w) * start
+            motion.aim(Pose((0.0, 0.0, 0.0), tuple(turn.as_quat().tolist())),
+                       Twist((0.0, 0.0, 0.0), tuple(w.tolist())), EPOCH + now_ns, now_ns)
+        motion.advance(round((frame + 1) * 1e9 / 60), FRAME)
+        if frame > 60:
+            late = 1e-9 * motion.stream.delay_ns
+            exact = Rotation.from_rotvec(((frame + 1) / 60 - late) * w) * start
+            off.append((Rotation(motion.pose.orientation) * exact.inv()).magnitude())
+    assert max(off) < 1e-6
+
+
+def test_an_empty_twist_is_none():
+    """Senders leave it out so; it is one where another of the stream was not zero."""
+    def moved(twist):
+        motion, found = Motion(Pose(), 5.0), []
+        for frame in range(120):
+            if frame % 6 == 0:
+                t, now_ns = frame / 60, round(frame * 1e9 / 60)
+                motion.aim(hand(t, twist=False)[0], twist, EPOCH + now_ns, now_ns)
+            motion.advance(round((frame + 1) * 1e9 / 60), FRAME)
+            found.append(motion.pose)
+        return found
+    assert moved(Twist()) == moved(None)
 
 
 def test_a_twist_that_contradicts_the_poses_does_no_harm():
