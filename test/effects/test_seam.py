@@ -13,7 +13,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.stability import stability_limit
-from xpbd_ros.sim.commands import MovePin, Pose, SetKey
+from xpbd_ros.sim.commands import MovePin, Pose, SetKey, SetState
 from xpbd_ros.sim.measure import angular_momentum, elastic_energy, kinetic_energy, momentum
 
 COMPLIANCE = 0.004
@@ -245,6 +245,25 @@ def test_a_live_key_leaves_the_force_of_rigid_seams_as_it_is():
     assert other.step([SetKey('effects.damping.rate', 0.0)]).refused == ()
     one.step()
     assert one.hash() == other.hash()
+
+
+@pytest.mark.parametrize('way', ['set', 'taken back'])
+def test_seams_exert_nothing_on_what_is_put_somewhere_at_rest(way):
+    """The next frame is that of a fresh scene: an explicit one begins with half of the force."""
+    one, fresh = (leapfrog(16, with_compliance(RING, 0.0)) for _ in range(2))
+    run(one, 10)
+    x = one.frame().x
+    if way == 'set':
+        commands = [SetState(name, x[12 * k:12 * (k + 1)]) for k, name in enumerate('abc')]
+    else:
+        commands = []
+        one.state.v[0, one.slot[0]] = np.nan
+        one.step()
+        assert one.stats()['frames_taken_back'] == 1
+    fresh.apply([SetState(name, x[12 * k:12 * (k + 1)]) for k, name in enumerate('abc')])
+    assert one.step(commands).refused == ()
+    fresh.step()
+    assert one.hash() == fresh.hash()
 
 
 def test_a_seam_that_starts_open_closes_slowly():
