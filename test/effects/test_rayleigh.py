@@ -144,6 +144,26 @@ def test_it_exerts_nothing_at_rest_beside_a_pin_that_gives_way(method):
     assert np.linalg.norm(x[1] - x[0]) - 1.0 == pytest.approx(weight * alpha, rel=1e-6)
 
 
+def test_each_cloth_has_the_time_that_it_asks_for():
+    """It moves as it would alone, and one that asks for none is not damped."""
+    times = {'a': TAU, 'b': None, 'c': 3.0 * TAU}
+    simulation = compile_scene(scene_from_mapping({
+        'gravity': [0, 0, 0], 'solver': {
+            'method': 'gauss_seidel', 'integrator': 'backward_euler', 'substeps': 1},
+        'cloths': {name: {
+            'grid': {'size': [1.0, 1.0], 'resolution': [2, 1]}, 'density': 1.0,
+            'pose': {'position': [0.0, 1.0 * k, 0.0]}, 'effects': {
+                'stretch': {'compliance': 1.0 / K},
+                **({} if time is None else {'rayleigh': {'time': time}})}}
+            for k, (name, time) in enumerate(times.items())}}, where='3.yaml', name='3'))
+    found = []
+    for each in (simulation, *(pair(time or 0.0) for time in times.values())):
+        each.state.x[0, each.slot] *= 1.2
+        each.state.x_prev[:] = each.state.x
+        found.append(run(each, 20).x[:, 0].reshape(-1, 2))
+    np.testing.assert_allclose(found[0], np.vstack(found[1:]), atol=1e-14)
+
+
 def test_no_time_is_no_damping():
     hashes = []
     for effects in ({}, {'rayleigh': {'time': 0.0}}):
