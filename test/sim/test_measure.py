@@ -109,6 +109,17 @@ def test_normals_of_a_ball_point_outward():
     assert (measure.normals(row.cloths[0], row.frame().x) == 0.0).all(), 'no triangles'
 
 
+def test_normals_are_sums_by_area(simulation):
+    """Of the triangles around each particle, however unequal these are."""
+    x, mesh = simulation.frame().x, simulation.cloths[0].mesh
+    expected = np.zeros_like(x)
+    for triangle in mesh.triangles:
+        a, b, c = x[triangle]
+        expected[triangle] += 0.5 * np.cross(b - a, c - a)
+    expected /= np.linalg.norm(expected, axis=1)[:, None]
+    assert measure.normals(simulation.cloths[0], x) == pytest.approx(expected, abs=1e-12)
+
+
 def test_the_tension_of_a_hanging_strip_is_the_weight_below():
     simulation = hang(4, effects={'stretch': {'compliance': 1e-4}})
     run_until_still(simulation)
@@ -137,8 +148,11 @@ def test_particles_that_touch_are_those_on_the_floor():
     assert not measure.touching(simulate((2, 1))).any()
 
 
-def test_the_contact_forces_of_a_sheet_on_the_floor_are_its_weight():
+def test_the_contact_forces_of_a_sheet_on_a_slope_are_its_weight():
+    """With the friction that holds it."""
+    gravity = np.array([2.0, -1.0, -9.5])
     simulation = compile_scene(scene_from_mapping({
+        'gravity': gravity.tolist(),
         'cloths': {'sheet': {'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.2,
                              'pose': {'position': [0.0, 0.0, 0.002]},
                              'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
@@ -149,7 +163,8 @@ def test_the_contact_forces_of_a_sheet_on_the_floor_are_its_weight():
     assert not measure.contact_forces(simulation).any()
     for _ in range(10):
         frame = simulation.step()
-    weight = 9.80665 * simulation.state.mass[simulation.slot]
-    assert measure.contact_forces(simulation) == pytest.approx(weight, rel=1e-3)
-    assert -frame.colliders['floor'].force[2] == pytest.approx(weight.sum(), rel=1e-3)
+    mass = simulation.state.mass[simulation.slot]
+    assert measure.contact_forces(simulation) == pytest.approx(
+        np.linalg.norm(gravity) * mass, rel=1e-3)
+    assert frame.colliders['floor'].force == pytest.approx(mass.sum() * gravity, rel=1e-3)
     assert not measure.contact_forces(simulate((2, 1))).any()
