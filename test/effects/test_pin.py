@@ -5,7 +5,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.meshes import file_of
-from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, SETTINGS, simulate
+from support.scenes import (
+    DOWN,
+    GRAVITY,
+    hang,
+    run,
+    run_until_still,
+    SETTINGS,
+    simulate,
+    with_effects,
+)
 from support.tiers import quick_only, slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import (
@@ -18,7 +27,7 @@ from xpbd_ros.sim.commands import (
     SetKey,
     Twist,
 )
-from xpbd_ros.sim.measure import momentum
+from xpbd_ros.sim.measure import elastic_energy, momentum
 
 STRETCH = {'stretch': {'compliance': 1e-4}}
 SOME = ('gauss_seidel', 'backward_euler'), ('line', 'bdf2')
@@ -389,6 +398,26 @@ def test_pins_that_hold_all_of_an_element_feel_the_slope_of_its_energy(name, sti
             moved = simulation.state.x.copy()
             moved[axis, held] += step
             slope[axis] += constraints.energy(moved) / (2.0 * step)
+    assert np.linalg.norm(slope) > 0.5
+    np.testing.assert_allclose(frame.pins['b'].force, -slope, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize('square', [False, True])
+def test_pins_that_hold_all_of_a_cloth_feel_the_slope_of_its_energy(square):
+    """Of stretch, shear and bending together, on square cells and on oblong ones."""
+    simulation = with_effects((4, 3), size=(0.3, 0.2 if square else 0.3), gravity=(0, 0, 0), pins={
+        'a': {'cloth': 'c', 'at': list(range(8))}, 'b': {'cloth': 'c', 'at': 'edge_1x'}},
+        colliders={})
+    home = np.array(simulation.frame().pins['b'].pose.position)
+    simulation.step([MovePin('b', Pose(tuple(home + [0.02, 0.01, 0.05])))])
+    frame, held = run(simulation, 20), simulation.slot[8:]
+    x = simulation.state.x
+    slope = np.zeros(3)
+    for axis in range(3):
+        for step in (1e-6, -1e-6):
+            x[axis, held] += step
+            slope[axis] += elastic_energy(simulation) / (2.0 * step)
+            x[axis, held] -= step
     assert np.linalg.norm(slope) > 0.5
     np.testing.assert_allclose(frame.pins['b'].force, -slope, rtol=1e-5, atol=1e-6)
 
