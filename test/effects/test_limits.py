@@ -8,10 +8,11 @@ from support.meshes import disc, obj_text
 from support.scenes import DOWN, GRAVITY, run, run_stage, simulate
 from support.tiers import quick_only
 from xpbd_ros.effects.strain_limit import forget_turns, note_turn, PATIENCE
-from xpbd_ros.effects.tether import Pulls
+from xpbd_ros.effects.tether import CLOSING, Pulls
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
+from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
 from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping import stages
 
@@ -310,6 +311,21 @@ def test_a_tether_that_is_slack_again_pulls_at_nothing():
     assert np.count_nonzero(pull[2]) == 2 and lifted[2] > 0.1
     for other, _ in others:
         np.testing.assert_allclose(other, pull, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize('substeps', [4, 64])
+def test_what_pins_held_too_far_comes_back_at_a_bounded_speed(substeps):
+    """And with no more energy, however short the substeps: not in the first of them."""
+    simulation = hang({'tether': {'slack': 0.1}}, substeps=substeps, gravity=(0.0, 0.0, 0.0),
+                      pins={**TOP, 'end': {'cloth': 'c', 'at': 'edge_x1'}})
+    x, y, z = simulation.frame().pins['end'].pose.position
+    run(simulation, 20, [MovePin('end', Pose((x, y, z - 0.5)))])
+    most = elastic_energy(simulation) + 0.5 * simulation.state.mass.sum() * CLOSING**2
+    simulation.step([Release('end')])
+    for _ in range(40):
+        assert kinetic_energy(simulation.state) < most
+        frame = simulation.step()
+    assert -frame.x[:, 2].min() <= 1.1 * (1.0 + 1e-9)
 
 
 def test_cloth_without_pins_has_no_tethers():
