@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import ListParameters
+from std_msgs.msg import String
 import yaml
 
-from support.node import Cloth
+from support.node import Cloth, LATCHED
 from xpbd_ros.ros.parameters import TABLE
 
 HANGING = """
@@ -17,6 +18,8 @@ cloths:
     grid: {size: [0.2, 0.4], resolution: [2, 9]}
     pose: {position: [0, 0, 1], orientation: [-0.70710678118, 0, 0, 0.70710678118]}
     density: 0.25
+    friction: 0.4
+    static_friction: 0.6
     effects:
       stretch: {warp: 500.0, weft: 5.0}
 pins: {top: {cloth: sheet, at: edge_0x}}
@@ -190,3 +193,22 @@ def test_stiffness_changes_live_and_auto_follows(lockstep, tmp_path):
     assert lockstep.get('solver.substeps')[0] > substeps
     now = str(lockstep.get('solver.substeps')[0])
     lockstep.status(lambda status: status['substeps'] == now)
+
+
+def test_keys_that_bound_one_another_change_together_or_in_turn(lockstep, tmp_path):
+    """What was accepted applies, in whatever order it came and however much waits."""
+    file = tmp_path / 'hanging.yaml'
+    file.write_text(HANGING)
+    lockstep.restart(scene=str(file))
+    lockstep.meet()
+    scenes = lockstep.peer.hear(String, '/cloth/scene', LATCHED)
+    sliding, sticking = keys = 'cloths.sheet.friction', 'cloths.sheet.static_friction'
+    assert lockstep.set(**{sliding: 0.8, sticking: 0.9}) == (True, ''), 'the first alone is above'
+    good, reason = lockstep.set(**{sticking: 0.7})
+    assert not good and 'must be at least friction (0.8)' in reason, 'which waits for the frame'
+    assert lockstep.set(**{sliding: 0.2}) == lockstep.set(**{sticking: 0.3}) == (True, '')
+    lockstep.step()
+    lockstep.peer.until(lambda: scenes and 'static_friction: 0.3' in scenes[-1].data, 'the scene')
+    assert lockstep.get(*keys) == [0.2, 0.3]
+    assert yaml.safe_load(scenes[-1].data)['cloths']['sheet']['friction'] == 0.2
+    lockstep.status(lambda status: status['rejected_inputs'] == '0')

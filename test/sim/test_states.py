@@ -98,6 +98,20 @@ def test_a_reset_after_a_load_starts_the_keyframes_again():
     assert (run(simulation, 5, [Reset()]).x == expected).all()
 
 
+def test_a_loaded_state_keeps_live_keys_that_bound_one_another():
+    """In the order in which they were set, the first would be above what the state had."""
+    rubbed = {'grid': {'size': [1.0, 1.0], 'resolution': [5, 4]}, 'density': 0.2,
+              'effects': FALLING,
+              'friction': 0.4, 'static_friction': 0.6}
+    simulation = compile_scene(scene_from_mapping({'cloths': {'c': rubbed}}, where='s', name='s'))
+    sliding, sticking = 'cloths.c.friction', 'cloths.c.static_friction'
+    assert simulation.apply([SaveState(), SetKey(sticking, 0.9), SetKey(sliding, 0.8),
+                             SetKey(sticking, 0.85), LoadState()]) == []
+    with pytest.raises(InputError, match=r'must be at least friction \(0.8\)'):
+        simulation.check({sticking: 0.7})
+    simulation.check({sliding: 0.85})
+
+
 def test_a_state_saved_in_a_copy_is_its_own():
     simulation = sheet()
     expected = states(simulation, 3, [SaveState()])

@@ -119,7 +119,7 @@ class ClothNode(LifecycleNode):
             log.warning, max_message_bytes=self.value('max_message_bytes'),
             max_names=self._max_entries())
         if changed:
-            self.command_queue.put('parameters', *((SetKey(k, v),) for k, v in changed.items()))
+            self.live_parameters.put(changed)
         self.outputs = Outputs(simulation, scene.top.frame_id,
                                scene_text(scene, simulation.solver),
                                fields=words_of(self.value('particle_fields')),

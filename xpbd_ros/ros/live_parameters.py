@@ -9,6 +9,7 @@ from xpbd_ros.ros.parameters import descriptor, TABLE
 from xpbd_ros.ros.particle_fields import words_of
 from xpbd_ros.scene.read import unknown
 from xpbd_ros.sim.commands import SetKey
+from xpbd_ros.sim.live_keys import in_valid_order
 
 QOS = 'qos_overrides.'
 
@@ -27,6 +28,8 @@ class LiveParameters:
         self._node = node
         self._rows = {row.name: row for row in TABLE}
         self._keys: set[str] = set()
+        self._accepted: dict = {}
+        """live keys that were set; some may wait for the next frame"""
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
         for row in TABLE:
@@ -47,6 +50,15 @@ class LiveParameters:
         for name in self._keys:
             self._node.undeclare_parameter(name)
         self._keys.clear()
+        self._accepted.clear()
+
+    def put(self, changes: dict) -> None:
+        """Queue live keys for the next frame."""
+        check, accepted = self._node.simulation.check, dict(self._accepted)
+        self._accepted.update(changes)
+        self._node.command_queue.put('parameters', *(
+            (SetKey(key, value),) for key, value in in_valid_order(
+                changes, lambda some: check({**accepted, **some})).items()))
 
     def unknown(self) -> list[str]:
         """Return a warning for each parameter override without a parameter of that name."""
@@ -88,7 +100,7 @@ class LiveParameters:
                 changes[parameter.name] = as_plain(value)
         if changes:
             try:
-                simulation.check(changes)
+                simulation.check({**self._accepted, **changes})
             except InputError as error:
                 return refusal(str(error))
         return SetParametersResult(successful=True)
@@ -96,11 +108,12 @@ class LiveParameters:
     def _apply(self, parameters):
         """Queue live keys for the next frame; give the node's own parameters to their parts."""
         node = self._node
+        keys = {p.name: as_plain(p.value) for p in parameters if p.name in self._keys}
         if node.simulation is None or threading.current_thread() is node.stepper:
+            self._accepted.update(keys)
             return    # the stepper reports a value that already applies
-        keys = [(SetKey(p.name, as_plain(p.value)),) for p in parameters if p.name in self._keys]
         if keys:
-            node.command_queue.put('parameters', *keys)
+            self.put(keys)
         recorder = node.recorder
         for parameter in parameters:
             if parameter.name == 'mode' and node.stepper is not None:

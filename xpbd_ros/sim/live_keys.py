@@ -1,8 +1,10 @@
 """The change of a running simulation when a live key of its scene is set."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.sim.effect import Built
 from xpbd_ros.sim.particles.state import State
 from xpbd_ros.sim.stepping.solver import Solver
@@ -28,3 +30,25 @@ class Retune(Protocol):
 
     def rebind(self, state: State, effects: dict[str, Built]) -> None:
         """Continue with another state and effects of the same scene."""
+
+
+def in_valid_order(changes: dict[str, Any],
+                   check: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+    """
+    Return changes in an order in which the scene is valid after each; the given one, if it is.
+
+    Keys may bound one another, as ``friction`` and ``static_friction`` do. ``check`` raises
+    InputError for bad changes, and accepts all of these together.
+    """
+    left = list(changes)
+    found: dict[str, Any] = {}
+    while left:
+        for key in left:
+            try:
+                check({**found, key: changes[key]})
+                break
+            except InputError:
+                continue
+        left.remove(key)
+        found[key] = changes[key]
+    return found

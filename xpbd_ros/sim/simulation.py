@@ -13,7 +13,7 @@ from xpbd_ros.sim.command_check import checked
 from xpbd_ros.sim.commands import Command, LoadState, Reset, SaveState, SetKey, SetState
 from xpbd_ros.sim.effect import Built, Clock, Cloth
 from xpbd_ros.sim.frame import Frame
-from xpbd_ros.sim.live_keys import Retune
+from xpbd_ros.sim.live_keys import in_valid_order, Retune
 from xpbd_ros.sim.particles.state import (
     forget,
     full_history,
@@ -310,7 +310,7 @@ class Simulation:
         self.index, self.saved, self._pending = index, saved, pending
         changed = {key: value for key, value in keys.items()
                    if key not in self._keys or self._keys[key] != value}
-        for key, value in changed.items():
+        for key, value in in_valid_order(changed, self.check).items():
             self._set(SetKey(key, value))
         if changed:
             self._forget()
