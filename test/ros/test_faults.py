@@ -185,7 +185,29 @@ def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):
     assert cloth.record(False)[0]
 
 
+def test_a_full_disk_is_told_while_it_is_paused(cloth):
+    """Frames would tell it, and there are none."""
+    assert cloth.set(record__flush_period=60.0) == (True, '')
+    good, folder = cloth.record(True)
+    assert good, folder
+    goes_on(cloth)
+    assert cloth.trigger('pause')[0]
+    process = cloth.node.process.pid
+    resource.prlimit(process, resource.RLIMIT_FSIZE, (8_000, resource.RLIM_INFINITY))
+    try:
+        assert cloth.set(record__flush_period=0.1) == (True, '')
+        cloth.node.wait_for('recording stopped', folder)
+        cloth.status(lambda status: (status['level'], status['bytes_recorded']) == (b'\2', '0'))
+        assert cloth.record(False) == (False, 'not recording')
+    finally:
+        resource.prlimit(process, resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+    assert cloth.set(record__flush_period=1.0) == (True, '')
+    assert cloth.trigger('play')[0]
+    goes_on(cloth)
+
+
 def test_a_log_that_cannot_be_finished_is_no_success(cloth):
+    assert cloth.set(record__flush_period=60.0) == (True, '')
     assert cloth.trigger('pause')[0]
     good, folder = cloth.record(True)
     assert good, folder

@@ -30,9 +30,15 @@ class Background:
 
     def run(self, parts: Sequence[Callable[[], object]]) -> None:
         """Run functions, in order, after all earlier ones; raise the error of an earlier one."""
-        while self._tasks and (len(self._tasks) >= MOST_WAITING or self._tasks[0].done()):
+        self.check()
+        while len(self._tasks) >= MOST_WAITING:
             self._look(self._tasks.popleft())
         self._tasks.append(self._thread.submit(_run, tuple(parts)))
+
+    def check(self) -> None:
+        """Raise the error of an earlier task."""
+        while self._tasks and self._tasks[0].done():
+            self._look(self._tasks.popleft())
 
     def _look(self, task: Future[None]) -> None:
         """Wait for a task; raise its error if it is the first."""

@@ -6,6 +6,7 @@ the executor's thread and fill the command queue; the stepper's thread owns the 
 log.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 import sys
@@ -25,7 +26,7 @@ from xpbd_ros.ros.command_queue import CommandQueue
 from xpbd_ros.ros.diagnostics import Status
 from xpbd_ros.ros.error_monitor import ErrorMonitor
 from xpbd_ros.ros.following import Following
-from xpbd_ros.ros.inputs import topic_of
+from xpbd_ros.ros.inputs import max_entries, topic_of
 from xpbd_ros.ros.interaction import Interaction
 from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
@@ -117,7 +118,7 @@ class ClothNode(LifecycleNode):
         self.scene, self.simulation = scene, simulation
         self.command_queue = CommandQueue(
             log.warning, max_message_bytes=self.value('max_message_bytes'),
-            max_names=self._max_entries())
+            max_names=max_entries(scene.effects))
         if changed:
             self.live_parameters.put(changed)
         self.outputs = Outputs(simulation, scene.top.frame_id,
@@ -145,12 +146,6 @@ class ClothNode(LifecycleNode):
         from xpbd_ros.ros.robots import description_on
         self.get_logger().info(f'waiting for {self.resolve_topic_name(topic)}')
         return description_on(self, topic)
-
-    def _max_entries(self) -> int:
-        """Return the most entries of an array message: delete all, then delete and add each."""
-        effects = self.scene.effects
-        return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
-                           getattr(effects.get('contact'), 'max_colliders', 0))
 
     def _take(self, topic: str, raw: bytes, kind: type, read) -> None:
         """Queue the commands of a message; refuse it while the node is not active."""
@@ -316,15 +311,9 @@ class ClothNode(LifecycleNode):
             clock.clock.sec, clock.clock.nanosec = divmod(stamp_ns, 10**9)
             self.topics.publish('/clock', clock)
         self._publish({topic: data for topic, data in encoded.items() if topic in heard})
-        if self.recorder is not None:
-            try:
-                self.recorder.frame(frame, encoded, stamp_ns)
-                self.recorder.values(self.error_monitor.values(), frame)
-            except InputError as error:
-                self.status.log_lost(
-                    f"recording stopped: {error}; 'xpbd_ros recover {self.recorder.folder}' "
-                    'writes a whole log of what it holds')
-                self.stop_recording()
+        estimate = self.error_monitor.values()
+        self._log(lambda recorder: recorder.frame(frame, encoded, stamp_ns))
+        self._log(lambda recorder: recorder.values(estimate, frame))
         self._publish_on_wall_time(frame)
 
     def refuse(self, command: Command, reason: str) -> None:
@@ -357,8 +346,7 @@ class ClothNode(LifecycleNode):
     def _idle(self) -> None:
         if not self.begun and not self.waits:
             self.publish_initial_state()
-        if self.recorder is not None:
-            self.recorder.flush_if_due()
+        self._log(Recorder.flush_if_due)
         self._publish_on_wall_time(None)
 
     def _publish_on_wall_time(self, frame) -> None:
@@ -415,6 +403,18 @@ class ClothNode(LifecycleNode):
         self.status.lost_log = ''
         self._publish_recording()
         self.get_logger().info(f'recording to {folder.absolute()}')
+
+    def _log(self, write: Callable[[Recorder], None]) -> None:
+        """Write to the log, if one is open; if that fails, report it and go on without one."""
+        if self.recorder is None:
+            return
+        try:
+            write(self.recorder)
+        except InputError as error:
+            self.status.log_lost(
+                f"recording stopped: {error}; 'xpbd_ros recover {self.recorder.folder}' writes a "
+                'whole log of what it holds')
+            self.stop_recording()
 
     def _publish_recording(self) -> None:
         """Publish the path of the log, empty without one."""

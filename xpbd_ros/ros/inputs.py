@@ -5,11 +5,11 @@ Each reader is a pure function of one message: it returns commands, or raises ``
 the reason.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import isfinite
 import re
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from geometry_msgs.msg import PointStamped, PoseStamped, Vector3Stamped
 from rcl_interfaces.msg import ParameterEvent
@@ -261,6 +261,12 @@ def count_in(raw: bytes, kind: type) -> int:
         return struct.unpack_from(f'{order}I', raw, 4 + (12 + length + 3) // 4 * 4)[0]
     except struct.error:
         return 0
+
+
+def max_entries(effects: Mapping[str, Any]) -> int:
+    """Return the most entries of an array message: delete all, then delete and add each."""
+    return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
+                       getattr(effects.get('contact'), 'max_colliders', 0))
 
 
 class Input(NamedTuple):

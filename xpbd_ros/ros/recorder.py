@@ -147,6 +147,7 @@ class Recorder:
 
     def flush_if_due(self) -> None:
         """Flush if the flush period has passed; for times without frames."""
+        self._background.check()
         if self.log.flush_is_due and self._background.idle:
             self._background.run([self.log.flush_if_due])
 
