@@ -3,6 +3,7 @@
 from concurrent.futures import CancelledError
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -67,6 +68,16 @@ def test_drops_what_it_can_not_make_up_for(rig):
     assert real.turn(100 * FRAME) < 6
     assert real.stepper.dropped > 90
     assert real.turn(FRAME) == 1, 'and keeps up again'
+
+
+def test_a_coarse_clock_loses_no_frame(rig, monkeypatch):
+    """The frames of a step of /clock at 16 Hz come at once, each from its part of the step."""
+    monkeypatch.setattr('xpbd_ros.ros.stepper.time', SimpleNamespace(monotonic_ns=lambda: 0))
+    real = rig('realtime')
+    for _ in range(4):
+        assert real.turn(6 * FRAME) == 6
+    assert real.late == [k * FRAME for k in (5, 4, 3, 2, 1, 0)] * 4
+    assert real.stepper.dropped == 0
 
 
 def test_tells_how_long_ago_a_frame_was_due(rig):

@@ -255,15 +255,14 @@ class ClothNode(LifecycleNode):
     # the stepper's thread
 
     def _stamp(self, frame, late_ns) -> int:
-        """Return the stamp of the frame just computed [ns]; it is at most one frame old."""
+        """Return the stamp of the frame just computed [ns]."""
         if self.makes_clock:
             return self.stamps.even(frame.time_ns)
-        assert self.simulation is not None
         late = None
         for _ in range(READINGS):    # until nothing delays the process between the two readings
             begin = time.monotonic_ns()
             if late_ns is not None:
-                late = min(max(late_ns(), 0), self.simulation.time_ns(1))
+                late = late_ns()
             now = self.now_ns()
             if time.monotonic_ns() - begin < STEADY_NS // 2:
                 break

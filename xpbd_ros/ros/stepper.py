@@ -15,6 +15,10 @@ IDLE = 0.2
 """longest sleep, so that work in wall time (markers, diagnostics, flushes) is done [s]"""
 LATE_FRAMES = 3
 """delay at which frames are dropped [frames]"""
+COARSE_NS = 250_000_000
+"""largest step of a clock whose frames are computed at once, as of /clock at 4 Hz [ns]"""
+STEPS = 8
+"""latest steps of the clock of which the largest counts"""
 JUMP_NS = 10**9
 """a clock that advances by more than this between two readings may have been set [ns]"""
 JUMP = 10
@@ -57,6 +61,7 @@ class Stepper(threading.Thread):
         self._stopping = False
         self._start_ns, self._count = 0, 0
         self._seen = 0, 0    # last readings of the clock and of a steady clock [ns]
+        self._steps: deque[int] = deque([0], STEPS)    # of the clock, beyond the time passed [ns]
 
     @property
     def free_running(self) -> bool:
@@ -155,7 +160,7 @@ class Stepper(threading.Thread):
             self.resume()
             return self._poll
         late = now - self._due_ns()
-        if late >= LATE_FRAMES * period:
+        if late >= LATE_FRAMES * period + max(self._steps):
             self.dropped += late // period
             self._start_ns += late // period * period
             late %= period
@@ -166,8 +171,9 @@ class Stepper(threading.Thread):
         return self._start_ns + self._frame_ns(self._count + 1)
 
     def _late_ns(self) -> int:
-        """Return the time since the next frame was due [ns]; negative before."""
-        return self._now_ns() - self._due_ns()
+        """Return the time since the next frame was due [ns], at most a frame or a clock's step."""
+        late = self._now_ns() - self._due_ns()
+        return min(max(late, 0), max(self._frame_ns(1), *self._steps))
 
     def _was_set(self, now: int) -> bool:
         """Return whether the clock went back, or forward by far more than the elapsed time."""
@@ -176,6 +182,8 @@ class Stepper(threading.Thread):
         self._seen = now, steady
         back = now - self._start_ns < self._frame_ns(self._count) - self._frame_ns(1)
         if not back and (on <= JUMP_NS or on <= JUMP * passed):
+            if on:
+                self._steps.append(on - passed if passed < on <= COARSE_NS else 0)
             return False
         self._jumped(on - passed)
         return True
