@@ -1,6 +1,7 @@
 """The watch: estimates beside a run, and substeps that hold an error."""
 
 from dataclasses import replace
+from random import Random
 
 import pytest
 
@@ -42,8 +43,8 @@ def test_looking_changes_nothing():
         alone.step()
     assert alone.hash() == seen.hash()
     assert not done
-    assert [found.frame for found in watch.all] == [10]
-    assert 0.0 < watch.all[0].rms < watch.all[0].largest
+    assert [found.frame for found in watch.recent] == [10]
+    assert 0.0 < watch.recent[0].rms < watch.recent[0].largest
     found = watch.diagnostics()
     assert found['error_m'] == watch.latest.rms
     assert 0.5 < found['effective_stiffness_share'] <= 1.1
@@ -65,10 +66,10 @@ def test_at_rest_it_is_as_stiff_as_it_was_asked_to_be():
 
 def test_how_often_it_looks_follows_from_what_it_takes():
     watch, _ = watched(swing(), 360)
-    frames = [found.frame for found in watch.all]
+    frames = [found.frame for found in watch.recent]
     assert len(frames) >= 3
     assert [b - a for a, b in zip(frames, frames[1:])] == [
-        max(LATER + 1, round(found.frames / SHARE)) for found in watch.all[:-1]]
+        max(LATER + 1, round(found.frames / SHARE)) for found in watch.recent[:-1]]
 
 
 @pytest.mark.parametrize('target', [1e-3, 1e-4])
@@ -78,7 +79,7 @@ def test_a_target_is_held_and_the_same_again(target):
     assert done == again
     assert done, 'it starts with other substeps than it needs'
     assert all(key == 'solver.substeps' for changes in done.values() for key, _ in changes)
-    assert all(found.rms <= 2.0 * target for found in watch.all[-3:])
+    assert all(found.rms <= 2.0 * target for found in watch.recent[-3:])
 
 
 def test_what_cannot_be_held_is_said():
@@ -103,11 +104,27 @@ def test_a_target_that_is_not_held_yet_is_said():
 def test_what_is_not_resolved_is_said():
     simulation = swing()
     watch = ErrorMonitor(simulation, target=None, most=64)
-    watch.latest = replace(FINE, resolved=False)
-    watch.all.append(watch.latest)
+    watch.take(replace(FINE, resolved=False))
     assert watch.warning.startswith('under-resolved: with 16 substeps')
     assert watch.diagnostics()['error_m'] == 'under-resolved'
     assert str(watch) == 'under-resolved in 1 of 1 frames estimated; see xpbd_ros check'
+
+
+def test_the_summary_is_of_all_estimates_and_the_latest_alone_stay():
+    watch, noise = ErrorMonitor(swing(), target=0.5, most=64), Random(1)
+    found = [replace(FINE, rms=noise.random(), resolved=noise.random() < 0.7) for _ in range(99)]
+    for each in found:
+        watch.take(each)
+    told = watch.summary()
+    assert (told['estimates'], told['under_resolved'], told['frame_rms_m']) == (
+        99, sum(not each.resolved for each in found),
+        max(each.rms for each in found if each.resolved))
+    assert watch.recent == tuple(found[-3:])
+    watch = ErrorMonitor(swing(), target=0.5, most=64)
+    for each in found:
+        watch.take(replace(each, resolved=True))
+    over = sum(each.rms > 0.5 for each in found)
+    assert str(watch).endswith(f', {over} of them above error_target 0.5 m')
 
 
 def test_substeps_go_with_the_order():

@@ -55,12 +55,16 @@ class ErrorMonitor:
         """latest estimate in use"""
         self.arrived: Estimate | None = None
         """estimate that is in use from the next frame on; None before other frames"""
-        self.all: list[Estimate] = []
-        """all estimates so far, the latest last"""
+        self.recent: tuple[Estimate, ...] = ()
+        """latest RECENT estimates, the latest last"""
+        self.count = 0
+        """number of estimates"""
         self.seconds = 0.0
         """processor time of the estimates [s]"""
         self._simulation = simulation
         self._target, self._most = target, most
+        self._largest: float | None = None    # error of all resolved estimates [m]
+        self._under_resolved = self._above = 0    # estimates not resolved, and above the target
         self._least = simulation.solver.substeps if simulation.solver.method == 'explicit' else 1
         self._next = simulation.index + FIRST
         self._work = 0.0    # time of all frames [s]
@@ -81,14 +85,24 @@ class ErrorMonitor:
         found, seconds = self._pending.result()
         self._pending = None
         self._next = self._asked + max(LATER + 1, ceil(found.frames / SHARE))
-        self.latest = self.arrived = found
-        self.all.append(found)
+        self.arrived = found
+        self.take(found)
         self.seconds += seconds
         if self._target is None:
             return []
         solver = self._simulation.solver
-        wanted = substeps_for(self.all, solver, self._target, least=self._least, most=self._most)
+        wanted = substeps_for(self.recent, solver, self._target, least=self._least,
+                              most=self._most)
         return [] if wanted == solver.substeps else [SetKey('solver.substeps', wanted)]
+
+    def take(self, found: Estimate) -> None:
+        """Use an estimate, and count it."""
+        self.latest, self.recent = found, (*self.recent, found)[-RECENT:]
+        self.count += 1
+        self._above += self._target is not None and found.rms > self._target
+        self._under_resolved += not found.resolved
+        if found.resolved:
+            self._largest = max(found.rms, self._largest or 0.0)
 
     def look(self, seconds: float) -> None:
         """Estimate the error of the frame just computed in ``seconds``, if it was kept."""
@@ -137,15 +151,13 @@ class ErrorMonitor:
                 'error_m': latest.rms if latest.resolved else 'under-resolved',
                 'error_m_largest': latest.largest if latest.resolved else 'under-resolved',
                 'error_frame': latest.frame}),
-            'estimates': len(self.all),
+            'estimates': self.count,
             'estimates_share': self.seconds / self._work if self._work else 0.0}
 
     def summary(self) -> dict[str, float | int | None]:
         """Return a summary of all estimates of a run; the error is None if none is resolved."""
-        errors = [found.rms for found in self.all if found.resolved]
-        return {'estimates': len(self.all),
-                'under_resolved': sum(not found.resolved for found in self.all),
-                'frame_rms_m': max(errors, default=None),
+        return {'estimates': self.count, 'under_resolved': self._under_resolved,
+                'frame_rms_m': self._largest,
                 'share': self.seconds / self._work if self._work else 0.0}
 
     def __str__(self) -> str:
@@ -160,8 +172,7 @@ class ErrorMonitor:
                 'estimated')
         if self._target is None:
             return text
-        over = sum(found.rms > self._target for found in self.all)
-        return f'{text}, {over or "none"} of them above error_target {self._target:g} m'
+        return f'{text}, {self._above or "none"} of them above error_target {self._target:g} m'
 
     def close(self) -> None:
         """Stop the thread."""
