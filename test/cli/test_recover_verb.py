@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+import shutil
 
 from support.strict_reader import read_strictly
 from xpbd_ros.cli.main import main
@@ -58,6 +59,13 @@ def test_lost_messages_are_told_by_the_exit_code(write_log, tmp_path, capsys):
     assert main(['recover', str(run), '--unchecked', '-o', str(tmp_path / 'all')]) == 1
     assert ' messages in it are taken unchecked\n' in capsys.readouterr().out
     assert read_strictly(tmp_path / 'all').total() == 121
+
+
+def test_a_missing_file_of_a_split_log_is_told_by_the_exit_code(write_log, tmp_path, capsys):
+    run = write_log()
+    shutil.copy(run / 'run_0.mcap', run / 'run_2.mcap')
+    assert main(['recover', str(run), '-o', str(tmp_path / 'whole')]) == 1
+    assert 'run_1.mcap: the file is missing\n' in capsys.readouterr().out
 
 
 def test_mistakes_are_one_line_and_write_nothing(write_log, tmp_path, capsys):

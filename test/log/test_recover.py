@@ -214,3 +214,17 @@ def test_a_bag_of_another_program_is_refused(tmp_path):
     with pytest.raises(InputError, match="use 'mcap recover'"):
         recover(LogReader(tmp_path / 'other.mcap'), tmp_path / 'whole')
     assert not (tmp_path / 'whole').exists()
+
+
+def test_what_a_repeated_run_needs_is_in_the_whole_log(tmp_path):
+    """The meshes of the scene, and the checkpoint of a log that began in the middle of a run."""
+    needed = {'checkpoint': bytes(range(256)), 'shirt.obj': b'v 0 0 0\n'}
+    with LogWriter(tmp_path / 'run', scene='gravity: [0.0, 0.0, 0.0]\n', settings={},
+                   attachments=needed) as log:
+        log.add_channel('/cloth/count', 'std_msgs/msg/UInt64', Qos())
+        log.write('/cloth/count', cdr_uint64(1), time_ns=1, frame=1)
+    file = tmp_path / 'run' / 'run_0.mcap'
+    file.write_bytes(file.read_bytes()[:-50])
+    damaged = LogReader(file)
+    assert damaged.attachments.items() > needed.items()
+    check(damaged, recover(damaged, tmp_path / 'whole'))

@@ -54,9 +54,11 @@ def stopped_for(cloth: Cloth, seconds: float) -> None:
     cloth.node.process.send_signal(signal.SIGSTOP)
     time.sleep(seconds)
     cloth.node.process.send_signal(signal.SIGCONT)
+    status = cloth.status(lambda status: int(status['dropped_frames']) > before)
+    assert status['level'] == b'\1', status
+    assert 'frames dropped in the last second' in status['message']
     goes_on(cloth)
-    dropped = int(cloth.status(
-        lambda status: int(status['dropped_frames']) > before)['dropped_frames']) - before
+    dropped = int(status['dropped_frames']) - before
     assert dropped >= 0.8 * 60.0 * seconds, 'not made up for'
 
 
@@ -158,6 +160,7 @@ def test_a_restart_in_mid_recording_leaves_a_whole_log(cloth, run):
     goes_on(cloth)
     assert cloth.peer.ask(GetState, '/cloth/get_state').current_state.label == 'active'
     assert folder.is_dir()
+    stopped_for(cloth, 0.5)
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):

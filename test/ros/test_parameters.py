@@ -10,6 +10,7 @@ from std_msgs.msg import String
 import yaml
 
 from support.node import Cloth, LATCHED
+from xpbd_ros.cli.main import main
 from xpbd_ros.ros.parameters import TABLE
 
 HANGING = """
@@ -181,6 +182,8 @@ def test_stiffness_changes_live_and_auto_follows(lockstep, tmp_path):
     def length() -> float:
         cloud = lockstep.cloud(lockstep.step(300))
         return float(np.abs(cloud[-1, 0, 2] - cloud[0, 0, 2]))
+    good, run = lockstep.record(True)
+    assert good, run
     substeps = lockstep.get('solver.substeps')[0]
     soft = length()
     key = 'cloths.sheet.effects.stretch.weft'
@@ -193,6 +196,8 @@ def test_stiffness_changes_live_and_auto_follows(lockstep, tmp_path):
     assert lockstep.get('solver.substeps')[0] > substeps
     now = str(lockstep.get('solver.substeps')[0])
     lockstep.status(lambda status: status['substeps'] == now)
+    assert lockstep.record(False) == (True, run)
+    assert main(['resim', run]) == 0, 'which does not choose again'
 
 
 def test_keys_that_bound_one_another_change_together_or_in_turn(lockstep, tmp_path):
@@ -210,5 +215,8 @@ def test_keys_that_bound_one_another_change_together_or_in_turn(lockstep, tmp_pa
     lockstep.step()
     lockstep.peer.until(lambda: scenes and 'static_friction: 0.3' in scenes[-1].data, 'the scene')
     assert lockstep.get(*keys) == [0.2, 0.3]
-    assert yaml.safe_load(scenes[-1].data)['cloths']['sheet']['friction'] == 0.2
+    assert lockstep.set(gravity=[0.0, 0.0, -3.0]) == (True, '')
+    lockstep.step()
+    lockstep.peer.until(lambda: '-3.0' in scenes[-1].data, 'the scene')
+    assert yaml.safe_load(scenes[-1].data)['cloths']['sheet']['friction'] == 0.2, 'still'
     lockstep.status(lambda status: status['rejected_inputs'] == '0')

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from support.logs import SHEET, state_hashes
+from support.logs import COMMANDS, SHEET, state_hashes
 from support.waiting import PATIENCE, until
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
@@ -45,6 +45,18 @@ def test_recorded_hashes_are_those_of_their_frames(tmp_path, keys):
     assert len(set(expected.values())) == 21
     recorder.close()
     assert state_hashes(tmp_path / 'run') == expected
+
+
+def test_inputs_have_the_time_at_which_they_act(tmp_path):
+    """That of the frame before, so a replay gives them before the frame that they acted on."""
+    simulation, recorder = begun(tmp_path / 'run')
+    for index in range(1, 9):
+        recorder.frame(simulation.step(COMMANDS.get(index, ())))
+    recorder.close()
+    times = {(message.topic.rsplit('/', 1)[-1], message.frame): message.time_ns
+             for message in LogReader(tmp_path / 'run').messages()}
+    for topic, frame, acts in (('pins', 2, 1), ('pin_targets', 5, 4), ('state_hash', 5, 5)):
+        assert times[topic, frame] == 10**18 + simulation.time_ns(acts)
 
 
 def test_frames_wait_for_a_slow_disk_so_that_memory_is_bounded(tmp_path, monkeypatch):

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 
-from support.node import Cloth, points, stamp_ns
+from support.node import Cloth, LATCHED, points, stamp_ns
 from xpbd_ros.log.reader import LogReader
 
 
@@ -120,6 +121,7 @@ def test_reset_while_it_runs(running):
 
 
 def test_records_on_request_into_a_fresh_folder(running):
+    told = running.peer.hear(String, '/cloth/recording', LATCHED)
     assert running.record(False) == (False, 'not recording')
     good, path = running.record(True)
     assert good
@@ -138,6 +140,29 @@ def test_records_on_request_into_a_fresh_folder(running):
     _, other = running.record(True)
     assert other != path
     assert running.record(False) == (True, other)
+    running.peer.until(lambda: [each.data for each in told[-4:]] == [path, '', other, ''],
+                       'the paths', lambda: told)
+
+
+def test_a_log_is_split_as_the_parameters_say_also_an_open_one(stepping, tmp_path):
+    def frames_of_files(name: str, **live) -> list[int]:
+        assert stepping.set(record__path=str(tmp_path / name)) == (True, '')
+        assert stepping.record(True)[0]
+        stepping.step(2)
+        assert stepping.set(**live) == (True, '')
+        stepping.step(11)
+        assert stepping.record(False)[0]
+        count = len(list((tmp_path / name).glob('*.mcap')))
+        return [len(list(LogReader(tmp_path / name / f'{name}_{k}.mcap').messages(
+            {'/cloth/state_hash'}))) for k in range(count)]
+    assert stepping.set(record__split_duration=0.09) == (True, '')
+    assert frames_of_files('new', mode='lockstep') == [6, 6, 2], 'of 1/60 s'
+    assert stepping.set(record__split_duration=0.0) == (True, '')
+    assert len(frames_of_files('open', record__split_duration=0.04)) > 2
+    small = frames_of_files('small', record__split_duration=0.0, record__split_size=0.1)
+    assert small == [14], 'which is 100 kB'
+    assert len(frames_of_files('tiny', record__split_size=0.001)) > 2
+    assert stepping.set(record__path='', record__split_size=4000.0) == (True, '')
 
 
 def test_a_new_flush_period_applies_to_an_open_log(stepping, tmp_path):
@@ -151,6 +176,19 @@ def test_a_new_flush_period_applies_to_an_open_log(stepping, tmp_path):
     stepping.peer.until(lambda: (run / 'run_0.mcap').stat().st_size > begin, 'a flush')
     assert stepping.record(False)[0]
     assert stepping.set(record__path='', record__flush_period=1.0) == (True, '')
+
+
+def test_a_new_checkpoint_period_applies_to_an_open_log(stepping, tmp_path):
+    run = tmp_path / 'run'
+    assert stepping.set(record__path=str(run)) == (True, '')
+    assert stepping.record(True) == (True, str(run))
+    begin = stepping.step(5)
+    assert stepping.set(record__checkpoint_period=0.05) == (True, ''), '3 frames'
+    end = stepping.step(9)
+    assert stepping.record(False)[0]
+    frames = [message.frame for message in LogReader(run).messages({'/cloth/state'})]
+    assert frames[1:] == [k for k in range(begin + 1, end + 1) if k % 3 == 0]
+    assert stepping.set(record__path='', record__checkpoint_period=10.0) == (True, '')
 
 
 def test_records_where_it_is_told_to(stepping, tmp_path):
