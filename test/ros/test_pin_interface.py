@@ -10,6 +10,7 @@ from visualization_msgs.msg import MarkerArray
 from support.logs import recorded_inputs, state_hashes
 from support.node import Cloth, pin, PINNED, points, pose_stamped, targets
 from support.repeated import repeated
+from xpbd_ros.cli.main import main
 
 LEFT, RIGHT = (-0.2, -0.2, 0.004), (0.2, -0.2, 0.004)
 
@@ -126,6 +127,18 @@ def test_a_loaded_state_is_the_saved_one_and_time_goes_on(cloth):
     found = [cloth.cloud(last + 1), cloth.cloud(cloth.step())]
     assert np.array_equal(found, expected)
     assert list(cloth.pin_state(last + 1)) == ['left', 'right']
+
+
+def test_a_log_that_begins_between_a_release_and_its_frame_is_solved_again(cloth, tmp_path):
+    """What a service did before is in the state that the log begins with, and in it once."""
+    run = str(tmp_path / 'run')
+    assert cloth.set(record__path=run) == (True, '')
+    assert cloth.grasp('left', False) == (True, 'released 1 particle')
+    assert cloth.record(True) == (True, run)
+    cloth.step(5)
+    assert cloth.record(False) == (True, run)
+    assert main(['resim', run]) == 0
+    assert cloth.set(record__path='') == (True, '')
 
 
 def test_an_invalid_target_is_refused_and_the_node_goes_on(cloth):
