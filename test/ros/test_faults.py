@@ -160,7 +160,6 @@ def test_a_restart_in_mid_recording_leaves_a_whole_log(cloth, run):
     goes_on(cloth)
     assert cloth.peer.ask(GetState, '/cloth/get_state').current_state.label == 'active'
     assert folder.is_dir()
-    stopped_for(cloth, 0.5)
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):

@@ -245,6 +245,18 @@ def test_markers_come_while_someone_listens(use):
     assert cloth.set(marker_rate=15.0) == (True, '')
 
 
+def test_who_comes_late_to_a_paused_node_sees_its_cloth(use):
+    cloth = use(TOWEL)
+    cloth.meet()
+    frame = cloth.step(3)
+    heard = cloth.peer.hear(MarkerArray, '/cloth/markers')
+    cloth.peer.until(lambda: len(heard) >= 4, 'markers without a step')
+    (surface,) = heard[0].markers
+    assert stamp_ns(surface) == cloth.epoch_ns + time_ns(frame)
+    assert {tuple(map(np.float32, (p.x, p.y, p.z))) for p in surface.points} == {
+        tuple(p) for p in cloth.cloud(frame).reshape(-1, 3)}
+
+
 def test_the_wrench_of_the_cloth_on_each_collider(use):
     """A towel at rest on a table weighs m g, in every frame; its pose and twist are told too."""
     cloth = use(TOWEL)

@@ -350,13 +350,14 @@ class ClothNode(LifecycleNode):
 
     def _publish_on_wall_time(self, frame) -> None:
         """Publish markers and diagnostics, whose rates are in wall time."""
-        assert self.topics is not None
+        assert self.topics is not None and self.simulation is not None
         now = time.monotonic()
-        if frame is not None and now >= self._next_markers:
+        if self.begun and now >= self._next_markers + (frame is None):    # or once a second
             rate = self.value('marker_rate')
             self._next_markers = now + (1.0 / rate if rate else 1.0)
             if rate > 0.0 and self.topics.is_heard('markers'):
-                for data in self.outputs.markers(frame, self.stamps.last_ns):
+                for data in self.outputs.markers(frame or self.simulation.frame(),
+                                                 self.stamps.last_ns):
                     self.topics.publish('markers', data)
         if self.interaction is not None:
             self.interaction.publish()
