@@ -7,6 +7,8 @@ from std_msgs.msg import String
 from support.logs import recorded_inputs
 from support.node import Cloth, pose_stamped, targets, TOWEL
 from support.repeated import repeated
+from xpbd_ros.errors import InputError
+from xpbd_ros.ros.topic_poses import KEPT, TopicPoses
 
 SCENE = TOWEL + """
 pins:
@@ -43,6 +45,27 @@ def test_pins_and_colliders_follow_topics_whose_type_is_found(start, peer, tmp_p
     assert {topic for _, topic in recorded_inputs(run)} == {
         'colliders', 'collider_states', 'pin_targets'}
     repeated(run, tmp_path)
+
+
+def test_messages_may_arrive_between_two_lookups():
+    """In another thread; what is looked up has gone then, and the next lookup finds the rest."""
+    source = TopicPoses('/hand', 'world', lambda: None, lambda: 0)
+
+    def take(stamp: int) -> None:
+        message = pose_stamped((0.0, 0.0, 0.1 * stamp))
+        message.header.stamp.sec = stamp
+        source.take('geometry_msgs/msg/PoseStamped', message)
+    take(1)
+    stamp_ns = source.latest_ns('world', 'hand')
+    for stamp in range(2, 2 + KEPT):
+        take(stamp)
+    with pytest.raises(InputError, match='/hand: the pose has been replaced by later ones'):
+        source.pose('world', 'hand', stamp_ns)
+    stamp_ns = source.latest_ns('world', 'hand')
+    assert source.pose('world', 'hand', stamp_ns).position[2] == pytest.approx(0.1 * (1 + KEPT))
+    source.clear()
+    with pytest.raises(InputError, match='no message on /hand'):
+        source.pose('world', 'hand', stamp_ns)
 
 
 def test_poses_that_tf_would_have_to_transform_are_refused_without_it(start, peer, tmp_path):

@@ -57,6 +57,9 @@ def test_links_have_a_pose_once_all_joints_are_known(states, robot):
     assert source.latest_ns('world', 'palm') == 4 * 10**9
     assert source.pose('world', 'right_finger', 4 * 10**9).position == pytest.approx(
         (0.1, -0.03, 0.3))
+    states.clear()    # by another thread, as the clock went back
+    with pytest.raises(InputError, match='no position of reach, lift, finger'):
+        source.pose('world', 'right_finger', 4 * 10**9)
 
 
 def test_a_stamp_far_ahead_holds_no_later_positions_up(states, robot):

@@ -97,20 +97,23 @@ class Kinematics:
 
     def latest_ns(self, frame: str, source: str) -> int:
         """Return the stamp of its joints' latest positions [ns], once all are known."""
-        latest = self._states.latest
-        missing = [name for name in self._description.joints if name not in latest]
-        if missing:
-            raise InputError(f'no position of {", ".join(missing)} on {self._states.topic}')
-        return max((latest[name][0] for name in self._description.joints), default=0)
+        return max((stamp_ns for stamp_ns, _ in self._latest().values()), default=0)
 
     def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
         """Return the latest pose of a link in the scene."""
-        latest = self._states.latest
-        positions = {name: latest[name][1] for name in self._description.joints}
+        positions = {name: position for name, (_, position) in self._latest().items()}
         if positions != self._computed:
             self._description.move(positions)
             self._computed = positions
         return compose(self._base, self._description.pose(source.removeprefix(self._prefix)))
+
+    def _latest(self) -> dict[str, tuple[int, float]]:
+        """Return stamp and position of each of its joints; refuse it until all are known."""
+        latest = self._states.latest
+        missing = [name for name in self._description.joints if name not in latest]
+        if missing:
+            raise InputError(f'no position of {", ".join(missing)} on {self._states.topic}')
+        return {name: latest[name] for name in self._description.joints}
 
 
 class GripperFollower:

@@ -4,10 +4,12 @@ Poses on a topic of another program, as a source that pins and colliders follow.
 A pose in a TF frame other than the scene's is transformed at its stamp, as soon as TF has that
 time; until then the last pose before it counts. A pose without a stamp has the time of its
 arrival. A trajectory begins when it arrives: linear between its points, and held at its end.
+
+Messages arrive in another thread than lookups, also between two of them.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.ros.frame_follower import PoseSource
@@ -19,6 +21,9 @@ from xpbd_ros.sim.geometry.pose import compose, interpolated
 
 KEPT = 100
 """poses of a joint that are kept until TF has their time, at most"""
+
+Plan = tuple[int, Trajectory, tuple[Pose, ...]]
+"""when a trajectory began [ns], the trajectory, and where its joints were then"""
 
 
 class TopicPoses:
@@ -39,7 +44,7 @@ class TopicPoses:
         self.name, self._topic, self._frame_id = topic, topic, frame_id
         self._transforms, self._now_ns = transforms, now_ns
         self._samples: dict[str, tuple[Sample, ...]] = {}    # by joint; replaced as a whole
-        self._trajectory: tuple[int, Trajectory, tuple[Pose, ...]] | None = None
+        self._plan: Plan | None = None
 
     def take(self, type_name: str, message) -> None:
         """Take a message of one of ``pose_messages.TYPES``."""
@@ -49,7 +54,7 @@ class TopicPoses:
             self._need_transforms(trajectory.frame)
             begin = tuple(self._before(joint, trajectory, now_ns)
                           for joint in trajectory.joints)
-            self._trajectory = now_ns, trajectory, begin
+            self._plan = now_ns, trajectory, begin
             return
         samples = dict(self._samples)
         for sample in SAMPLES[type_name](message):
@@ -65,19 +70,20 @@ class TopicPoses:
 
     def _before(self, joint: str, new: Trajectory, now_ns: int) -> Pose:
         """Return the pose of a joint when a trajectory arrives: that of the previous one."""
-        if self._trajectory is not None:
-            begin_ns, old, _ = self._trajectory
+        if self._plan is not None:
+            _, old, _ = self._plan
             if joint in old.joints and old.frame == new.frame:
-                return self._planned(joint, now_ns - begin_ns)
+                return planned(self._plan, joint, now_ns)
         return new.poses[0][new.joints.index(joint)]
 
     def latest_ns(self, frame: str, source: str) -> int:
         """Return the stamp of the latest pose that can be given in the scene's TF frame [ns]."""
-        joint = self._joint(source)
-        if self._trajectory is not None:
+        plan, samples = self._plan, self._samples
+        joint = self._joint(source, samples if plan is None else plan[1].joints)
+        if plan is not None:
             return self._now_ns()
         known_ns: dict[str, int] = {}    # latest time of TF, by TF frame
-        for sample in reversed(self._samples[joint]):
+        for sample in reversed(samples[joint]):
             if sample.frame in ('', self._frame_id):
                 return sample.stamp_ns
             if sample.frame not in known_ns:
@@ -89,19 +95,19 @@ class TopicPoses:
 
     def pose(self, frame: str, source: str, stamp_ns: int) -> Pose:
         """Return the pose with a stamp that ``latest_ns`` gave, in the scene's TF frame."""
-        joint = self._joint(source)
-        if self._trajectory is not None:
-            begin_ns, trajectory, _ = self._trajectory
-            return self._to_scene(trajectory.frame, self._planned(joint, stamp_ns - begin_ns), 0)
-        found = next(sample for sample in reversed(self._samples[joint])
-                     if sample.stamp_ns == stamp_ns)
+        plan, samples = self._plan, self._samples
+        joint = self._joint(source, samples if plan is None else plan[1].joints)
+        if plan is not None:
+            return self._to_scene(plan[1].frame, planned(plan, joint, stamp_ns), 0)
+        found = next((sample for sample in reversed(samples[joint])
+                      if sample.stamp_ns == stamp_ns), None)
+        if found is None:
+            raise InputError(f'{self._topic}: the pose has been replaced by later ones')
         return self._to_scene(found.frame, found.pose, stamp_ns)
 
-    def _joint(self, source: str) -> str:
-        """Return the joint that a follower's ``frame`` names, or the only one."""
-        named = topic_of_frame(source)
-        known = self._trajectory[1].joints if self._trajectory is not None else (
-            tuple(self._samples))
+    def _joint(self, source: str, joints: Iterable[str]) -> str:
+        """Return the joint of these that a follower's ``frame`` names, or the only one."""
+        named, known = topic_of_frame(source), tuple(joints)
         if not known:
             raise InputError(f'no message on {self._topic}')
         joint = named[1] if named is not None else None
@@ -114,18 +120,6 @@ class TopicPoses:
             raise InputError(f'{self._topic}: {unknown(joint, known, "joint")}')
         return joint
 
-    def _planned(self, joint: str, since_ns: int) -> Pose:
-        """Return the pose of a joint at a time from the start of the trajectory [ns]."""
-        assert self._trajectory is not None
-        _, trajectory, begin = self._trajectory
-        j, times = trajectory.joints.index(joint), trajectory.times_ns
-        k = bisect_right(times, since_ns)
-        if k == len(times):
-            return trajectory.poses[-1][j]
-        before_ns, before = (times[k - 1], trajectory.poses[k - 1][j]) if k else (0, begin[j])
-        return interpolated(before, trajectory.poses[k][j],
-                            (since_ns - before_ns) / (times[k] - before_ns))
-
     def _to_scene(self, frame: str, pose: Pose, stamp_ns: int) -> Pose:
         if frame in ('', self._frame_id):
             return pose
@@ -133,4 +127,16 @@ class TopicPoses:
 
     def clear(self) -> None:
         """Forget all poses, after the clock went back."""
-        self._samples, self._trajectory = {}, None
+        self._samples, self._plan = {}, None
+
+
+def planned(plan: Plan, joint: str, time_ns: int) -> Pose:
+    """Return the pose of a joint of a trajectory at a time [ns]."""
+    begin_ns, trajectory, begin = plan
+    j, times, since_ns = trajectory.joints.index(joint), trajectory.times_ns, time_ns - begin_ns
+    k = bisect_right(times, since_ns)
+    if k == len(times):
+        return trajectory.poses[-1][j]
+    before_ns, before = (times[k - 1], trajectory.poses[k - 1][j]) if k else (0, begin[j])
+    return interpolated(before, trajectory.poses[k][j],
+                        (since_ns - before_ns) / (times[k] - before_ns))
