@@ -141,7 +141,9 @@ def test_one_bit_of_one_input_is_found_at_its_frame(log, tmp_path, frame, capsys
     assert f'differs from the log from frame {frame} on' in said
 
 
-def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys):
+@pytest.mark.parametrize(('part', 'axis', 'value'), [
+    ('translation', 'y', float(np.nextafter(1.0, 2.0))), ('rotation', 'z', 1e-9)])
+def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys, part, axis, value):
     """No state depends on it, but its recorded pose does."""
     scene = tmp_path / 'towel.yaml'
     scene.write_text(TOWEL)
@@ -150,8 +152,7 @@ def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys):
 
     def changed(data: bytes) -> bytes:
         message = deserialize_message(data, MultiDOFJointState)
-        place = message.transforms[0].translation
-        place.y = float(np.nextafter(place.y, 2.0))
+        setattr(getattr(message.transforms[0], part), axis, value)
         return serialize_message(message)
     other = rewritten(log, tmp_path / 'other', '/cloth/collider_states', changed)
     code, found, said = resim(other, capsys=capsys)

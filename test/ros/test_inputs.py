@@ -352,6 +352,17 @@ def test_a_command_keeps_the_topic_that_it_came_by_until_the_next_frame(box):
     assert box.topic_of(one) is None
 
 
+def test_the_arrival_is_that_of_the_last_accepted_message(box):
+    box.put('/t')
+    first = box.arrived['/t']
+    until(lambda: time.monotonic() > first)
+    box.refuse('/t', 'no')
+    assert box.arrived['/t'] == first
+    box.put('/t')
+    assert box.arrived['/t'] > first
+    box.close()
+
+
 def test_only_the_last_wind_waits_unless_a_reset_comes_between(box):
     first, second = (SetWind((1.0, 0.0, 0.0)),), (SetWind((2.0, 0.0, 0.0)),)
     other = (MovePin('a', HERE),)

@@ -134,13 +134,36 @@ def test_run_tells_that_a_pin_lags_behind_its_target(tmp_path, capsys):
             '15 frames, at most 1 in one)\n') in capsys.readouterr().out
 
 
+def status_of_a_node(said: list) -> Status:
+    """Return the status of a node that finds nothing else; ``said`` gets what it logs."""
+    log = SimpleNamespace(warning=lambda text, **names: said.append(text), error=said.append)
+    return Status(SimpleNamespace(
+        get_logger=lambda: log, waits=False, following=SimpleNamespace(finding=''),
+        error_monitor=SimpleNamespace(warning=''), stepper=None))
+
+
+def test_what_happened_is_told_once():
+    """In the second in which a counter rises; it keeps its value."""
+    said = []
+    status = status_of_a_node(said)
+    counts = {'frames_taken_back': 2, 'frames_on_one_thread': 5}
+    for dropped, more, told in ((3, 0, '2 frames were not finite|3 frames dropped|5 frames of'),
+                                (3, 0, ''), (10, 0, '7 frames dropped'), (10, 0, ''),
+                                (10, 1, '1 frames were not finite|1 frames of')):
+        found = {name: count + more for name, count in counts.items()}
+        level, summary = status._findings(dropped, found)
+        assert all(text in summary for text in told.split('|')), summary
+        assert level == ('OK' if not told else 'ERROR' if 'finite' in told else 'WARN')
+        assert summary == ('; '.join(said) or 'waiting')
+        said.clear()
+    status.jumped(-10**9)
+    assert 'the clock jumped by -1.000 s' in status._findings(10, found)[1]
+    assert status._findings(10, found) == ('OK', 'waiting')
+
+
 def test_the_node_warns_of_contacts_without_room():
     said = []
-    node = SimpleNamespace(
-        get_logger=lambda: SimpleNamespace(warning=lambda text, **names: said.append(text)),
-        waits=False, following=SimpleNamespace(finding=''),
-        error_monitor=SimpleNamespace(warning=''))
-    level, summary = Status(node)._findings(0, {
+    level, summary = status_of_a_node(said)._findings(0, {
         'frames_taken_back': 0, 'self_without_room': 12, 'contacts_without_room': 0})
     assert (level, [summary]) == ('WARN', said)
     assert summary == ('12 pairs of cloth were left out for lack of room, and may cross; raise '

@@ -283,6 +283,15 @@ def test_an_offset_is_skipped_but_for_what_is_latched(write_log, ended):
     assert found['topics'] == {'/cloth/scene': 1, '/cloth/count': 30, '/cloth/text': 30}
 
 
+def test_as_many_latched_messages_precede_an_offset_as_a_late_subscriber_gets(tmp_path, ended):
+    with LogWriter(tmp_path / 'run', scene=None, settings={}) as log:
+        log.add_channel('/latched', 'std_msgs/msg/UInt64',
+                        Qos(durability='transient_local', depth=3))
+        for k in range(7):
+            log.write('/latched', cdr_uint64(k), time_ns=START + k * 10**8, frame=k)
+    assert ended(tmp_path / 'run', '--start-offset', 0.45)[0]['topics'] == {'/latched': 3 + 2}
+
+
 def test_only_the_topics_asked_for_are_published(write_log, ended):
     found, _, _ = ended(write_log(), '--topics', '/cloth/count')
     assert found['topics'] == {'/cloth/count': 60}

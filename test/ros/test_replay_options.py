@@ -1,5 +1,7 @@
 """Options of ``replay`` that ``ros2 bag play`` has: filters, ends, delay, clock, QoS, bursts."""
 
+import time
+
 import pytest
 from rcl_interfaces.srv import SetParameters
 import rclpy
@@ -47,6 +49,16 @@ def test_a_delay_comes_before_each_round(write_log, replay, ended, listener):
     listener.until(lambda: len(heard) > 8)
     rounds = [1e-9 * (later - one).nanoseconds for one, later in zip(heard, heard[2:])]
     assert all(seconds > 0.3 for seconds in rounds), rounds
+
+
+def test_the_log_takes_its_time_after_a_delay(write_log, own_domain):
+    rclpy.init()
+    node = Replay(LogReader(write_log()), delay=0.5)
+    begin = time.monotonic()
+    node.run(lambda: False)
+    assert time.monotonic() - begin >= 0.5 + 59 / 60
+    node.close()
+    rclpy.shutdown()
 
 
 @pytest.mark.parametrize(('flags', 'steps'), [
