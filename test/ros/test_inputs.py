@@ -265,7 +265,8 @@ def random_commands(count: int) -> list[commands.Command]:
 
 def test_commands_come_out_of_the_log_as_they_went_in():
     """Bit for bit and in order: all that a repeated run depends on."""
-    before = random_commands(2000)
+    before = [command for some in random_commands(2000) for command in (some, some)]
+    before += [MovePin(name, HERE) for name in ('left', 'right', 'left', 'up', 'right')]
     after = []
     for topic, message in as_messages(before, 'world', 1_700_000_000_123_456_789):
         kind, read = input_of(topic)[:2]

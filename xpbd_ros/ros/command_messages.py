@@ -46,7 +46,7 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
     """
     Return applied commands as pairs (topic below the node's name, message), in order.
 
-    Consecutive commands of one kind share a message.
+    Consecutive commands of one kind share a message; targets of one name have one each.
     """
     found = []
     for key, batch in groupby(commands, _batch):
@@ -60,7 +60,7 @@ def as_messages(commands, frame_id: str, time_ns: int) -> list[tuple[str, object
                 markers=[_collider(c, frame_id, time_ns) for c in group])))
         elif kind in (MovePin, MoveCollider):
             topic = 'pin_targets' if kind is MovePin else 'collider_states'
-            found.append((topic, _targets(group, frame_id)))
+            found += [(topic, _targets(part, frame_id)) for part in _of_distinct_names(group)]
         elif kind is SetWind:
             found += [('wind', stamped(Vector3Stamped(vector=vector(Vector3, c.velocity)),
                                        frame_id, time_ns)) for c in group]
@@ -133,10 +133,24 @@ def _collider(command, frame_id: str, time_ns: int) -> Marker:
     return marker
 
 
+def _name(command) -> str:
+    return getattr(command, 'pin', None) or command.collider
+
+
+def _of_distinct_names(group) -> list[list]:
+    """Return targets in order, a new list before each name that is in the present one."""
+    found: list[list] = [[]]
+    for command in group:
+        if _name(command) in map(_name, found[-1]):
+            found.append([])
+        found[-1].append(command)
+    return found
+
+
 def _targets(group, frame_id: str) -> MultiDOFJointState:
     message = stamped(MultiDOFJointState(), frame_id, group[0].stamp_ns)
     for command in group:
-        message.joint_names.append(getattr(command, 'pin', None) or command.collider)
+        message.joint_names.append(_name(command))
         message.transforms.append(Transform(
             translation=vector(Vector3, command.pose.position),
             rotation=quaternion(command.pose.orientation)))
