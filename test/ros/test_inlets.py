@@ -5,6 +5,7 @@ import random
 import threading
 import time
 
+from geometry_msgs.msg import PointStamped
 import pytest
 import rclpy
 from rclpy.context import Context
@@ -163,6 +164,23 @@ def test_of_five_grasps_where_four_have_room_none_holds(cloth):
     assert cloth.status()['pins'] == '0'
     cloth.mark(*(pin(f'new{k}', place) for k, place in enumerate(places[:4])))
     cloth.status(lambda status: status['pins'] == '4')
+
+
+def test_a_click_acts_once_beside_a_best_effort_sender(cloth):
+    """Both subscriptions get it; a second time it would release what the first has pinned."""
+    topic, peer = '/heard/clicked_point', cloth.peer
+    assert cloth.trigger('reset')[0]
+    peer.node.create_publisher(PointStamped, topic, BEST_EFFORT)
+    peer.until(lambda: {info.qos_profile.reliability for info in
+                        peer.node.get_subscriptions_info_by_topic(topic)} >= {
+        ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT}, 'both subscriptions')
+    click = PointStamped()
+    click.header.frame_id = 'world'
+    for count in (1, 2, 3):
+        click.point.x, click.point.z = 0.1 * count - 0.2, 0.004
+        peer.say(topic, click)
+        peer.spin(0.3)
+        cloth.status(lambda status, count=count: status['pins'] == str(count))
 
 
 def test_the_qos_of_a_subscription_may_be_overridden(start, peer, towel):

@@ -16,9 +16,11 @@ from visualization_msgs.msg import (
 from visualization_msgs.srv import GetInteractiveMarkers
 import yaml
 
-from support.node import Cloth, PINNED, stamp_ns, targets
+from support.node import Cloth, PINNED, stamp_ns, targets, TOWEL
 from xpbd_ros.ros.messages import colours
-from xpbd_ros.scene.load import load_scene
+from xpbd_ros.ros.particle_fields import table
+from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.share import share_folder
 
 VIEWS = share_folder() / 'views'
@@ -196,6 +198,15 @@ def test_feedback_without_sense_is_refused_and_the_node_goes_on(cloth):
     cloth.step()
 
 
+def test_handles_of_an_inactive_node_do_nothing(cloth):
+    topic, selected = '/cloth/pin_handles/feedback', InteractiveMarkerFeedback.MENU_SELECT
+    assert cloth.go('deactivate')
+    cloth.peer.spin(1.1)
+    cloth.peer.say(topic, feedback('left', selected, entry=1))
+    cloth.node.wait_for(f'{topic}: refused: the node is not active')
+    assert cloth.go('activate')
+
+
 # colours
 
 
@@ -224,3 +235,12 @@ def test_colours_go_from_blue_over_white_to_red():
     assert found[1].tolist() == pytest.approx([0.95, 0.95, 0.95, 1.0])
     assert found[2].tolist() == pytest.approx([0.8, 0.1, 0.1, 1.0])
     assert colours(np.array([0.001]), 0.01)[0, 2] > 0.7, 'little is blue, whatever is largest'
+
+
+def test_ids_count_from_the_first_particle_of_each_cloth():
+    scene = yaml.safe_load(TOWEL)
+    scene['cloths']['other'] = scene['cloths']['towel']
+    simulation = compile_scene(scene_from_mapping(scene, where='two', name='two'))
+    for cloth in simulation.cloths:
+        found = table(('id',), cloth, simulation.frame())[:, 3].copy().view('<u4')
+        assert found.tolist() == list(range(81))
