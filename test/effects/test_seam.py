@@ -24,11 +24,12 @@ METHODS = pytest.mark.parametrize('method, integrator', [pytest.param(
 
 
 def scene(cloths, seams, *, pins=None, gravity=GRAVITY, substeps=4, damping=20.0, scale=1.0,
-          method='gauss_seidel', integrator='backward_euler', effects=None):
+          method='gauss_seidel', integrator='backward_euler', precision='float64', effects=None):
     """Return cloths: name: (resolution, size, position) or a mesh; they hang warp down."""
     return compile_scene(scene_from_mapping({
         'gravity': [0.0, 0.0, -gravity], 'solver': {
             'method': method, 'integrator': integrator, 'substeps': substeps,
+            'precision': precision,
             'compliance_scale': scale},
         'cloths': {name: {**({'grid': {'size': list(shape[1]), 'resolution': list(shape[0])},
                               'pose': {'orientation': DOWN, 'position': list(shape[2])}}
@@ -202,6 +203,17 @@ def test_explicit_seams_are_stable_with_the_substeps_of_free_cloth(seams, compli
     simulation = leapfrog(least, seams, damping=damping, gravity=0.0)
     run(simulation, 600)
     assert simulation.stats()['explicit_redone'] == 0
+
+
+@pytest.mark.parametrize('setting, compliance', [
+    (LEAPFROG, 0.4), slow(LEAPFROG, 0.04),
+    slow({'method': 'line', 'integrator': 'bdf2'}, 0.4)])
+def test_float32_keeps_what_seams_move_by_less_than_the_last_bit(setting, compliance):
+    """Positions alone lose it: 0.14 m to 0.6 m off."""
+    x = [run(scene({name: (*A[:2], (0.01 * k, 0.02 * k, 0.0)) for k, name in enumerate('abc')},
+                   with_compliance(RING, compliance), damping=0.0, substeps=1024, pins=TOP,
+                   precision=precision, **setting), 30).x for precision in ('float64', 'float32')]
+    assert np.abs(x[1] - x[0]).max() < 2e-3
 
 
 def test_explicit_seams_keep_energy_and_angular_momentum():

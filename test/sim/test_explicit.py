@@ -62,6 +62,14 @@ def test_float32_keeps_small_changes_of_velocity(substeps, most):
     assert np.abs(single - double).max() < most
 
 
+def test_float32_keeps_what_springs_at_pins_move_by_less_than_the_last_bit():
+    """Positions alone lose it: 45 mm off."""
+    pins = {name: {**pin, 'compliance': 0.1} for name, pin in PINS.items()}
+    double, single = (run(sheet(1024, pins=pins, precision=precision), 30).x
+                      for precision in ('float64', 'float32'))
+    assert np.abs(single - double).max() < 1e-3
+
+
 def test_velocity_is_of_the_frame_not_half_a_substep_older():
     errors = [np.abs(run(sheet(n), 30).v - run(sheet(512), 30).v).max() for n in (32, 64)]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.2)

@@ -198,7 +198,8 @@ def test_float32_follows_float64(method):
 @pytest.mark.parametrize('method, integrator, mesh', [
     ('line', 'ndf2', False), slow('gauss_seidel', 'backward_euler', False),
     slow('line', 'bdf2', False), slow('line', 'ndf2', True),
-    slow('gauss_seidel_symmetric', 'bdf2', True)])
+    slow('gauss_seidel_symmetric', 'bdf2', True), slow('jacobi', 'backward_euler', False),
+    slow('jacobi', 'backward_euler', True)])
 def test_float32_keeps_its_digits_in_short_steps(method, integrator, mesh):
     """g h² is less than the last bit of x here; v must not be made of them."""
     x = {}

@@ -123,6 +123,7 @@ class BuiltPin(Built):
             self.also = (Spring(_room(count, world.slots, poses), np.ones(count),
                                 np.zeros((count, 3)), np.ones(count),
                                 np.zeros((count if world.explicit else 0, 3))),)
+            self.implicit_with_explicit = True
         self.free_slots = list(range(slots))
         self.held: dict[str, Held] = {}
         self.open: dict[str, Motion] = {}

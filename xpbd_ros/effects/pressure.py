@@ -117,7 +117,8 @@ def turn_surface_back(pressure, state, substep):
     """
     first, last = pressure.slots[0], pressure.slots[1]
     if at_the_end(state.apart) and not pressure.turned[0]:
-        turn_back(state.x, state.mobility, state.mass, first, last, pressure.before)
+        turn_back(state.x, state.rounding, state.mobility, state.mass, first, last,
+                  pressure.before)
         set_aside(state.x, first, last, pressure.before)
         pressure.turned[0] = True
 
@@ -190,15 +191,16 @@ def project_pressure(pressure, state, substep):
     for lane in range(0, len(force), lanes(mobility)):
         keep(force, lane, f, df)
     for k in range(3):
-        _move(state.x[k], row(moves(state.apart), k), mobility, gradient[k], first, last, df)
+        _move(state.x[k], row(moves(state.apart), k), row(moves(state.rounding), k), mobility,
+              gradient[k], first, last, df)
     _press(pressure, state.inv_mass, (substep.end - substep.begin) * (force[0] - before),
            state.reaction)
 
 
 @jit
-def _move(x, to, mobility, gradient, first, last, df):
+def _move(x, to, errors, mobility, gradient, first, last, df):
     for i in range(first, last, lanes(x)):
-        put(x, to, i, load(x, i), load(mobility, i) * df, load(gradient, i))
+        put(x, to, errors, i, load(x, i), load(mobility, i) * df, load(gradient, i))
 
 
 @jit

@@ -34,6 +34,7 @@ from xpbd_ros.sim.constraints.projection import at_the_end, max_compliance
 from xpbd_ros.sim.effect import Built, Cloth, cloth_of, Effect
 from xpbd_ros.sim.parameters import check_place, quantity
 from xpbd_ros.sim.particles.explicit_updates import displacement_before, half_of, newmark
+from xpbd_ros.sim.particles.rounding import add_move
 from xpbd_ros.sim.particles.state import places
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
@@ -173,8 +174,8 @@ def _close(seam, p, state, substep):
     for a, d in enumerate((dx, dy, dz)):
         df = part * (d + alpha * f[p, a])
         f[p, a] += df
-        x[a, i] += m * df
-        x[a, j] -= n * df
+        add_move(x, state.rounding, a, i, m * df)
+        add_move(x, state.rounding, a, j, -n * df)
 
 
 @stage(add_explicit_forces, Seam, on_device=True)
@@ -265,6 +266,7 @@ class BuiltSeam(Built):
             self.data = Seam(runs_of(*sides), *sides, np.concatenate(compliance),
                              np.zeros((pairs, 3)), np.zeros((late, 3)), np.zeros(late),
                              np.zeros((late, 3)))
+            self.implicit_with_explicit = True
             if 'strain_limit' in world.built:
                 world.built['strain_limit'].take_turns()
 

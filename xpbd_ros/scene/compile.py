@@ -9,7 +9,7 @@ import numpy as np
 
 from xpbd_ros.effects import EFFECTS, load as load_effect
 from xpbd_ros.errors import brief, InputError
-from xpbd_ros.scene.auto import resolve, rounds_away
+from xpbd_ros.scene.auto import resolve, rounds_away, rounds_moves
 from xpbd_ros.scene.device import card_of
 from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
@@ -26,7 +26,7 @@ from xpbd_ros.sim.geometry.quaternion import rotate
 from xpbd_ros.sim.live_keys import Change
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.memory_layout import blocks
-from xpbd_ros.sim.particles.state import new_state, State, with_solver_storage
+from xpbd_ros.sim.particles.state import new_state, SHORT, State, with_solver_storage
 from xpbd_ros.sim.simulation import Simulation
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
@@ -88,11 +88,11 @@ def compile_scene(scene: Scene) -> Simulation:
         frame_dt = float(1 / frame_rate(scene))
         solver = resolve(scene.top.solver, effects, state, frame_dt)
         h = frame_dt / solver.substeps
+        apart = Explicit if solver.mixes else APART.get(solver.method)
         state = with_solver_storage(
-            state, integrator=solver.rough_integrator or solver.integrator,
-            apart=Explicit if solver.mixes else APART.get(solver.method),
+            state, integrator=solver.rough_integrator or solver.integrator, apart=apart,
             constraints=[these.particles for built in effects.values() for these in built.by_part],
-            gap=gap, h=h)
+            gap=gap, compensates=h < SHORT and rounds_moves(apart, effects))
         rough = solver.rough if solver.mixes and solver.method == 'explicit' else solver
         return Simulation(
             cloths, state, effects, slot=slot, frame_rate=frame_rate(scene), solver=solver,

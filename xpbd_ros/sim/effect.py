@@ -183,6 +183,8 @@ class Built:
     explicit_velocity_lags: bool = False
     """True if ``explicit`` leaves half a substep of its force out of the velocities at a frame's
     ends, so that ``auto`` must not switch methods"""
+    implicit_with_explicit: bool = False
+    """True if ``explicit`` moves particles by an implicit step of this effect"""
     pulls_taut: bool = False
     """True if it may pull cloth taut or keep particles in steps of backward Euler: lines then need
     more substeps to straighten (``scene.stability.TAUT``)"""

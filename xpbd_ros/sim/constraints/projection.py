@@ -19,6 +19,7 @@ from xpbd_ros.sim.backend.simd import fma, lanes, load, store
 from xpbd_ros.sim.backend.simd_vector3 import fma3, Vector3, vector3
 from xpbd_ros.sim.backend.threads import is_on_device, turns_on_device
 from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
+from xpbd_ros.sim.particles.rounding import store_moved
 
 
 def max_compliance(dtype) -> float:
@@ -58,8 +59,12 @@ def at_the_end(apart):
     """Return True if forces are implicit, at the substep's end; False for the explicit method."""
 
 
-def put(x, target, i, xi, step, d):
-    """Store x = xi + step d from index i on, or add step d to ``target`` if it is not None."""
+def put(x, target, errors, i, xi, step, d):
+    """
+    Store x = xi + step d from index i on, or add step d to ``target`` if it is not None.
+
+    ``errors`` are those of x, as in ``rounding.store_moved``.
+    """
 
 
 @inline(recall)
@@ -127,10 +132,11 @@ def _at_the_end(apart):
 
 
 @inline(put)
-def _put(x, target, i, xi, step, d):
+def _put(x, target, errors, i, xi, step, d):
     if isinstance(target, types.NoneType):
-        return lambda x, target, i, xi, step, d: store(x, i, fma(step, d, xi))
-    return lambda x, target, i, xi, step, d: store(target, i, fma(step, d, load(target, i)))
+        return lambda x, target, errors, i, xi, step, d: store_moved(x, errors, i, xi, step, d)
+    return lambda x, target, errors, i, xi, step, d: store(
+        target, i, fma(step, d, load(target, i)))
 
 
 def zero_multipliers(apart, force, team):

@@ -15,6 +15,7 @@ of the body by θ, which strains nothing, cancels it:
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.geometry.closest_points import cross, dot
+from xpbd_ros.sim.particles.rounding import add_move, error_of
 
 
 @jit
@@ -42,13 +43,14 @@ def resume(x, first, last, before):
 
 
 @jit
-def turn_back(x, mobility, mass, first, last, before):
+def turn_back(x, rounding, mobility, mass, first, last, before):
     """
     Cancel the rotation by the displacements since ``keep_places``; none if a particle is pinned.
 
     Parameters
     ----------
     x, before : positions now and before the projections [m], shape (3, slots)
+    rounding : what x lacks of the displacements, or None
     mobility : m [m/N], shape (slots,)
     mass : 0 in the padding, shape (slots,)
     first, last : slots of the body, first:last
@@ -70,8 +72,9 @@ def turn_back(x, mobility, mass, first, last, before):
     for i in range(first, last):
         if mass[i] > 0.0:
             w, r = 1.0 / mobility[i], (x[0, i] - cx, x[1, i] - cy, x[2, i] - cz)
-            sx, sy, sz = cross(r, (x[0, i] - before[0, i], x[1, i] - before[1, i],
-                                   x[2, i] - before[2, i]))
+            sx, sy, sz = cross(r, (x[0, i] - before[0, i] + error_of(rounding, 0, i),
+                                   x[1, i] - before[1, i] + error_of(rounding, 1, i),
+                                   x[2, i] - before[2, i] + error_of(rounding, 2, i)))
             tx, ty, tz = tx + w * sx, ty + w * sy, tz + w * sz
             square = dot(r, r)
             xx += w * (square - r[0] * r[0])
@@ -91,6 +94,6 @@ def turn_back(x, mobility, mass, first, last, before):
     for i in range(first, last):
         if mass[i] > 0.0:
             dx, dy, dz = cross((tx, ty, tz), (x[0, i] - cx, x[1, i] - cy, x[2, i] - cz))
-            x[0, i] += dx
-            x[1, i] += dy
-            x[2, i] += dz
+            add_move(x, rounding, 0, i, dx)
+            add_move(x, rounding, 1, i, dy)
+            add_move(x, rounding, 2, i, dz)

@@ -7,16 +7,26 @@ The leapfrog's velocities are half a substep behind its positions (doc/numerics.
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.simd import load, select, store
 from xpbd_ros.sim.backend.threads import wait
+from xpbd_ros.sim.particles.accumulators import moves
 from xpbd_ros.sim.particles.integration import own
+from xpbd_ros.sim.particles.rounding import store_sum
 from xpbd_ros.sim.particles.state import State
 
 
 @jit
+def accumulating(state):
+    """Return the state without rounding errors: those of the accumulator's sums do not count."""
+    return State(state.x, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
+                 state.gravity, state.reaction, state.history, state.apart, state.team,
+                 state.gap, None, state.clock)
+
+
+@jit
 def at_start(state):
-    """Return the state with x = x_prev: constraints are evaluated at the substep's start."""
+    """Return such a state with x = x_prev: constraints are evaluated at the substep's start."""
     return State(state.x_prev, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
                  state.gravity, state.reaction, state.history, state.apart, state.team,
-                 state.gap, state.rounding, state.clock)
+                 state.gap, None, state.clock)
 
 
 @jit(inline=True)
@@ -34,7 +44,7 @@ def add_moves(state):
     first, last, step = own(state)
     for k in range(3):
         for i in range(k * slots + first, k * slots + last, step):
-            store(x, i, load(x, i) + _load_and_clear(move, i))
+            store_sum(x, moves(state.rounding), i, load(x, i), _load_and_clear(move, i))
     wait(state.team)
 
 

@@ -6,7 +6,8 @@ x. The velocity is the sum of all Δx over H, so their errors are noise of v tha
 with N substeps per second. The sum of the errors is therefore kept, and added to the difference of
 positions from which v is computed (``integration.velocity``).
 
-x + Δx - x is exact (Sterbenz), and with it the error; what other stages move is not compensated.
+x + Δx - x is exact (Sterbenz), and with it the error. What inequalities move is not compensated,
+but seams are.
 """
 
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from typing import NamedTuple
 from numba import types
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import inline
+from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import fma, load, store
 from xpbd_ros.sim.backend.simd_records import load_records, store_records
 from xpbd_ros.sim.backend.simd_vector3 import fma3, vector3
@@ -49,6 +50,21 @@ def store_sum(x, errors, i, xi, move):
 
 def store_moved_records(records, errors, index, c, x, step, d, m):
     """Store x + step d, given as Vector3, in the records index[c:], likewise."""
+
+
+@jit
+def add_move(x, rounding, k, i, move):
+    """x[k, i] += move; add the rounding error to ``rounding`` unless it is None."""
+    start = x[k, i]
+    x[k, i] = start + move
+    if rounding is not None:
+        rounding.move[k, i] += move + (start - x[k, i])
+
+
+@jit
+def error_of(rounding, k, i):
+    """Return what x[k, i] lacks of its moves [m]."""
+    return 0.0 if rounding is None else rounding.move[k, i]
 
 
 def clear(errors, i):

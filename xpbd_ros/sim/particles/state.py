@@ -101,7 +101,7 @@ def new_state(x: np.ndarray, mass: np.ndarray, gravity, slot: np.ndarray, slots:
 
 
 def with_solver_storage(state: State, *, integrator: str, apart: type | None, constraints,
-                        gap=np.inf, h: float = 0.0) -> State:
+                        gap=np.inf, compensates: bool = False) -> State:
     """
     Return the state with the storage of an integrator (history) and a method (accumulator).
 
@@ -112,7 +112,7 @@ def with_solver_storage(state: State, *, integrator: str, apart: type | None, co
     apart : Jacobi, Explicit or None: type of the accumulator
     constraints : slots of all constraints, arrays of shape (constraints, particles of each)
     gap : distance of neighbours [m], shape (slots,) or a scalar
-    h : substep [s]; below SHORT the moves of float32 are compensated
+    compensates : True if the moves of float32 are compensated (``particles.rounding``)
 
     """
     slots, dtype = state.x.shape[1], state.x.dtype
@@ -122,7 +122,7 @@ def with_solver_storage(state: State, *, integrator: str, apart: type | None, co
         distance = zeros(slots, dtype)
         distance[:] = gap
         state = state._replace(gap=distance)
-    if h < SHORT and apart is None and dtype == np.float32:
+    if compensates and dtype == np.float32:
         state = state._replace(rounding=new_rounding(slots, dtype))
     if apart is not None:
         state = state._replace(apart=apart(

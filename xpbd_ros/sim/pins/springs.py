@@ -13,6 +13,7 @@ from xpbd_ros.sim.backend.threads import turns_on_device
 from xpbd_ros.sim.constraints.projection import at_the_end
 from xpbd_ros.sim.particles.explicit_updates import displacement_before, newmark
 from xpbd_ros.sim.particles.history import weights_at
+from xpbd_ros.sim.particles.rounding import add_move
 from xpbd_ros.sim.pins.held_places import Pin, place_of
 from xpbd_ros.sim.pins.wrenches import deliver
 from xpbd_ros.sim.stepping.stages import (
@@ -52,7 +53,7 @@ def pull_to_pins(spring, state, substep):
         alpha = spring.softness[k]
         share = m / (m + alpha)
         for a in range(3):
-            x[a, i] += share * (spring.place[k, a] - x[a, i])
+            add_move(x, state.rounding, a, i, share * (spring.place[k, a] - x[a, i]))
         state.mobility[i] = m / (1.0 + m / alpha)    # also for infinite α
 
 

@@ -219,8 +219,8 @@ VALUES: dict[Callable, Callable] = {integration.turned: turned,
                                     methods.goes_both_ways: goes_both_ways,
                                     **{each: each.py_func for each in (
                                         methods.direction, methods.of_lines, methods.goes_forth,
-                                        methods.goes_back, explicit_updates.at_start,
-                                        explicit_updates.half_of)}}
+                                        methods.goes_back, explicit_updates.accumulating,
+                                        explicit_updates.at_start, explicit_updates.half_of)}}
 """kernels that launch nothing, with what they return"""
 OF_LINES = stages.solve_lines.__name__, stages.project_inequalities.__name__
 """stages in which a thread of a GPU solves whole lines, of effects that have them"""

@@ -23,6 +23,7 @@ from typing import NamedTuple
 from xpbd_ros.sim.backend.emit import written_out
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.particles.explicit_updates import (
+    accumulating,
     add_moves,
     apply_leapfrog_kick,
     at_start,
@@ -189,7 +190,7 @@ def _sweep(writer, method, *values):
     effects, state, substep = values
     kind = method[0].instance_class
     if kind in (Jacobi, Leapfrog):
-        start = state if kind is Jacobi else writer.call(at_start, state)
+        start = writer.call(accumulating if kind is Jacobi else at_start, state)
         writer.call(project, effects, start, substep)
         if kind is Jacobi:
             writer.call(add_moves, state)
@@ -226,7 +227,7 @@ _kick_if_leapfrog(leave)
 def kick(effects, state, substep):
     """Move the velocities on by half a substep: back where the frame begins."""
     set_mobility(state, substep.h)
-    project(effects, state, substep)
+    project(effects, accumulating(state), substep)
     add_explicit_forces(effects, state, substep)
     damp_half_kick(effects, state, substep)
     react_to_half_kick(effects, state, substep)
