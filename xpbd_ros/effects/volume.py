@@ -53,7 +53,7 @@ from xpbd_ros.sim.constraints.projection import (
     xpbd_residual,
 )
 from xpbd_ros.sim.effect import Built, Effect, sides_of
-from xpbd_ros.sim.geometry.mesh import cross, dot, length
+from xpbd_ros.sim.geometry.mesh import cross, dot
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.accumulators import row
 from xpbd_ros.sim.stepping.constraint_stages import constraint
@@ -266,15 +266,17 @@ class Tetrahedra(Constraints):
 
     def stiffness_bound(self, x: np.ndarray) -> np.ndarray:
         """
-        Return V0 (2 μ + 3 λ) Σ |b_i| Σ |b_j| at each particle [N/m], shape (slots, 3, 3).
+        Return the largest eigenvalue of each element's K at its particles [N/m], (slots, 3, 3).
 
-        b_i is the gradient of i's shape function, |∇u|² ≤ (Σ |b_i| |u_i|)²; about the rest shape.
+        About the rest shape, K = V0 (2 μ |ε|² + λ tr² ε). With b_i the gradient of i's shape
+        function and h the eigenvalues of Σ b_i b_iᵀ, that is the largest one of the 3 × 3 matrix
+        V0 (2 μ diag(h) + λ √h √hᵀ): a shear gives V0 μ (h_k + h_l) at most.
         """
         rows = np.concatenate([-self.inverse.sum(1, keepdims=True), self.inverse], 1)
-        slopes = length(rows)
-        stiffness = 2.0 / self.compliance[:, 0] + 3.0 / self.compliance[:, 1]
-        return isotropic(x, self.particles,
-                         stiffness[:, None] * slopes * slopes.sum(1, keepdims=True))
+        root = np.sqrt(np.linalg.eigvalsh(rows.swapaxes(1, 2) @ rows))[:, :, None]
+        twice_mu, lame = (np.array([2.0, 1.0]) / self.compliance).T[:, :, None, None]
+        block = (twice_mu * np.eye(3) + lame) * root * root.swapaxes(1, 2)
+        return isotropic(x, self.particles, np.repeat(np.linalg.eigvalsh(block)[:, -1:], 4, 1))
 
 
 class BuiltVolume(Built):
