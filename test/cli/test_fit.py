@@ -213,6 +213,14 @@ def test_a_value_that_the_motion_does_not_depend_on_is_not_determined(tmp_path, 
     assert stretch['value'] == pytest.approx(60.0, rel=0.1)
 
 
+def test_a_value_without_any_effect_is_not_determined(tmp_path, capsys):
+    """The friction of a cloth that touches nothing: all derivatives are exactly 0."""
+    key = 'cloths.c.friction'
+    found = fit(record(STRETCH, tmp_path / 'free'), '--vary', key, code=1, capsys=capsys)
+    assert found['values'][key]['why_not'] == (
+        'the residual is flat: this motion does not depend on it')
+
+
 def test_a_log_of_this_package_brings_its_inputs(tmp_path, capsys):
     """Its clouds are float32 without noise, and its grasp and its change of gravity act again."""
     (tmp_path / 'sheet.yaml').write_text(SHEET)

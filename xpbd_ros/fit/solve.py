@@ -124,7 +124,8 @@ class Search:
                      for side in ('low', 'high'))
         found = least_squares(lambda point: self.residuals([point])[0],
                               np.clip(start, low + 1e-6, high - 1e-6), self.jacobian,
-                              bounds=(low, high), xtol=1e-4, ftol=1e-7, gtol=None, max_nfev=40)
+                              bounds=(low, high), xtol=1e-4, ftol=1e-7, max_nfev=40,
+                              gtol=np.finfo(float).eps)    # none: no step where J is 0
         _, scales, axes = np.linalg.svd(self.jacobian(found.x), full_matrices=False)
         least = max(scales.max() * 1e-9, 1e-12)
         spread = axes.T / np.maximum(scales, least)
@@ -190,7 +191,7 @@ def _value(search: Search, z: float, key: Key, deviation: float, least: float,
     aside = [squares for other, squares in profile if abs(other - z) > 0.99 * math.log(2.0)]
     wide = math.exp(min(SIGMAS * deviation, 300.0))
     value = math.exp(z)
-    if min(aside, default=0.0) < least + RISE * variance:
+    if min(aside, default=0.0) <= least + RISE * variance:
         why = 'the residual is flat: this motion does not depend on it'
     elif value <= key.low * (1.0 + STEP) or value >= key.high / (1.0 + STEP):
         why = 'at the end of its range'
