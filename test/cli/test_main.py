@@ -48,6 +48,15 @@ def test_without_a_verb_it_shows_what_there_is(tmp_path):
         assert f'  {verb:<9} {what}' in done.stdout
 
 
+def test_a_terminal_without_special_characters_gets_question_marks(monkeypatch, tmp_path):
+    monkeypatch.setenv('PYTHONIOENCODING', 'ascii')
+    (tmp_path / 'dot.yaml').write_text('cloths: {dot: {grid: {size: [1, 1], resolution: [1, 1]}, '
+                                       'density: 1}}\n')
+    done = program('check', tmp_path / 'dot.yaml', cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (1, '')    # it falls for ever
+    assert ' 4 ? 1 (auto: ' in done.stdout
+
+
 def test_it_knows_its_version(capsys):
     with pytest.raises(SystemExit) as end:
         main(['--version'])

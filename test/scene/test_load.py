@@ -1,5 +1,6 @@
 """A scene file at the door: what is understood, and what a user is told of the rest."""
 
+import os
 from pathlib import Path
 import time
 
@@ -332,6 +333,8 @@ def test_a_file_that_cannot_be_read_is_told_in_one_line(tmp_path):
     assert told(name) == f'{name}: larger than 16 MiB'
     assert told(str(tmp_path)).startswith(f'{tmp_path}: unknown scene (known: ')
     assert told('a\0b').startswith('a\0b: unknown scene (known: ')
+    name = write(tmp_path, b'{}', os.fsdecode(b'a\xff.yaml'))
+    assert told(name).startswith(f'{name}: its name is no text in the encoding of file names, ')
 
 
 def test_a_settings_file_gives_overrides(tmp_path):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+import sys
 from typing import Any
 
 import yaml
@@ -96,6 +97,12 @@ def load_scene(name: str, overrides: dict[str, Any] | None = None,
 
     """
     path = find_scene(name)
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        raise InputError(f'{path}: its name is no text in the encoding of file names, '
+                         f'{sys.getfilesystemencoding()}, and no log can hold it; rename it, or '
+                         'set LC_ALL=C.UTF-8') from None
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(f'{path}: larger than {LARGEST_FILE >> 20} MiB')
