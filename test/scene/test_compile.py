@@ -97,3 +97,13 @@ def test_float32_far_from_the_origin_is_said(precision, far, told):
 def test_steps_that_float32_cannot_tell_are_said(precision, substeps, told):
     notes = simulate(gravity=(0, 0, -9.8), substeps=substeps, precision=precision).notes
     assert any('forces get lost' in note for note in notes) == told
+
+
+@pytest.mark.parametrize(('method', 'integrator', 'substeps', 'told'), [
+    ('gauss_seidel', 'ndf2', 8, True), ('gauss_seidel', 'ndf2', 80, False),
+    ('gauss_seidel', 'bdf2', 8, False), ('gauss_seidel_symmetric', 'ndf2', 8, False)])
+def test_a_one_way_sweep_with_ndf2_that_is_under_resolved_is_said(method, integrator, substeps,
+                                                                  told):
+    notes = simulate((6, 5), method=method, integrator=integrator, substeps=substeps, density=0.2,
+                     effects={'stretch': {'warp': 5000.0, 'weft': 5000.0}}).notes
+    assert any('ndf2 may be unstable with gauss_seidel' in note for note in notes) == told

@@ -15,7 +15,7 @@ from xpbd_ros.scene.grip import weak_grips
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.scene.mesh_file import read_mesh_file, read_table
 from xpbd_ros.scene.model import ClothKeys, live_keys, Scene, with_key
-from xpbd_ros.scene.stability import stability_limit
+from xpbd_ros.scene.stability import needed_substeps, stability_limit
 from xpbd_ros.scene.threads import with_threads
 from xpbd_ros.scene.warp import check_warps
 from xpbd_ros.sim.command_check import plain
@@ -146,7 +146,11 @@ def _too_coarse(cloths, state: State) -> list[str]:
 
 
 def _too_few(solver, effects, state: State, frame_dt: float) -> list[str]:
-    """Return a warning if ``explicit`` may be unstable, so that frames are computed twice."""
+    """Return a warning if one-way NDF2, or ``explicit``, may be unstable with these substeps."""
+    if (solver.method, solver.integrator) == ('gauss_seidel', 'ndf2') and (
+            solver.substeps < needed_substeps('gauss_seidel', 'ndf2', effects, state, frame_dt)):
+        return [f'solver.integrator: ndf2 may be unstable with gauss_seidel and {solver.substeps} '
+                'substeps, which do not resolve the stretch; take gauss_seidel_symmetric, or bdf2']
     if solver.method != 'explicit' or solver.substeps >= (
             needed := stability_limit(effects, state) * frame_dt):
         return []
