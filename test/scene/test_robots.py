@@ -233,6 +233,7 @@ def test_a_gripper_is_read_from_the_joint_that_moves():
     ('<axis xyz="0 1 0"/>', '<mimic joint="slide"/>',
      "joint 'slide': mimics itself (slide → slide)"),
     ('0.1 0.1 0.1', '0.1 0.1 0.2', "link 'jaw-1': a mesh is scaled by [0.1, 0.1, 0.2]"),
+    ('0.1 0.1 0.1', '0 0 0', "link 'jaw-1': a mesh is scaled by [0.0, 0.0, 0.0]"),
 ])
 def test_a_description_that_cannot_be_read(folder, old, new, reason):
     if 'package' in new:

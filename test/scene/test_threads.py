@@ -8,7 +8,7 @@ import yaml
 from xpbd_ros.effects.contact import BuiltContact
 from xpbd_ros.scene import threads
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import SHIPPED, table_text
+from xpbd_ros.scene.cost_table import GRID, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.scene.save import explicit
 from xpbd_ros.scene.threads import free_cores, paying
@@ -50,6 +50,7 @@ def test_meshes_take_one_unless_they_collide_with_themselves(monkeypatch):
     """Threads share no constraints of a mesh, but the search for its pairs."""
     monkeypatch.setattr(threads, 'free_cores', lambda: 2)
     monkeypatch.setattr(BuiltContact, 'particles_per_thread', 10.0)
+    monkeypatch.setitem(SHIPPED.particles_per_thread, GRID, 10.0)
     assert compile_scene(load_scene('balloon', {'solver.threads': 0})).solver.threads == 1
     assert compile_scene(load_scene('shirt', {'solver.threads': 0})).solver.threads == 2
 
