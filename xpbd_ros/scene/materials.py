@@ -130,10 +130,6 @@ def with_material(cloth: Any, path: str, *, square: bool) -> Any:
         if effect not in effects or INSTEAD.get(effect, set()) & set(given):
             continue
         filled[effect] = {**values, **given}
-        if any(values[key] <= 0.0 for key in values if key not in {*given, 'poisson'}):
-            raise InputError(f'{path}.material: a lattice with this shear stiffness cannot be as '
-                             f'soft along one thread as {cloth["material"]}; give the parameters '
-                             f'of effects.{effect}')
     known = {'density': sheet.density, **cloth}
     return {**known, 'effects': filled} if 'effects' in cloth else known
 
