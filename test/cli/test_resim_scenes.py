@@ -8,12 +8,9 @@ import pytest
 
 from support.node import child_environment
 from support.shipped_scenes import NAMES, WITH_MESHIO
-from support.tiers import slow
 
 DURATION = '0.2'
 """of each run [s]"""
-QUICK = 'sheet'
-"""the scene of the quick tier, whose kernels compile fast"""
 
 
 def verb(*words: str, bits: str | None = None) -> dict:
@@ -38,21 +35,10 @@ def log_of(tmp_path_factory):
     return log_of
 
 
-def cases() -> list:
-    """Return (scene, threads, vector width) as parameters; one is in the quick tier."""
-    found = []
-    for name in NAMES:
-        for threads, bits in (('2', None), ('1', '256'), ('2', '128')):
-            if (name, bits) == (QUICK, None):
-                found.append(pytest.param(name, threads, bits))
-                continue
-            case = slow(name, threads, bits)
-            found.append(pytest.param(*case.values, marks=[
-                *case.marks, *[WITH_MESHIO] * (name == 'softbox')]))
-    return found
-
-
-@pytest.mark.parametrize(('name', 'threads', 'bits'), cases())
+@pytest.mark.slow    # test_resim has other threads in the quick tier, test_solver other widths
+@pytest.mark.parametrize(('threads', 'bits'), [('2', None), ('1', '256'), ('2', '128')])
+@pytest.mark.parametrize('name', [
+    pytest.param(name, marks=[WITH_MESHIO] * (name == 'softbox')) for name in NAMES])
 def test_each_scene_is_solved_again_bit_for_bit(log_of, name, threads, bits):
     found = verb('resim', log_of(name), '--threads', threads, bits=bits)
     assert found['identical'], found
