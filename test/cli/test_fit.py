@@ -25,7 +25,7 @@ NOISE = 0.002
 MISSING = 1.0 / 3.0
 STRETCH = """
 duration: 0.8
-solver: {method: gauss_seidel, integrator: bdf2, substeps: 12, iterations: 2}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 12, iterations: 2}
 cloths:
   c:
     grid: {size: [0.5, 0.3], resolution: [9, 6]}
@@ -42,7 +42,7 @@ effects: {damping: {rate: 1.0}, contact: {thickness: 0.003}, friction: {}}
 """a strip that is held by its upper edge, and falls"""
 BEND = """
 duration: 0.5
-solver: {method: gauss_seidel, integrator: bdf2, substeps: 12, iterations: 2}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 12, iterations: 2}
 cloths:
   c:
     grid: {size: [0.3, 0.16], resolution: [13, 7]}
@@ -58,7 +58,7 @@ effects: {damping: {rate: 1.0}, contact: {thickness: 0.003}, friction: {}}
 """a strip that is clamped at its end, and sags"""
 FRICTION = """
 duration: 0.5
-solver: {method: gauss_seidel, integrator: bdf2, substeps: 12, iterations: 2}
+solver: {method: gauss_seidel, integrator: backward_euler, substeps: 12, iterations: 2}
 gravity: [4.9, 0.0, -8.5]
 cloths:
   c:

@@ -45,7 +45,8 @@ def cloth(grid=(9, 8), *, damping=0.0, **options):
 def particle(colliders, x, *, friction=0.0, **options):
     """Return a particle of 1 kg among colliders."""
     return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
-                    scene_effects={'contact': {'thickness': R}, 'friction': {}}, **options)
+                    scene_effects={'pin': {}, 'contact': {'thickness': R}, 'friction': {}},
+                    **options)
 
 
 def moment(simulation, frame, place) -> np.ndarray:

@@ -28,9 +28,9 @@ EACH_SHAPE = pytest.mark.parametrize('shape', SHAPES)
 
 
 def particle(colliders, x=(0.0, 0.0, 1.0), *, friction=0.0, contact=None, **options):
-    """Return the simulation of one particle among colliders."""
+    """Return the simulation of one particle among colliders; with room for pins, as most have."""
     return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
-                    scene_effects={'contact': {'thickness': R, **(contact or {})},
+                    scene_effects={'pin': {}, 'contact': {'thickness': R, **(contact or {})},
                                    'friction': {}}, **options)
 
 
@@ -568,7 +568,7 @@ def test_nothing_gets_out_of_a_room_with_thin_walls_that_turns(substeps, rough):
                    'position': place.tolist(), 'restitution': 1.0, 'friction': 0.3}
             for name, place in walls.items()},
         friction=0.3 if rough else 0.0,
-        scene_effects={'contact': {'thickness': 0.004}, 'friction': {}})
+        scene_effects={'pin': {}, 'contact': {'thickness': 0.004}, 'friction': {}})
     simulation.state.v[:, simulation.slot] = np.random.default_rng(0).normal(0.0, 35.0, (3, 64))
     for k in range(120):
         turn = Rotation.from_rotvec([0.04 * k, 0.07 * k, -0.03 * k])

@@ -46,7 +46,7 @@ def particle(colliders, x, *, contact=None, friction=0.0, **options):
         colliders = {**colliders, 'far': {'mesh': {
             'file': file_of(*box_surface()), 'spacing': 0.05}, 'position': [1e3, 0.0, 0.0]}}
     return simulate((1, 1), friction=friction, colliders=colliders, pose={'position': list(x)},
-                    scene_effects={'contact': {'thickness': R, **(contact or {})},
+                    scene_effects={'pin': {}, 'contact': {'thickness': R, **(contact or {})},
                                    'friction': {}}, **options)
 
 
@@ -112,7 +112,7 @@ def fallen(entry, turn, speed, thickness):
         (11, 11), (0.08, 0.08), colliders={'s': {**entry, 'friction': 10.0}, 'far': {
             'heights': FLAT, 'position': (-1e3 * up).tolist(),
             'orientation': turn.as_quat().tolist()}},
-        scene_effects={'contact': {'thickness': thickness}, 'friction': {}}, substeps=4,
+        scene_effects={'pin': {}, 'contact': {'thickness': thickness}, 'friction': {}}, substeps=4,
         gravity=(-GRAVITY * up).tolist(), pose={
             'position': turn.apply([-0.041, -0.039, 0.05]).tolist(),
             'orientation': turn.as_quat().tolist()})
@@ -309,7 +309,7 @@ def test_a_particle_that_leaves_the_world_holds_nothing_up(tmp_path, speed):
         'ground': {'heights': {'size': [2.0, 2.0], 'values': [[0.0] * 20] * 20}},
         'ball': {'sphere': {'radius': 0.5}, 'position': [0.1, 0.0, -0.5]},
         'crate': mesh(tmp_path / 'box.obj', box_surface(0.5, 0.5, 0.5), spacing=0.1)},
-        scene_effects={'contact': {'thickness': R}, 'friction': {}})
+        scene_effects={'pin': {}, 'contact': {'thickness': R}, 'friction': {}})
     for k in range(3):
         simulation.state.v[k, simulation.slot[2]] = speed
         simulation.step()

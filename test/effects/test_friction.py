@@ -19,7 +19,8 @@ def on_a_plane(degrees=0.0, *, mu=MU, pairs=None, **options):
     normal = np.array([np.sin(angle), 0.0, np.cos(angle)])
     return simulate((1, 1), friction=mu, pose={'position': (R * normal).tolist()}, colliders={
         'table': {'plane': {'normal': normal.tolist()}, 'friction': mu}}, scene_effects={
-            'contact': {'thickness': R}, 'friction': {'pairs': pairs} if pairs else {}}, **options)
+            'pin': {}, 'contact': {'thickness': R},
+            'friction': {'pairs': pairs} if pairs else {}}, **options)
 
 
 @pytest.mark.parametrize('substeps, iterations', [(1, 1), (4, 1), (3, 5)])
@@ -82,7 +83,8 @@ def test_a_pair_has_the_geometric_mean_unless_it_has_its_own():
     simulation = simulate(
         (1, 1), friction=0.9, pose={'position': [0.0, 0.0, R]}, colliders={
             'a': {'plane': {}, 'friction': 0.4}, 'b': {'plane': {}, 'friction': 0.0}},
-        scene_effects={'contact': {'thickness': R}, 'friction': {'pairs': {'c': {'b': 0.7}}}})
+        scene_effects={'pin': {}, 'contact': {'thickness': R},
+                       'friction': {'pairs': {'c': {'b': 0.7}}}})
     simulation.step()
     np.testing.assert_allclose(simulation.effects['friction'].data.coefficient[0, :3],
                                [0.6, 0.7, 0.0], rtol=1e-15)
@@ -120,7 +122,7 @@ def test_a_ball_that_spins_drives_what_lies_on_it():
     simulation = simulate(
         (1, 1), friction=MU, pose={'position': [0.0, 0.0, 0.3 + R]}, substeps=4,
         colliders={'ball': {'sphere': {'radius': 0.3}, 'friction': MU}},
-        scene_effects={'contact': {'thickness': R}, 'friction': {}})
+        scene_effects={'pin': {}, 'contact': {'thickness': R}, 'friction': {}})
     frame = simulation.step([MoveCollider('ball', Pose(), Twist((0, 0, 0), (3.0, 4.0, 0.0)))])
     np.testing.assert_allclose(frame.v[0], MU * GRAVITY / 60 * np.array([0.8, -0.6, 0.0]),
                                rtol=0.0, atol=1e-3)
@@ -222,7 +224,8 @@ def test_a_pair_has_the_mean_of_both_static_frictions():
         (1, 1), friction=0.9, pose={'position': [0.0, 0.0, R]}, colliders={
             'a': {'plane': {}, 'friction': 0.1, 'static_friction': 0.4},
             'b': {'plane': {}, 'friction': 0.4}},
-        scene_effects={'contact': {'thickness': R}, 'friction': {'pairs': {'c': {'b': 0.7}}}})
+        scene_effects={'pin': {}, 'contact': {'thickness': R},
+                       'friction': {'pairs': {'c': {'b': 0.7}}}})
     simulation.step()
     data = simulation.effects['friction'].data
     np.testing.assert_allclose(data.coefficient[0, :2], [0.3, 0.7], rtol=1e-15)

@@ -37,8 +37,8 @@ def after_a_grasp(make, frames: int = 5):
 
 
 @pytest.mark.parametrize('method, integrator', [
-    ('gauss_seidel', 'backward_euler'), ('line', 'bdf2'),
-    pytest.param('line', 'ndf2', marks=pytest.mark.slow),
+    ('gauss_seidel', 'backward_euler'), ('line', 'ndf2'),
+    pytest.param('line', 'bdf2', marks=pytest.mark.slow),
     pytest.param('explicit', 'leapfrog', marks=pytest.mark.slow)])
 def test_a_simulation_continues_from_a_checkpoint_bit_for_bit(method, integrator):
     def make():

@@ -50,7 +50,7 @@ COMMANDS = {
 METHODS = pytest.mark.parametrize('options', [
     {}, pytest.param({'method': 'gauss_seidel_symmetric', 'integrator': 'bdf2'},
                      marks=pytest.mark.slow),
-    {'method': 'line', 'integrator': 'bdf2', 'names': FEW},
+    {'method': 'line', 'integrator': 'ndf2', 'names': FEW},
     slow({'method': 'line', 'integrator': 'bdf2'})], ids=lambda options: (
         options.get('method', 'plain') + ('-few' if 'names' in options else '')))
 
@@ -273,6 +273,7 @@ def test_substeps_of_another_length_move_nothing_by_themselves(integrator):
         np.testing.assert_allclose(frame.v[0], [2.0, 0.0, 0.0], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('first', [30, 3])
 def test_the_integrator_that_is_told_after_a_live_change_is_the_one_that_runs(first):
     """NDF2 has storage for BDF2 too; what began with BDF2 stays with it."""

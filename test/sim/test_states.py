@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from support.scenes import GRAVITY, run, simulate, with_effects
+from support.scenes import FEW, GRAVITY, run, simulate, with_effects
 from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
@@ -50,9 +50,12 @@ def flat(x) -> tuple[float, ...]:
     return tuple(np.ravel(x).tolist())
 
 
-def test_a_loaded_state_continues_to_the_same_bits_and_time_goes_on():
-    """With all usual effects, a pin on keyframes and one with a lifetime."""
-    simulation = with_effects(pins=MOVING, integrator='bdf2')
+@pytest.mark.parametrize('options', [
+    {'names': FEW, 'method': 'line', 'integrator': 'ndf2'}, slow({'integrator': 'bdf2'})],
+    ids=lambda options: options['integrator'])
+def test_a_loaded_state_continues_to_the_same_bits_and_time_goes_on(options):
+    """With a history, contacts, a pin on keyframes and one with a lifetime."""
+    simulation = with_effects(pins=MOVING, **options)
     run(simulation, 6, [Grasp('b', Pose((1.0, 1.0, 0.0)), 0.1, 200_000_000)])
     expected = states(simulation, 12, [SaveState()])
     assert set(simulation.frame().pins) == {'a'}, 'the lifetime is over'
@@ -180,7 +183,7 @@ def test_states_that_fit_no_cloth_are_refused():
     assert not simulation.pending
 
 
-@pytest.mark.parametrize('integrator', ['bdf2', slow('ndf2'), slow('backward_euler')])
+@pytest.mark.parametrize('integrator', ['ndf2', slow('bdf2'), slow('backward_euler')])
 def test_pins_and_colliders_bear_all_cloths_where_the_state_of_one_is_set(integrator):
     """Σ F dt = Σ m (g dt - Δv) of each cloth, to rounding."""
     simulation = compile_scene(scene_from_mapping({
