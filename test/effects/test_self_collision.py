@@ -1,5 +1,7 @@
 """Cloth against cloth: the pairs found, what keeps them apart, and that nothing gets through."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,11 +13,13 @@ from xpbd_ros.effects.self_collision import load_pairs
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.sim.backend.simd import lane_count
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MovePin, Pose
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
+from xpbd_ros.sim.self_collision.narrow_phase import choose_coefficient
 from xpbd_ros.sim.self_collision.near_pairs import choose_near, SPARE
 from xpbd_ros.sim.self_collision.neighbour_list import (
     CANDIDATES,
@@ -26,6 +30,7 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     TRAVEL,
     TRIANGLES,
 )
+from xpbd_ros.sim.self_collision.pair_contacts import NEVER, PairFriction
 from xpbd_ros.study.stress.crossings import crossings
 
 THICKNESS = 0.01
@@ -392,7 +397,7 @@ def test_a_cloth_slides_on_cloth_as_it_would_on_a_slope(friction, solver):
 
 
 @pytest.mark.parametrize('degrees, static, sticks', [
-    (15.0, None, True), (30.0, None, False), (30.0, 0.7, True), slow(40.0, 0.7, False)])
+    (15.0, None, True), (30.0, None, False), slow(30.0, 0.7, True), slow(40.0, 0.7, False)])
 def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, static, sticks):
     """
     μ_k = 0.4: 21.8°, and 35° where μ_s is 0.7.
@@ -420,6 +425,47 @@ def test_cloth_sticks_to_cloth_below_the_angle_of_friction(degrees, static, stic
         angle = np.radians(degrees)
         slide = 0.5 * GRAVITY * (np.sin(angle) - 0.4 * np.cos(angle)) * 0.25
         assert moved == pytest.approx(slide, rel=0.15)
+
+
+class Pairs(NamedTuple):
+    """Fields of pairs that ``choose_coefficient`` reads."""
+
+    particles: np.ndarray
+    weight: np.ndarray
+    normal: np.ndarray
+    deficit: np.ndarray
+
+
+class Near(NamedTuple):
+    """Fields of ``NeighbourList`` that it reads."""
+
+    start: np.ndarray
+    slot: np.ndarray
+    cloth: np.ndarray
+
+
+def test_a_pair_has_the_static_coefficient_of_its_cloths_while_it_slides_slowly():
+    """Whatever its speed along the normal; what is out of reach keeps the kinetic one."""
+    random, count, lanes, seen = np.random.default_rng(1), 8, lane_count(np.float64), 0
+    near = Near(np.zeros(2 * lanes), random.permutation(count), np.arange(count) % 2)
+    v, static = random.normal(size=(3, count)), np.array([[0.5, 0.6], [0.6, 0.9]])
+    pairs = Pairs(random.integers(0, count, (4, 2 * lanes)), random.normal(size=(4, 2 * lanes)),
+                  random.normal(size=(3, 2 * lanes)), np.zeros(2 * lanes))
+    pairs.particles[2:, ::2], pairs.weight[2:, ::2] = count, 0.0    # of two particles each
+    pairs.deficit[::5] = NEVER
+    pairs.normal[:] /= np.linalg.norm(pairs.normal, axis=0)
+    friction = PairFriction(static, static, np.linspace(0.1, 0.3, 2 * lanes), np.zeros(2 * lanes),
+                            np.zeros(0))
+    for q in (0, lanes):
+        choose_coefficient(static, friction, pairs, near, q, v, 1.5)
+    for k, (i, j, _, last) in enumerate(pairs.particles.T):
+        own = v[:, near.slot[pairs.particles[:, k] % count]]
+        u, n = own @ pairs.weight[:, k], pairs.normal[:, k]
+        slow_ = np.linalg.norm(u - (n @ u) * n) < 1.5 and pairs.deficit[k] > NEVER
+        seen += slow_
+        assert friction.coefficient[k] == (static[near.cloth[i], near.cloth[
+            j if last == count else last]] if slow_ else friction.slides[k])
+    assert 3 < seen < 2 * lanes - 3
 
 
 @pytest.mark.parametrize('compliance', [0.0, slow(1e-6)])
