@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from support.scenes import GRAVITY, run, run_until_still, simulate
-from support.tiers import quick_only, slow
+from support.tiers import slow
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import scene_from_mapping
@@ -56,6 +56,7 @@ def test_frames_of_one_substep_have_the_order_of_the_leapfrog():
     np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), 2.0, atol=0.1)
 
 
+@pytest.mark.slow
 def test_a_flag_in_a_gust_has_the_order_of_the_leapfrog():
     """Second order: a lag of the normals, the velocities or the wind would make it first order."""
     at = []
@@ -104,7 +105,8 @@ def test_drag_follows_the_velocity_relative_to_the_wind():
         assert np.sign(simulation.step().v[:, 2] - 1.0) == pytest.approx(change)
 
 
-@pytest.mark.parametrize('method', quick_only(['line', 'jacobi', 'explicit'], 'line'))
+@pytest.mark.slow
+@pytest.mark.parametrize('method', ['line', 'jacobi', 'explicit'])
 def test_light_cloth_in_a_sudden_storm_never_outruns_it(method):
     """H28: 30 m/s on 50 g/m² in a step of 1/60 s, 9 times too long for an explicit force."""
     simulation = sheet((30.0, 0.0, 0.0), density=0.05, pose={'orientation': [0.3, 0.5, 0.1, 0.8]},
@@ -160,6 +162,7 @@ def held(density, solver=None):
     return simulation, run_until_still(simulation, speed=1e-9)
 
 
+@pytest.mark.slow
 def test_a_held_sheet_feels_the_whole_wind_however_light_it_is():
     """The supporting force and the bulge do not depend on the weight of the sheet."""
     far = held(0.05, {'substeps': 120})[1].x[:, 2].max()

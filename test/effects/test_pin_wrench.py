@@ -5,7 +5,7 @@ import pytest
 
 from support.meshes import ball, obj_text
 from support.scenes import GRAVITY, simulate
-from support.tiers import quick_only
+from support.tiers import quick_only, slow
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, SetKey
 
 LATTICE = {'stretch': {'warp': 300.0, 'weft': 200.0}, 'shear': {'stiffness': 10.0},
@@ -93,7 +93,7 @@ def test_pins_at_rest_carry_the_weight(name, tmp_path):
     np.testing.assert_allclose(pulls(frame), [0.0, 0.0, -weight], rtol=1e-6, atol=1e-6 * weight)
 
 
-@pytest.mark.parametrize('compliance', [0.0, 0.001])
+@pytest.mark.parametrize('compliance', [0.0, slow(0.001)])
 @pytest.mark.parametrize('name', quick_only(('lattice', 'lattice-explicit'), 'lattice'))
 def test_pins_feel_the_damping_of_all_particles(name, compliance, tmp_path):
     """

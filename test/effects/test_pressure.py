@@ -196,6 +196,7 @@ def test_the_skin_of_a_body_may_hold_gas(meshio):
     assert np.isfinite(run(simulation, 2).x).all()
 
 
+@pytest.mark.slow
 def test_a_belt_turns_a_ball_whose_skin_has_a_limit():
     """The limit has contacts projected several times; only what the skin turns is undone."""
     simulation = simulate(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from support.scenes import run, simulate
-from support.tiers import slow
 from xpbd_ros.effects.drag import RESOLVED
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import COMPENSATED, MIN_SUBSTEPS
@@ -52,7 +51,8 @@ def cost(simulation, substeps=None):
     return substeps * (moved + besides + solver.iterations * projected)
 
 
-@pytest.mark.parametrize('rigidity', [10.0, slow(1.0)])
+@pytest.mark.slow
+@pytest.mark.parametrize('rigidity', [10.0, 1.0])
 def test_stiff_bending_is_resolved_to_a_millimetre(rigidity):
     """Though a sheet's stretch alone asks for 4 substeps: 29 mm with 10 N m."""
     def swung(substeps):
