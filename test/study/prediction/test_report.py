@@ -38,6 +38,7 @@ def test_a_shipped_scene_gives_what_it_asks_for(name):
         assert row.effective_min <= row.effective <= row.effective_max
 
 
+@pytest.mark.slow
 def test_too_few_substeps_are_said_with_the_way_out():
     found = check(load_scene('swing', SOFT))
     (text,) = [text for text in found.warnings if 'along warp' in text]
@@ -48,6 +49,7 @@ def test_too_few_substeps_are_said_with_the_way_out():
     assert check(load_scene('swing', {'solver.method': 'line', 'solver.substeps': 16})).ok
 
 
+@pytest.mark.slow
 def test_a_taut_skin_that_is_too_soft_is_said_in_pascal():
     """As measured: 668 Pa of 1100 (test_stiffness)."""
     found = check(load_scene('balloon', {'solver.substeps': 22}))
@@ -122,7 +124,7 @@ def test_two_rigidities_have_a_row_each():
                ' N m along weft (bend), not 1; about ' in text for text in found.warnings)
 
 
-@pytest.mark.parametrize('method', ['gauss_seidel', 'jacobi'])
+@pytest.mark.parametrize('method', ['gauss_seidel', slow('jacobi')])
 def test_substeps_that_are_said_to_do_do(method):
     """Beyond the largest number of substeps, iterations or another method are suggested."""
     def told(substeps, shear=50.0):
