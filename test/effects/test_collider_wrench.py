@@ -256,7 +256,8 @@ def test_fingers_that_clamp_a_strip_bear_its_weight(degrees):
         'stretch': {'warp': 500.0, 'weft': 500.0}, 'shear': {'stiffness': 50.0}}, density=0.2,
         friction=0.8, gravity=(GRAVITY, 0.0, 0.0), method='line', integrator='ndf2', substeps=8,
         pose={'position': [0.0, -0.01, 0.0]}, colliders=fingers, scene_effects={
-            'contact': {'thickness': 0.002}, 'friction': {}, 'damping': {'rate': 20.0}})
+            'pin': {}, 'contact': {'thickness': 0.002}, 'friction': {},
+            'damping': {'rate': 20.0}})
     frame = run(simulation, 60)
     above, below = (frame.colliders[name].force for name in ('above', 'below'))
     weight, stats = simulation.state.mass.sum() * GRAVITY, simulation.stats()

@@ -54,14 +54,17 @@ def clamped(setting=USUAL, *, substeps=8, density=0.2, colliders=None,
             gravity=(0, 0, 0), **options):
     """Return a strip along x of two rows, between two fingers at its start."""
     method, integrator = setting
-    return simulate(*STRIP, effects={'stretch': {'warp': 500.0, 'weft': 500.0},
-                                     'shear': {'stiffness': 50.0}},
-                    density=density, friction=MU, gravity=gravity, method=method,
-                    integrator=integrator, substeps=substeps,
+    return simulate(*STRIP, **effects(damping=20.0), density=density, friction=MU,
+                    gravity=gravity, method=method, integrator=integrator, substeps=substeps,
                     pose={'position': [0.0, -0.01, 0.0]},
-                    colliders=fingers() if colliders is None else colliders, scene_effects={
-                        'contact': {'thickness': R}, 'friction': {}, 'damping': {'rate': 20.0}},
-                    **options)
+                    colliders=fingers() if colliders is None else colliders, **options)
+
+
+def effects(*, damping=0.0) -> dict:
+    """Return the effects of all that has no layers: one step, of single particles too."""
+    return {'effects': {'stretch': {'warp': 500.0, 'weft': 500.0}, 'shear': {'stiffness': 50.0}},
+            'scene_effects': {'pin': {}, 'contact': {'thickness': R}, 'friction': {},
+                              'damping': {'rate': damping}}}
 
 
 def forces(simulation) -> np.ndarray:
@@ -317,7 +320,7 @@ def test_cloth_on_a_pad_sinks_in_by_its_weight(method, integrator, substeps):
                           integrator=integrator, substeps=substeps,
                           pose={'position': [0.0, 0.0, R]},
                           colliders={'pad': {'plane': {}, 'pad': {'stiffness': stiffness}}},
-                          scene_effects={'contact': {'thickness': R}, 'friction': {}})
+                          **effects())
     frame = run(simulation, 120)
     assert R - frame.x[0, 2] == pytest.approx(2.0 * GRAVITY / stiffness, rel=1e-6)
     assert simulation.stats()['pad_force_pad_n'] == pytest.approx(2.0 * 6e-4 * GRAVITY, rel=1e-6)
@@ -543,11 +546,11 @@ def test_an_overlap_comes_apart_slowly(stiffness):
 @pytest.mark.parametrize('substeps', [1, 20, 2000])
 def test_what_falls_on_a_pad_gains_no_energy(substeps):
     """Unresolved it stays, resolved it comes back with the speed of recovery at most."""
-    simulation = simulate((1, 1), (0.02, 0.02), density=0.2, substeps=substeps, friction=0.0,
+    simulation = simulate((1, 1), (0.04, 0.01), density=0.2, substeps=substeps, friction=0.0,
                           method='line', integrator='ndf2',
                           pose={'position': [0.0, 0.0, 0.3]},
                           colliders={'pad': {'plane': {}, 'pad': {'stiffness': 1e6}}},
-                          scene_effects={'contact': {'thickness': R}, 'friction': {}})
+                          **effects())
     up = 0.0
     for _ in range(90):
         up = max(up, simulation.step().v[0, 2])
@@ -571,13 +574,12 @@ def test_a_body_is_pressed_on_its_surface_only(tmp_path):
 
 def test_a_pad_of_a_curved_surface_presses_along_its_normal():
     """Two balls, one above the other, and a particle between them off their axis."""
-    simulation = simulate((1, 1), (0.01, 0.01), gravity=(0, 0, 0), friction=0.0, substeps=4,
+    simulation = simulate((1, 1), (0.02, 0.005), gravity=(0, 0, 0), friction=0.0, substeps=4,
                           method='line', integrator='ndf2',
                           pose={'position': [0.001, 0.0, 0.0]}, colliders={
                               name: {'sphere': {'radius': 0.02}, 'pad': {'stiffness': 1e7},
                                      'position': [0.0, 0.0, side * (0.02 + R - OVERLAP)]}
-                              for name, side in (('above', 1), ('below', -1))},
-                          scene_effects={'contact': {'thickness': R}, 'friction': {}})
+                              for name, side in (('above', 1), ('below', -1))}, **effects())
     x = simulation.step().x[0].copy()
     contact = simulation.effects['contact'].contacts
     gaps = [np.linalg.norm(x - [0.0, 0.0, side * (0.02 + R - OVERLAP)]) - 0.02 for side in (1, -1)]
