@@ -208,6 +208,7 @@ def test_a_scheduler_that_is_not_there_is_told_in_one_line(address, scene, tmp_p
     assert not (tmp_path / 'out').exists()
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_no_row_and_the_table_is_that_of_one_process(
         scene, tmp_path, capsys):
     pytest.importorskip('distributed', reason="Dask is missing: pip install '.[cluster]'")

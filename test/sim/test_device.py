@@ -9,6 +9,7 @@ from sim.test_coloured import BOTH, cloths, crumpled, FEW
 from sim.test_device_effects import scene as effects_scene
 from support.ptx_emulator import EmulatedCard
 from support.scenes import SMALL_SHEET
+from support.tiers import slow
 from xpbd_ros.cli.main import main
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend import cuda, device_memory
@@ -125,7 +126,7 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
+@pytest.mark.parametrize('integrator', ['backward_euler', slow('bdf2')])
 def test_commands_reach_the_card(on_card, integrator):
     card = EmulatedCard()
     ours, theirs = on_cpu(integrator=integrator), on_card(card, integrator=integrator)

@@ -161,7 +161,7 @@ def test_the_energy_of_a_rolled_sheet_is_not_taken_for_instability(effect, mesh)
         start, rel=5e-3)
 
 
-@pytest.mark.parametrize(('angle', 'more'), [(90.0, 1.6), (10.0, 1.2)], ids=str)
+@pytest.mark.parametrize(('angle', 'more'), [(90.0, 1.6), slow(10.0, 1.2)], ids=str)
 def test_the_bound_is_close_above_the_highest_frequency(angle, more):
     """Also where warp and weft pull along nearly one direction, as below a corner that holds."""
     simulation = sheet(64, gravity=(0, 0, 0), effects={**EFFECTS, 'shear': {'stiffness': 0.5}})

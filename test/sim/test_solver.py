@@ -182,8 +182,8 @@ def test_stiff_swing_is_right_with_far_fewer_substeps():
     assert error['line', 'bdf2', 16] < 0.2 * error['gauss_seidel', 'backward_euler', 128]
 
 
-@pytest.mark.parametrize('method', [
-    METHODS[0], *(pytest.param(method, marks=pytest.mark.slow) for method in METHODS[1:])])
+@pytest.mark.slow
+@pytest.mark.parametrize('method', METHODS)
 def test_float32_follows_float64(method):
     frames = {}
     for precision in ('float64', 'float32'):

@@ -341,7 +341,7 @@ def test_leapfrog_keeps_the_energy_to_second_order():
 # To dt -> 0: closed forms
 
 @pytest.mark.parametrize('method, levels, worst', [
-    ('explicit', 10, 1e-9), ('bdf2', 6, 1e-3), slow('backward_euler', 6, 3e-2)])
+    ('explicit', 10, 1e-9), slow('bdf2', 6, 1e-3), slow('backward_euler', 6, 3e-2)])
 @pytest.mark.parametrize('c', [0.0, slow(3.0)])
 def test_the_limit_of_the_oscillator_is_within_its_uncertainty(method, levels, worst, c,
                                                                tmp_path):
@@ -588,6 +588,7 @@ def test_the_uncertainty_of_a_slow_series_bounds_its_rest():
     assert richardson._uncertainty(1.0, 0.0, 4) == 1.0 / 16.0    # a change that is 0 by accident
 
 
+@pytest.mark.slow
 def test_both_methods_agree_within_their_uncertainties():
     problem = problem_of(sheet(7, stretch=200.0))
     a = limit(problem, 0.3, 1e-9)
