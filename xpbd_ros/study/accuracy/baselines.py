@@ -15,12 +15,12 @@ edges), and keeps no multiplier. Its stiffness depends on time step and iteratio
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from numba import njit
 import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.model import Scene
+from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.simulation import Simulation
 from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.reference import Edges, LinearSums, problem_of, Slants
@@ -123,19 +123,20 @@ class Baseline:
         if len(self._pinned):
             for n in range(substeps):
                 path[n] = p.at(self.index * self.frame_dt + (n + 1) * h)
-        _advance(SCHEMES[s.method], self._x, self._v, self._w, p.gravity, p.damping,
-                 *self._edges, *self._bends, self._multiplier, self._moment, self._pinned, path,
-                 h, substeps, s.iterations)
+        _advance(SCHEMES[s.method], self._x, self._v, np.empty_like(self._x), self._w, p.gravity,
+                 p.damping, *self._edges, *self._bends, self._multiplier, self._moment,
+                 self._pinned, path, h, substeps, s.iterations)
 
 
-@njit(nogil=True, error_model='numpy')
-def _advance(scheme, x, v, w, gravity, damping, edges, rest, stiffness, bends, weight,
+@jit
+def _advance(scheme, x, v, before, w, gravity, damping, edges, rest, stiffness, bends, weight,
              bend_stiffness, multiplier, moment, pinned, path, h, substeps, iterations):
     """Advance x [m] and v [m/s] in place by some substeps of length h [s]."""
     kept = np.exp(-damping * h)
-    before = np.empty_like(x)
     for n in range(substeps):
-        before[:] = x
+        for i in range(len(x)):
+            for k in range(3):
+                before[i, k] = x[i, k]
         if scheme == 3:
             _kick(x, v, w, edges, rest, stiffness, bends, weight, bend_stiffness, h)
         for i in range(len(x)):
@@ -144,12 +145,16 @@ def _advance(scheme, x, v, w, gravity, damping, edges, rest, stiffness, bends, w
                     v[i, k] = kept * v[i, k] + h * gravity[k]
                     x[i, k] += h * v[i, k]
         for p in range(len(pinned)):
-            x[pinned[p]] = path[n, p]
+            for k in range(3):
+                x[pinned[p], k] = path[n, p, k]
         if scheme == 3:
             continue
         keep = KEPT if scheme == 2 else 0.0
-        multiplier *= keep
-        moment *= keep
+        for e in range(len(multiplier)):
+            multiplier[e] *= keep
+        for b in range(len(moment)):
+            for k in range(3):
+                moment[b, k] *= keep
         for _ in range(iterations):
             _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness,
                      multiplier, moment, h)
@@ -158,7 +163,7 @@ def _advance(scheme, x, v, w, gravity, damping, edges, rest, stiffness, bends, w
                 v[i, k] = (x[i, k] - before[i, k]) / h
 
 
-@njit(nogil=True, error_model='numpy')
+@jit
 def _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness, multiplier,
              moment, h):
     """One Gauss-Seidel pass: hinges, then edges."""
@@ -202,7 +207,7 @@ def _project(scheme, x, w, edges, rest, stiffness, bends, weight, bend_stiffness
         x[j, 2] -= w[j] * change * dz
 
 
-@njit(nogil=True, error_model='numpy')
+@jit
 def _kick(x, v, w, edges, rest, stiffness, bends, weight, bend_stiffness, h):
     """Add the forces of springs and hinges to the velocities, for one substep."""
     for b in range(len(bends)):
