@@ -265,7 +265,6 @@ def test_style():
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-@pytest.mark.slow
 def test_types(tmp_path):
     """mypy passes; a redefinition with another type, as in the code, needs mypy 2."""
     try:
