@@ -315,7 +315,7 @@ def test_a_tether_that_is_slack_again_pulls_at_nothing():
 
 @pytest.mark.parametrize('substeps', [4, 64])
 def test_what_pins_held_too_far_comes_back_at_a_bounded_speed(substeps):
-    """And with no more energy, however short the substeps: not in the first of them."""
+    """Its energy does not rise either, for any length of the substeps."""
     simulation = hang({'tether': {'slack': 0.1}}, substeps=substeps, gravity=(0.0, 0.0, 0.0),
                       pins={**TOP, 'end': {'cloth': 'c', 'at': 'edge_x1'}})
     x, y, z = simulation.frame().pins['end'].pose.position

@@ -61,7 +61,7 @@ def clamped(setting=USUAL, *, substeps=8, density=0.2, colliders=None,
 
 
 def effects(*, damping=0.0) -> dict:
-    """Return the effects of all that has no layers: one step, of single particles too."""
+    """Return the effects of scenes without layers, also of single particles: one step."""
     return {'effects': {'stretch': {'warp': 500.0, 'weft': 500.0}, 'shear': {'stiffness': 50.0}},
             'scene_effects': {'pin': {}, 'contact': {'thickness': R}, 'friction': {},
                               'damping': {'rate': damping}}}

@@ -160,7 +160,7 @@ def test_a_float32_balloon_is_the_float64_one():
 @pytest.mark.parametrize('method, pinned', [
     ('gauss_seidel', True), ('gauss_seidel', False), slow('line', True), slow('jacobi', False)])
 def test_a_float32_balloon_swings_as_the_float64_one_in_short_substeps(method, pinned):
-    """In each the gas moves particles by less than their last bit."""
+    """Per substep the gas moves particles by less than the last bit of their positions."""
     x = [run(balloon(1, gas={'amount': 1.01, 'outside': 1e3}, gravity=(0.0, 0.0, -9.8 * pinned),
                      pins={'p': {'cloth': 'c', 'at': [0]}} if pinned else None, method=method,
                      scene_effects={'damping': {'rate': 0.0}}, substeps=256, precision=precision),

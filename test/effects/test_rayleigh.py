@@ -145,7 +145,7 @@ def test_it_exerts_nothing_at_rest_beside_a_pin_that_gives_way(method):
 
 
 def test_each_cloth_has_the_time_that_it_asks_for():
-    """It moves as it would alone, and one that asks for none is not damped."""
+    """Each cloth moves as in a scene of its own; one without a relaxation time is not damped."""
     times = {'a': TAU, 'b': None, 'c': 3.0 * TAU}
     simulation = compile_scene(scene_from_mapping({
         'gravity': [0, 0, 0], 'solver': {

@@ -209,7 +209,7 @@ def test_explicit_seams_are_stable_with_the_substeps_of_free_cloth(seams, compli
     (LEAPFROG, 0.4), slow(LEAPFROG, 0.04),
     slow({'method': 'line', 'integrator': 'bdf2'}, 0.4)])
 def test_float32_keeps_what_seams_move_by_less_than_the_last_bit(setting, compliance):
-    """Positions alone lose it: 0.14 m to 0.6 m off."""
+    """Without compensation of rounding errors they are 0.14 m to 0.6 m off."""
     x = [run(scene({name: (*A[:2], (0.01 * k, 0.02 * k, 0.0)) for k, name in enumerate('abc')},
                    with_compliance(RING, compliance), damping=0.0, substeps=1024, pins=TOP,
                    precision=precision, **setting), 30).x for precision in ('float64', 'float32')]
@@ -261,7 +261,7 @@ def test_a_live_key_leaves_the_force_of_rigid_seams_as_it_is():
 
 @pytest.mark.parametrize('way', ['set', 'taken back'])
 def test_seams_exert_nothing_on_what_is_put_somewhere_at_rest(way):
-    """The next frame is that of a fresh scene: an explicit one begins with half of the force."""
+    """The next frame equals that of a new simulation: ``explicit`` begins with half a kick."""
     one, fresh = (leapfrog(16, with_compliance(RING, 0.0)) for _ in range(2))
     run(one, 10)
     x = one.frame().x

@@ -437,7 +437,7 @@ class Pairs(NamedTuple):
 
 
 class Near(NamedTuple):
-    """Fields of ``NeighbourList`` that it reads."""
+    """Fields of ``NeighbourList`` that ``choose_coefficient`` reads."""
 
     start: np.ndarray
     slot: np.ndarray
@@ -445,7 +445,7 @@ class Near(NamedTuple):
 
 
 def test_a_pair_has_the_static_coefficient_of_its_cloths_while_it_slides_slowly():
-    """Whatever its speed along the normal; what is out of reach keeps the kinetic one."""
+    """The speed along the normal does not count; pairs out of reach keep the kinetic one."""
     random, count, lanes, seen = np.random.default_rng(1), 8, lane_count(np.float64), 0
     near = Near(np.zeros(2 * lanes), random.permutation(count), np.arange(count) % 2)
     v, static = random.normal(size=(3, count)), np.array([[0.5, 0.6], [0.6, 0.9]])
@@ -461,10 +461,10 @@ def test_a_pair_has_the_static_coefficient_of_its_cloths_while_it_slides_slowly(
     for k, (i, j, _, last) in enumerate(pairs.particles.T):
         own = v[:, near.slot[pairs.particles[:, k] % count]]
         u, n = own @ pairs.weight[:, k], pairs.normal[:, k]
-        slow_ = np.linalg.norm(u - (n @ u) * n) < 1.5 and pairs.deficit[k] > NEVER
-        seen += slow_
+        sticks = np.linalg.norm(u - (n @ u) * n) < 1.5 and pairs.deficit[k] > NEVER
+        seen += sticks
         assert friction.coefficient[k] == (static[near.cloth[i], near.cloth[
-            j if last == count else last]] if slow_ else friction.slides[k])
+            j if last == count else last]] if sticks else friction.slides[k])
     assert 3 < seen < 2 * lanes - 3
 
 

@@ -188,7 +188,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_node(cloth):
 
 
 def test_a_full_disk_is_told_while_it_is_paused(cloth):
-    """Frames would tell it, and there are none."""
+    """The error is found by the periodic flush, as no frame is written."""
     assert cloth.set(record__flush_period=60.0) == (True, '')
     good, folder = cloth.record(True)
     assert good, folder

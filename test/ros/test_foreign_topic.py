@@ -48,7 +48,7 @@ def test_pins_and_colliders_follow_topics_whose_type_is_found(start, peer, tmp_p
 
 
 def test_messages_may_arrive_between_two_lookups():
-    """In another thread; what is looked up has gone then, and the next lookup finds the rest."""
+    """A pose that another thread has replaced is refused, and the next lookup succeeds."""
     source = TopicPoses('/hand', 'world', lambda: None, lambda: 0)
 
     def take(stamp: int) -> None:

@@ -57,7 +57,7 @@ def test_links_have_a_pose_once_all_joints_are_known(states, robot):
     assert source.latest_ns('world', 'palm') == 4 * 10**9
     assert source.pose('world', 'right_finger', 4 * 10**9).position == pytest.approx(
         (0.1, -0.03, 0.3))
-    states.clear()    # by another thread, as the clock went back
+    states.clear()    # as another thread does when the clock goes back
     with pytest.raises(InputError, match='no position of reach, lift, finger'):
         source.pose('world', 'right_finger', 4 * 10**9)
 

@@ -167,7 +167,7 @@ def test_of_five_grasps_where_four_have_room_none_holds(cloth):
 
 
 def test_a_click_acts_once_beside_a_best_effort_sender(cloth):
-    """Both subscriptions get it; a second time it would release what the first has pinned."""
+    """Both subscriptions receive it; applied twice, it would release what it has pinned."""
     topic, peer = '/heard/clicked_point', cloth.peer
     assert cloth.trigger('reset')[0]
     peer.node.create_publisher(PointStamped, topic, BEST_EFFORT)

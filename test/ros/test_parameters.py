@@ -201,7 +201,7 @@ def test_stiffness_changes_live_and_auto_follows(lockstep, tmp_path):
 
 
 def test_keys_that_bound_one_another_change_together_or_in_turn(lockstep, tmp_path):
-    """What was accepted applies, in whatever order it came and however much waits."""
+    """Accepted values take effect in any order, also while earlier ones are pending."""
     file = tmp_path / 'hanging.yaml'
     file.write_text(HANGING)
     lockstep.restart(scene=str(file))

@@ -130,7 +130,7 @@ def test_a_loaded_state_is_the_saved_one_and_time_goes_on(cloth):
 
 
 def test_a_log_that_begins_between_a_release_and_its_frame_is_solved_again(cloth, tmp_path):
-    """What a service did before is in the state that the log begins with, and in it once."""
+    """The initial state of the log includes the release, which must not be applied again."""
     run = str(tmp_path / 'run')
     assert cloth.set(record__path=run) == (True, '')
     assert cloth.grasp('left', False) == (True, 'released 1 particle')

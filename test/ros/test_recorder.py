@@ -48,7 +48,7 @@ def test_recorded_hashes_are_those_of_their_frames(tmp_path, keys):
 
 
 def test_inputs_have_the_time_at_which_they_act(tmp_path):
-    """That of the frame before, so a replay gives them before the frame that they acted on."""
+    """The time of the previous frame, so that a replay publishes them before the next one."""
     simulation, recorder = begun(tmp_path / 'run')
     for index in range(1, 9):
         recorder.frame(simulation.step(COMMANDS.get(index, ())))
@@ -135,7 +135,7 @@ def test_run_tells_that_a_pin_lags_behind_its_target(tmp_path, capsys):
 
 
 def status_of_a_node(said: list) -> Status:
-    """Return the status of a node that finds nothing else; ``said`` gets what it logs."""
+    """Return the status of a node without other findings; its log goes to ``said``."""
     log = SimpleNamespace(warning=lambda text, **names: said.append(text), error=said.append)
     return Status(SimpleNamespace(
         get_logger=lambda: log, waits=False, following=SimpleNamespace(finding=''),
@@ -143,7 +143,7 @@ def status_of_a_node(said: list) -> Status:
 
 
 def test_what_happened_is_told_once():
-    """In the second in which a counter rises; it keeps its value."""
+    """Only in the second in which its counter increases."""
     said = []
     status = status_of_a_node(said)
     counts = {'frames_taken_back': 2, 'frames_on_one_thread': 5}

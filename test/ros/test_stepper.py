@@ -71,7 +71,7 @@ def test_drops_what_it_can_not_make_up_for(rig):
 
 
 def test_a_coarse_clock_loses_no_frame(rig, monkeypatch):
-    """The frames of a step of /clock at 16 Hz come at once, each from its part of the step."""
+    """The 6 frames of a 10 Hz /clock step are computed at once, each with its own delay."""
     monkeypatch.setattr('xpbd_ros.ros.stepper.time', SimpleNamespace(monotonic_ns=lambda: 0))
     real = rig('realtime')
     for _ in range(4):

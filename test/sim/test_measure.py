@@ -110,7 +110,7 @@ def test_normals_of_a_ball_point_outward():
 
 
 def test_normals_are_sums_by_area(simulation):
-    """Of the triangles around each particle, however unequal these are."""
+    """The mean of the surrounding triangles' normals is weighted by area."""
     x, mesh = simulation.frame().x, simulation.cloths[0].mesh
     expected = np.zeros_like(x)
     for triangle in mesh.triangles:

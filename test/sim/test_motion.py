@@ -57,7 +57,7 @@ def test_a_stream_slower_than_the_frames_does_not_ring(every, stamped):
 
 
 def test_a_target_without_a_stamp_is_reached_in_the_time_since_the_last():
-    """Evenly, turn and all, where the whole way is more than max_speed allows in a frame."""
+    """At constant linear and angular speed, if max_speed forbids reaching it in one frame."""
     goal = tuple(Rotation.from_rotvec([0.0, 0.0, 0.9]).as_quat().tolist())
     poses = follow(Motion(Pose(), 5.0, lever=0.01), 50, lambda frame: {
         0: [(Pose(), None, 0)], 24: [(Pose((1.0, 0.0, 0.0), goal), None, 0)]}.get(frame, ()))

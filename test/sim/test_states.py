@@ -102,7 +102,7 @@ def test_a_reset_after_a_load_starts_the_keyframes_again():
 
 
 def test_a_loaded_state_keeps_live_keys_that_bound_one_another():
-    """In the order in which they were set, the first would be above what the state had."""
+    """In the order of the changes, the first would exceed the bound that was saved."""
     rubbed = {'grid': {'size': [1.0, 1.0], 'resolution': [5, 4]}, 'density': 0.2,
               'effects': FALLING,
               'friction': 0.4, 'static_friction': 0.6}

@@ -103,7 +103,7 @@ def test_velocities_meet_between_frames_too():
 
 
 def test_a_parabola_is_followed_exactly_however_unevenly_it_was_sent():
-    """Slopes are those of the parabola through three poses, at the last one too."""
+    """Slopes are those of the parabola through three poses, also at the last pose."""
     sent = [0.0, 0.08, *0.08 + np.random.default_rng(2).uniform(0.02, 0.08, 40).cumsum()]
     motion, moved = Motion(Pose(), 5.0), []
     for frame in range(200):
@@ -153,7 +153,7 @@ def test_after_a_long_pause_the_stream_resumes_near_its_end():
 
 
 def test_where_many_poses_come_at_once_playback_skips_to_near_their_end():
-    """It is there as soon as a period allows, and not in a dash."""
+    """It gets there within a period, and without a peak of speed."""
     def x(t):
         return 0.01 * t
     motion, moved, speed = Motion(Pose(), 5.0), [], 0.01
@@ -200,11 +200,11 @@ def test_a_stamp_that_stays_is_none():
 
 @pytest.mark.parametrize('pause', [0, 9, 10])
 def test_the_sign_of_a_quaternion_makes_no_turn(pause):
-    """Nor where poses come late, by so many frames, and the curve begins again."""
+    """Also where poses arrive ``pause`` frames late and the curve is restarted."""
     motion, angles = Motion(Pose(), 5.0), [0.0]
     for frame in range(80):
         for k in range(30):
-            if 2 * k + pause * (k >= 16) == frame:    # that before has the other sign
+            if 2 * k + pause * (k >= 16) == frame:    # the previous one has the other sign
                 sign, half = (-1.0)**k, 0.01 * k
                 q = 0.0, sign * sin(half), 0.0, sign * cos(half)
                 motion.aim(Pose((0.01 * k, 0.0, 0.0), q), None, EPOCH + k * 33_333_333,
@@ -217,7 +217,7 @@ def test_the_sign_of_a_quaternion_makes_no_turn(pause):
 
 
 def test_angular_velocities_are_in_world_axes():
-    """A body that is tilted, and turns evenly about another axis; cubics of 10 Hz follow it."""
+    """10 Hz samples of a tilted body in uniform rotation about another axis are followed."""
     start, w = Rotation.from_rotvec([0.9, -0.7, 0.3]), np.array([0.8, 1.1, -0.6])
     motion, off = Motion(Pose(), 5.0), []
     for frame in range(120):
@@ -235,7 +235,7 @@ def test_angular_velocities_are_in_world_axes():
 
 
 def test_an_empty_twist_is_none():
-    """Senders leave it out so; it is one where another of the stream was not zero."""
+    """A zero twist counts as missing unless another of the stream is not zero."""
     def moved(twist):
         motion, found = Motion(Pose(), 5.0), []
         for frame in range(120):

@@ -44,7 +44,7 @@ def main(argv: list[str] | None = None) -> int:
     """Run one verb and return the exit code: 0 good, 1 the check failed, 2 bad input."""
     argv = list(sys.argv[1:] if argv is None else argv)
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors='replace')    # of locales without × or ≥
+        sys.stdout.reconfigure(errors='replace')    # for locales without × or ≥
     if argv and argv[0] in VERBS:
         return run_verb(argv[0], argv[1:])
     parser = argparse.ArgumentParser(

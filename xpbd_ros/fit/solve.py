@@ -125,7 +125,7 @@ class Search:
         found = least_squares(lambda point: self.residuals([point])[0],
                               np.clip(start, low + 1e-6, high - 1e-6), self.jacobian,
                               bounds=(low, high), xtol=1e-4, ftol=1e-7, max_nfev=40,
-                              gtol=np.finfo(float).eps)    # none: no step where J is 0
+                              gtol=np.finfo(float).eps)    # ends at once where J is 0
         _, scales, axes = np.linalg.svd(self.jacobian(found.x), full_matrices=False)
         least = max(scales.max() * 1e-9, 1e-12)
         spread = axes.T / np.maximum(scales, least)

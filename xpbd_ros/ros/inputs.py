@@ -264,7 +264,7 @@ def count_in(raw: bytes, kind: type) -> int:
 
 
 def max_entries(effects: Mapping[str, Any]) -> int:
-    """Return the most entries of an array message: delete all, then delete and add each."""
+    """Return the most entries of an array message: one deletes all, two replace each name."""
     return 1 + 2 * max(getattr(effects.get('pin'), 'max_pins', 0),
                        getattr(effects.get('contact'), 'max_colliders', 0))
 

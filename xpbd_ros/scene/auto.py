@@ -247,7 +247,7 @@ def rounds_away(state, h: float) -> bool:
 
 
 def rounds_moves(apart: type | None, effects) -> bool:
-    """Return True if positions, and not the velocities of ``Explicit``, take moves up."""
+    """Return True if moves are added to positions, not to the velocities of ``Explicit``."""
     return apart is not Explicit or any(
         built.implicit_with_explicit for built in effects.values())
 

@@ -15,7 +15,7 @@ from xpbd_ros.sim.particles.state import State
 
 @jit
 def accumulating(state):
-    """Return the state without rounding errors: those of the accumulator's sums do not count."""
+    """Return the state without ``rounding``: the accumulator's sums are not compensated."""
     return State(state.x, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
                  state.gravity, state.reaction, state.history, state.apart, state.team,
                  state.gap, None, state.clock)

@@ -63,7 +63,7 @@ def add_move(x, rounding, k, i, move):
 
 @jit
 def error_of(rounding, k, i):
-    """Return what x[k, i] lacks of its moves [m]."""
+    """Return the accumulated rounding error of x[k, i] [m]; 0 without compensation."""
     return 0.0 if rounding is None else rounding.move[k, i]
 
 
