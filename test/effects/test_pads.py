@@ -224,8 +224,7 @@ def test_two_layers_are_squeezed_by_the_indentation(method, integrator, substeps
         assert np.abs(frame.v).max() < 0.05
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('deep', [False, True])
+@pytest.mark.parametrize('deep', [False, slow(True)])
 def test_layers_that_both_touch_both_fingers_transmit_the_force(deep):
     """Colliders that push a layer apart from the other one, and towards it, count alike."""
     simulation, force = layers(2, stiffness=1e6, indentation=(0.9 if deep else 0.7) * R)
@@ -234,7 +233,6 @@ def test_layers_that_both_touch_both_fingers_transmit_the_force(deep):
     assert np.abs(frame.v).max() < 0.05
 
 
-@pytest.mark.slow
 def test_a_table_does_not_pull_overlapping_layers_that_touch_it():
     """They part, and leave the table, at DEPENETRATION each; a finger presses on their end."""
     simulation = sheets((0.9 * R, 0.95 * R), {
@@ -247,7 +245,6 @@ def test_a_table_does_not_pull_overlapping_layers_that_touch_it():
     assert fastest < 2.0 * DEPENETRATION
 
 
-@pytest.mark.slow
 def test_further_turns_take_the_pairs_with_a_pad_on_one_side_and_a_collider_on_the_other():
     simulation = sheets((R, 2.0 * R), {
         'table': {'box': {'size': [0.2, 0.2, 0.02]}, 'position': [0.0, 0.0, -0.01]},

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('method, integrator, substeps', [
-    ('line', 'ndf2', 23), ('gauss_seidel', 'backward_euler', 30),
-    ('gauss_seidel_symmetric', 'bdf2', 40), ('jacobi', 'backward_euler', 60),
-    ('explicit', 'leapfrog', 80)])
+    ('line', 'ndf2', 23), slow('gauss_seidel', 'backward_euler', 30),
+    slow('gauss_seidel_symmetric', 'bdf2', 40), slow('jacobi', 'backward_euler', 60),
+    slow('explicit', 'leapfrog', 80)])
 def test_the_corner_stays_between_the_fingers_until_they_open(method, integrator, substeps):
     simulation = compile_scene(load_scene('grip', {'solver': {
         'method': method, 'integrator': integrator, 'substeps': substeps}}))
