@@ -551,10 +551,9 @@ def thrown(threads, mode, speed, buffer=None):
     return found, stopped, effect.data.near
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize('mode, speed, buffer', [
-    ('surface', 0.5, None), ('surface', 0.5, 100), ('surface', 40.0, None),
-    ('particles', 0.5, None)])
+    ('surface', 0.5, None), slow('surface', 0.5, 100), slow('surface', 40.0, None),
+    slow('particles', 0.5, None)])
 def test_the_bits_are_the_same_with_any_number_of_threads(mode, speed, buffer):
     """Also where a thread has no room for what it finds, and where particles are held back."""
     one, stopped, near = thrown(1, mode, speed)
