@@ -393,6 +393,13 @@ def test_bad_input_is_refused_in_one_line(write_log, capsys, flags, said):
     assert said in err.splitlines()[-1]
 
 
+def test_a_log_whose_topics_are_all_unreadable_is_refused(write_log, capsys):
+    file = write_log(filling=5000) / 'run_0.mcap'    # topics are described in the first chunk
+    file.write_bytes(file.read_bytes().replace(b'std_msgs/msg', b'std_msgs\xffmsg'))
+    assert main(['replay', str(file)]) == 2
+    assert capsys.readouterr().err.endswith(f'{file}: holds no readable message\n')
+
+
 def test_without_ros_it_says_how_to_get_it(write_log):
     code = ('import sys; sys.modules.update(rclpy=None);'
             'from xpbd_ros.cli.main import main; sys.exit(main(sys.argv[1:]))')

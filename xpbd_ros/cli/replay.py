@@ -121,7 +121,7 @@ def run(arguments) -> int:
 
 def check(log: LogReader, arguments: argparse.Namespace) -> None:
     """Raise InputError if the log lacks messages, a requested topic, or the start offset."""
-    if log.start_ns is None or log.end_ns is None:
+    if log.start_ns is None or log.end_ns is None or not log.topics:
         raise InputError(f'{log.path}: holds no readable message')
     for topic in (*(arguments.topics or ()), *arguments.exclude_topics,
                   *(arguments.clock_topics or ())):
