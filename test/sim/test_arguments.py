@@ -8,7 +8,9 @@ from numba.core.datamodel import default_manager
 import numpy as np
 import pytest
 
+from xpbd_ros.sim.backend import jit as backend_jit
 from xpbd_ros.sim.backend.jit import jit, WHY_PLAIN
+from xpbd_ros.sim.backend.narrowing import fields_read
 
 pytestmark = pytest.mark.skipif(bool(WHY_PLAIN), reason=WHY_PLAIN)
 
@@ -103,6 +105,50 @@ def change_swapped(outer, flags):
     other.inner.flags[0] = True
     other.table[1, 2] = other.inner.scale
     other.every_other[1] = other.table.size
+
+
+@jit
+def _twice(inner, outer, scale):
+    if outer.nothing is None:
+        inner.flags[0] = inner.scale > scale
+    _write(outer)
+    return inner.flags if inner is not None else outer.inner.flags
+
+
+@jit
+def _whole(outer, inner, other):
+    inner = outer.inner
+    return _twice(inner, outer, 1.0), [other]
+
+
+@jit
+def _again(outer, inner):
+    if inner.scale > 1.0:
+        _again(inner, outer)
+
+
+def test_what_a_kernel_reads_includes_what_others_read_for_it():
+    of_write = {'line', 'table', 'block', 'every_other', 'inner'}
+    assert fields_read(_write.py_func) == [of_write]
+    assert fields_read(change.py_func) == [of_write, None], 'an array is used as a whole'
+    assert fields_read(_twice.py_func) == [{'flags', 'scale'}, of_write | {'nothing'}, None]
+    assert fields_read(_whole.py_func) == [of_write | {'nothing'}, None, None], 'a name is bound'
+    assert fields_read(_again.py_func) == [None, None], 'it calls itself'
+    assert fields_read(eval('lambda outer: outer.line')) == [None], 'it has no source file'
+
+
+def test_a_part_is_compiled_once_whatever_it_does_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(backend_jit, 'CACHE_FOLDER', tmp_path)
+    write = jit(_write.py_func)
+    monkeypatch.setitem(globals(), '_write', write)
+    caller, found = jit(change.py_func), []
+    for nothing in (None, 1.0, np.zeros(2)):
+        outer, sizes = an_outer()._replace(nothing=nothing), np.zeros(9, np.int64)
+        caller(outer, sizes)
+        found.append(outer.table.tolist())
+    assert found == 3 * [[[0.0, 1.0, 2.0, 3.0], [10.0, 11.0, 12.0, 13.0]]]
+    assert len(caller.overloads) == 3
+    assert len(write.part().overloads) == 1
 
 
 def test_kernels_make_tuples_and_return_them_to_each_other():

@@ -28,7 +28,9 @@ class Writer:
         kind = typing.resolve_value_type(function)
         known = typing.resolve_function_type(kind, kinds, {})
         code = self.context.get_function(kind, known)
-        return known.return_type, code(self.builder, arguments)
+        return known.return_type, code(self.builder, [
+            self.context.cast(self.builder, value, *types_)
+            for value, *types_ in zip(arguments, kinds, known.args)])
 
     def item(self, value, k):
         """Return an item of a tuple, by its place or its name."""

@@ -44,7 +44,7 @@ FLAGS = {'nogil': True, 'error_model': 'numpy', '_nrt': False, 'no_cfunc_wrapper
 INNER = {**FLAGS, 'no_cpython_wrapper': True}
 """for what compiled code calls: wrappers that unpack a scene's tuples take long to compile"""
 if not WHY_PLAIN:
-    from xpbd_ros.sim.backend import linking
+    from xpbd_ros.sim.backend import linking, narrowing
     FLAGS['pipeline_class'] = linking.WholeCompiler
     INNER['pipeline_class'] = linking.Compiler
 try:
@@ -84,7 +84,8 @@ def jit(function=None, *, inline: bool = False, cache_name: str | None = 'kernel
     A kernel makes no arrays: those that it gets outlive the call, so references are not counted.
 
     Python and compiled code call a kernel alike. For each of them it is compiled at its first
-    call; for compiled code as a part of its caller, once for all constants of a type.
+    call; for compiled code as a part of its caller, once for all constants of a type and whatever
+    fields of named tuples it does not read (``narrowing``).
 
     Parameters
     ----------
@@ -110,7 +111,7 @@ def jit(function=None, *, inline: bool = False, cache_name: str | None = 'kernel
                 return compile_for(*arguments, **keywords)
         kernel._compile_for_args = compile_quietly
         kernel.get_call_template = lambda kinds, named: part().get_call_template(
-            [types.unliteral(kind) for kind in kinds], named)
+            narrowing.narrowed(function, [types.unliteral(kind) for kind in kinds]), named)
         kernel.get_overload = lambda signature: part().get_overload(signature)
         kernel.part = part
         linking.KERNELS.add(id(kernel))

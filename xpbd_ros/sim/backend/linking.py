@@ -12,11 +12,12 @@ from numba.core import codegen, compiler
 from numba.core.caching import CompileResultCacheImpl
 from numba.core.datamodel import register_default
 from numba.core.imputils import lower_getattr_generic
-from numba.extending import lower_builtin, unbox
+from numba.extending import lower_builtin, lower_cast, unbox
 from numba.np import arrayobj
 
 from xpbd_ros.sim.backend.arguments import field, made, tuple_model, unboxed
 from xpbd_ros.sim.backend.locked_cache import LockedCache
+from xpbd_ros.sim.backend.narrowing import cast_fields
 
 KERNELS: set[int] = set()
 """addresses of all kernels, as Numba writes them down where one is called, to no use"""
@@ -31,6 +32,7 @@ MOST_FIELDS = 32
 register_default(types.NamedTuple)(tuple_model)
 lower_getattr_generic(types.NamedTuple)(field)
 unbox(types.NamedTuple)(unboxed)
+lower_cast(types.NamedTuple, types.NamedTuple)(cast_fields)
 for _count in range(2, MOST_FIELDS + 1):    # Numba's own takes any number, which is less specific
     lower_builtin(types.NamedTupleClass, *[types.Any] * _count)(made)
 
