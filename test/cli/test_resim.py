@@ -162,7 +162,7 @@ def test_one_bit_of_a_collider_that_touches_nothing_is_found(tmp_path, capsys, p
 
 
 def rewritten(log: Path, folder: Path, topic: str, change) -> Path:
-    """Copy a log with its messages on a topic changed."""
+    """Copy a log with its messages on a topic changed, or left out where that returns None."""
     folder.mkdir()
     source, = log.glob('*.mcap')
     with open(source, 'rb') as old, open(folder / 'other_0.mcap', 'wb') as new:
@@ -179,8 +179,9 @@ def rewritten(log: Path, folder: Path, topic: str, change) -> Path:
                     channel.topic, channel.message_encoding, schemas[schema.id],
                     channel.metadata)
             data = change(message.data) if channel.topic == topic else message.data
-            writer.add_message(channels[channel.id], message.log_time, data,
-                               message.publish_time, message.sequence)
+            if data is not None:
+                writer.add_message(channels[channel.id], message.log_time, data,
+                                   message.publish_time, message.sequence)
         for metadata in reader.iter_metadata():
             writer.add_metadata(metadata.name, metadata.metadata)
         for each in reader.iter_attachments():
@@ -188,6 +189,14 @@ def rewritten(log: Path, folder: Path, topic: str, change) -> Path:
                                   each.data)
         writer.finish()
     return folder
+
+
+def test_a_log_whose_hashes_were_filtered_out_is_refused_for_that(log, tmp_path, capsys):
+    code, _, said = resim(rewritten(log, tmp_path / 'other', '/cloth/state_hash',
+                                    lambda data: None), capsys=capsys)
+    assert code == 2
+    assert said.endswith('other: holds no ~/state_hash, with which a repeated run is compared; '
+                         'take the log as it was recorded\n')
 
 
 def test_a_log_is_complete_without_the_files_of_its_scene(tmp_path, capsys):

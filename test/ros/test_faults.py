@@ -8,6 +8,7 @@ import time
 from lifecycle_msgs.srv import GetState
 import numpy as np
 import pytest
+import rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
@@ -46,6 +47,15 @@ def goes_on(cloth: Cloth, frames: int = 20) -> None:
     assert stamps == sorted(set(stamps))
     assert np.isfinite(points(cloth.clouds[-1])).all()
     assert not cloth.node.said('Traceback'), cloth.node.lines
+
+
+def test_another_node_of_the_same_name_is_told(cloth, peer):
+    twin = rclpy.create_node(cloth.name.lstrip('/'), context=peer.node.context)
+    told = f'another node is named {cloth.name}, too'
+    status = cloth.status(lambda status: told in status['message'])
+    assert status['level'] == b'\1', status
+    twin.destroy_node()
+    cloth.status(lambda status: told not in status['message'])
 
 
 def stopped_for(cloth: Cloth, seconds: float) -> None:

@@ -126,6 +126,12 @@ class Status:
             errors.append(self.lost_log)
         if node.waits:
             warnings.append(WAITING)
+        names = node.get_node_names_and_namespaces()
+        if names.count((node.get_name(), node.get_namespace())) > 1:
+            warnings.append(f'another node is named {node.get_fully_qualified_name()}, too: their '
+                            'topics and services mix; give one another name '
+                            '(--ros-args -r __node:=...) or namespace')
+            log.warning(warnings[-1], throttle_duration_sec=60.0)
         if self._jumps_ns:
             warnings.append(f'the clock jumped by {sum(self._jumps_ns) * 1e-9:+.3f} s; '
                             'stamps follow it')

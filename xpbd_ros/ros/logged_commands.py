@@ -66,6 +66,9 @@ class Recording:
         self.hashes = {
             message.frame: unpacked(message.data, UInt64).data
             for message in reader.messages(self._topics('state_hash', UInt64))}
+        if not self.hashes:
+            raise InputError(f'{self.path}: holds no ~/state_hash, with which a repeated run '
+                             'is compared; take the log as it was recorded')
         if len(self.hashes) < 2:
             raise InputError(f'{self.path}: holds no frame after its start, so there is nothing '
                              'to repeat; record a longer run')
