@@ -26,13 +26,13 @@ simulation.compile()
 run(simulation, 3)
 with warnings.catch_warnings():
     warnings.simplefilter('ignore')    # of a cached step there is no text to look at
-    text = ''.join(simulation._step.inspect_asm().values())
+    text = ''.join(simulation._step.kernel.inspect_asm().values())
 print(json.dumps({
     'imported': [name for name in sys.modules if name.startswith('xpbd_ros.effects.')],
     'kernels': [name for name in kernels if f'{len(name)}{name}B' in text],    # as mangled
     'data': [type(data).__name__ for data in simulation._tuple],
     'reaction': simulation.state.reaction is not None,
-    'cached': bool(simulation._step.stats.cache_hits)}))
+    'cached': bool(simulation._step.kernel.stats.cache_hits)}))
 """
 SCENES = {
     ('contact',): {'colliders': {'s': {'plane': {}}},
@@ -162,9 +162,9 @@ assert not (Path(xpbd_ros.__file__).parent / 'effects' / f'{absent}.py').exists(
 simulation = simulate(**scene)
 simulation.compile()
 run(simulation, 10)
-text = ''.join(simulation._step.inspect_asm().values())
+text = ''.join(simulation._step.kernel.inspect_asm().values())
 print(json.dumps({
-    'cached': bool(simulation._step.stats.cache_hits),
+    'cached': bool(simulation._step.kernel.stats.cache_hits),
     'kernels': [name for name in kernels if f'{len(name)}{name}B' in text],
     'hash': simulation.hash()}))
 """

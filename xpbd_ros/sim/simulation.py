@@ -390,7 +390,7 @@ class Simulation:
         other = saved._simulation
         if [cloth.mesh.positions.shape for cloth in self.cloths] != [
                 cloth.mesh.positions.shape for cloth in other.cloths] or (
-                    self._step is not other._step):
+                    self._step.kernel is not other._step.kernel):
             raise InputError('the state is that of another scene: it has '
                              f'{len(other.slot)} particles and the effects '
                              f'{", ".join(other.effects)}; this one has {len(self.slot)} and '

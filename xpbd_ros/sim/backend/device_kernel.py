@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 
 from numba import types
 from numba.core import datamodel
-import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.sim.backend.jit import WHY_PLAIN
+from xpbd_ros.sim.backend.packed_arguments import is_compact, leaves
 from xpbd_ros.sim.backend.simd import WIDTH_VARIABLE
 
 ONE_LANE = '32'
@@ -81,18 +81,11 @@ def compiled(request: Request) -> str:
     part.compile(request.signature)
     result = part.overloads[request.signature]
     models = [datamodel.default_manager[kind] for kind in request.signature]
-    kinds = [str(kind) for model in models for kind in _leaves(model.get_argument_type())]
+    kinds = [str(kind) for model in models for kind in leaves(model.get_argument_type())]
     assert len(kinds) == sum(_count(kind, False) for kind in request.signature)
     return nvptx.ptx_of(str(result.library._final_module), result.fndesc.llvm_func_name,
                         ['ptr' if kind.endswith('*') else kind for kind in kinds],
                         _teams(request.signature), request.arch)
-
-
-def _leaves(kind) -> list:
-    """Return the types in LLVM of an argument, in order."""
-    if isinstance(kind, tuple | list):
-        return [leaf for each in kind for leaf in _leaves(each)]
-    return [kind]
 
 
 def _teams(kinds, at: int = 0, inside: bool = False) -> list[int]:
@@ -112,42 +105,8 @@ def _count(kind, inside: bool) -> int:
     if isinstance(kind, types.BaseTuple):
         return sum(_count(each, isinstance(kind, types.NamedTuple)) for each in kind)
     if isinstance(kind, types.Array):
-        return 1 + kind.ndim if _is_compact(kind, inside) else 5 + 2 * kind.ndim
+        return 1 + kind.ndim if is_compact(kind, inside) else 5 + 2 * kind.ndim
     return 1
-
-
-def _is_compact(kind, inside: bool) -> bool:
-    return inside and kind.layout == 'C' and kind.ndim > 0
-
-
-def flat(value: Any, kind: types.Type, *, inside: bool = False) -> list:
-    """
-    Return the parameters of a kernel for an argument: whole numbers, floats, arrays, None for 0.
-
-    As ``arguments`` passes them: contiguous arrays in named tuples as an address and a shape.
-    """
-    if isinstance(kind, types.BaseTuple):
-        ours = isinstance(kind, types.NamedTuple)
-        return [leaf for item, each in zip(value, kind)
-                for leaf in flat(item, each, inside=ours)]
-    if not isinstance(kind, types.Array):
-        return [value]
-    if _is_compact(kind, inside):
-        return [value, *value.shape]
-    return [None, None, value.size, value.itemsize, value, *value.shape, *value.strides]
-
-
-def packed(parameters: Sequence[Any], address) -> np.ndarray:
-    """Return parameters as bytes of one SLOT each; ``address(array)`` is where an array is."""
-    found = np.zeros(len(parameters), np.int64)
-    for k, value in enumerate(parameters):
-        if isinstance(value, np.ndarray):
-            found[k] = address(value)
-        elif isinstance(value, float | np.floating):
-            found[k:k + 1].view(np.result_type(value))[0] = value
-        elif value is not None:
-            found[k] = value
-    return found
 
 
 def main() -> None:

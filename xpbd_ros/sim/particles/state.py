@@ -51,6 +51,14 @@ class State(NamedTuple):
     """a measurement's, read after each part of a step (``stages.lap``); usually None"""
 
 
+@jit(inline=True)
+def in_team(state, team):
+    """Return the state of a thread in a team."""
+    return State(state.x, state.x_prev, state.v, state.mass, state.inv_mass, state.mobility,
+                 state.gravity, state.reaction, state.history, state.apart, team, state.gap,
+                 state.rounding, state.clock)
+
+
 class Substep(NamedTuple):
     """Length of a substep and its position in the frame."""
 

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.sim.backend.device_kernel import compile_kernels, flat, packed
+from xpbd_ros.sim.backend.device_kernel import compile_kernels
 from xpbd_ros.sim.backend.device_memory import DeviceMemory
+from xpbd_ros.sim.backend.packed_arguments import flat, packed
 from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.stepping.launches import (
     flattened,

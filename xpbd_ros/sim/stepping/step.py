@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from xpbd_ros.sim.backend.denormals import flush_denormals, restore_mode
 from xpbd_ros.sim.backend.jit import jit
+from xpbd_ros.sim.backend.packed_arguments import Packed, unpacked
 from xpbd_ros.sim.backend.threads import wait
 from xpbd_ros.sim.particles.integration import (
     begin,
@@ -18,7 +19,7 @@ from xpbd_ros.sim.particles.integration import (
     update_velocity,
     update_velocity_and_begin,
 )
-from xpbd_ros.sim.particles.state import Substep
+from xpbd_ros.sim.particles.state import in_team, Substep
 from xpbd_ros.sim.stepping.methods import direction, enter, leave, sweep
 from xpbd_ros.sim.stepping.stages import (
     accumulate_impulses,
@@ -90,11 +91,44 @@ def advance(effects, state, method, frame_dt, substeps):
     restore_mode(mode)
 
 
+_advance = jit(advance, cache_name=None)    # within ``advance_packed``, which is cached
 _COMPILED: dict[tuple[str, ...], Callable] = {}
+KEPT = 4
+"""most tuples of effects, and views of states, whose addresses a step keeps"""
 
 
-def compiled(names: tuple[str, ...]):
+def advance_packed(effects, state, team, method, frame_dt, substeps):
+    """Do so for effects and state that are ``Packed``; the state without its team."""
+    _advance(unpacked(effects), in_team(unpacked(state), team), method, frame_dt, substeps)
+
+
+class Step:
+    """``advance``, compiled; what addresses the arrays of its arguments have is found once."""
+
+    def __init__(self, kernel):
+        self.kernel = kernel
+        self._effects: dict[tuple[int, ...], Packed] = {}
+        self._states: dict[tuple[int, ...], Packed] = {}
+
+    def __call__(self, effects, state, method, frame_dt, substeps):
+        """Advance all particles by one frame."""
+        self.kernel(_packed(effects, self._effects),
+                    _packed(state._replace(team=None), self._states), state.team, method,
+                    frame_dt, substeps)
+
+
+def _packed(values: tuple, known: dict[tuple[int, ...], Packed]) -> Packed:
+    key = tuple(map(id, values))    # of what ``Packed`` keeps, so that no other object gets it
+    found = known.get(key)
+    if found is None:
+        if len(known) >= KEPT:
+            known.clear()
+        found = known[key] = Packed(values)
+    return found
+
+
+def compiled(names: tuple[str, ...]) -> Step:
     """Return the step for a set of effects; each set has a cache of its own (see ``jit``)."""
     if names not in _COMPILED:
-        _COMPILED[names] = jit(advance, cache_name='-'.join(('step', *names)))
-    return _COMPILED[names]
+        _COMPILED[names] = jit(advance_packed, cache_name='-'.join(('step', *names)))
+    return Step(_COMPILED[names])
