@@ -195,7 +195,7 @@ def test_a_log_whose_hashes_were_filtered_out_is_refused_for_that(log, tmp_path,
     code, _, said = resim(rewritten(log, tmp_path / 'other', '/cloth/state_hash',
                                     lambda data: None), capsys=capsys)
     assert code == 2
-    assert said.endswith('other: holds no ~/state_hash, with which a repeated run is compared; '
+    assert said.endswith('.mcap: holds no ~/state_hash, with which a repeated run is compared; '
                          'take the log as it was recorded\n')
 
 

@@ -138,7 +138,9 @@ def status_of_a_node(said: list) -> Status:
     """Return the status of a node without other findings; its log goes to ``said``."""
     log = SimpleNamespace(warning=lambda text, **names: said.append(text), error=said.append)
     return Status(SimpleNamespace(
-        get_logger=lambda: log, waits=False, following=SimpleNamespace(finding=''),
+        get_logger=lambda: log, waits=False, get_name=lambda: 'cloth', get_namespace=lambda: '/',
+        get_node_names_and_namespaces=lambda: [('cloth', '/'), ('cloth', '/other')],
+        following=SimpleNamespace(finding=''),
         error_monitor=SimpleNamespace(warning=''), stepper=None))
 
 

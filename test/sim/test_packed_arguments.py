@@ -1,5 +1,6 @@
 """The tuples of a step as numbers, of which compiled code makes the tuples again."""
 
+import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -88,6 +89,12 @@ def test_a_step_packs_once(counted, threads):
     simulation.step([SetKey('gravity', (0.0, 0.0, -9.0))])    # makes the effects anew
     simulation.step()
     assert len(counted) == 3
+    other = copy.deepcopy(simulation)
+    other.step()
+    assert len(counted) == 5, 'its arrays are elsewhere'
+    simulation.step()
+    assert len(counted) == 5
+    assert other.hash() == simulation.hash()
 
 
 def test_what_a_step_keeps_is_bounded(counted):

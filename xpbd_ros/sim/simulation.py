@@ -366,7 +366,7 @@ class Simulation:
         return other
 
     def _continue_from(self, other: 'Simulation', memo: dict) -> None:
-        memo.update({id(each): each for each in (*other.cloths, other._step)})
+        memo.update({id(each): each for each in other.cloths})
         memo[id(other._kept)] = None
         self.__dict__.update({name: copy.deepcopy(value, memo)
                               for name, value in other.__dict__.items()})

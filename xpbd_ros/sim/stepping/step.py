@@ -110,6 +110,10 @@ class Step:
         self._effects: dict[tuple[int, ...], Packed] = {}
         self._states: dict[tuple[int, ...], Packed] = {}
 
+    def __deepcopy__(self, memo: dict) -> 'Step':
+        """Return one that keeps no addresses: the copies of arrays have others."""
+        return Step(self.kernel)
+
     def __call__(self, effects, state, method, frame_dt, substeps):
         """Advance all particles by one frame."""
         self.kernel(_packed(effects, self._effects),
