@@ -117,7 +117,7 @@ def bend_passes(work: Work, *, precision: str) -> Candidate:
     for kind, shapes_of in ((Curvature, curvature_shapes), (Twist, twist_shapes)):
         rows = Rows([sheet.block], shapes_of, sheet.world)
         alpha = np.full((len(rows.families), 1), work.hinges.compliance[0])
-        effects.append(kind(**rows.common([alpha], (3,))))
+        effects.append(kind(**rows.common([alpha], (3,)), rate=np.inf))
     effects = tuple(effects)
     substep = Substep(FRAME_DT / SUBSTEPS, 0.0, 1.0)
     sheet.state.mobility[:] = sheet.state.inv_mass * substep.h**2
@@ -128,7 +128,7 @@ def bend_passes(work: Work, *, precision: str) -> Candidate:
 @njit(nogil=True)
 def _passes(effects, state, substep, count):
     for k in range(count):
-        project(effects, state, Substep(substep.h, substep.begin, substep.end, k))
+        project(effects, state, Substep(substep.h, substep.begin, substep.end, k, None, 0))
 
 
 class _Sheet:

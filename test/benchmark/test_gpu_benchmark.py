@@ -52,7 +52,9 @@ def test_bits_and_speed_on_an_emulated_card(gpu, monkeypatch):
     monkeypatch.setattr(gpu, 'COPY', 2**10)
     monkeypatch.setattr(gpu, 'copied', lambda card: 1.0)
     monkeypatch.setattr(cuda, 'Card', Card)
-    assert gpu.bits(6, None) == {'particles': 36, 'repeats': 2, 'repeats_with_other_bits': 0}
+    assert gpu.bits(6, None) == [
+        {'particles': 36, 'contact': contact, 'repeats': 2, 'repeats_with_other_bits': 0}
+        for contact in (False, True)]
     row = gpu.speed(6, Card())
     assert row['substep_us'] == pytest.approx(250.0)
     assert row['gb_per_s'] == pytest.approx(1e-9 * 4 * gpu.traffic(gpu.sheet(6))[0] / 1e-3)
