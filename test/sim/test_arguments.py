@@ -1,5 +1,7 @@
 """How named tuples are passed to kernels."""
 
+import os
+import subprocess
 import sys
 from typing import NamedTuple
 
@@ -135,6 +137,14 @@ def test_what_a_kernel_reads_includes_what_others_read_for_it():
     assert fields_read(_whole.py_func) == [of_write | {'nothing'}, None, None], 'a name is bound'
     assert fields_read(_again.py_func) == [None, None], 'it calls itself'
     assert fields_read(eval('lambda outer: outer.line')) == [None], 'it has no source file'
+
+
+def test_sources_are_read_whatever_the_encoding_of_the_locale():
+    text = ('from xpbd_ros.sim.backend.narrowing import fields_read\n'
+            'from xpbd_ros.sim.particles.integration import begin\n'
+            "assert 'x_prev' in fields_read(begin.py_func)[0]")
+    subprocess.run([sys.executable, '-c', text], check=True, env={
+        **os.environ, 'LC_ALL': 'C', 'PYTHONUTF8': '0', 'PYTHONCOERCECLOCALE': '0'})
 
 
 def test_a_part_is_compiled_once_whatever_it_does_not_read(tmp_path, monkeypatch):

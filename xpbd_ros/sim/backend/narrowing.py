@@ -1,9 +1,9 @@
 """
-Parts are compiled for the fields of named tuples that they read.
+Narrow the named tuples that a part of a kernel is given to the fields that it reads.
 
-The types of a scene's state depend on its integrator, method, pins and threads. A part that reads
-none of what differs would be compiled again for each of them. So the fields that neither it nor a
-kernel that it calls reads are ``none`` in the types of its arguments.
+The type of the state depends on integrator, method, pins and threads. A part that reads no such
+field need not be compiled again for each combination. In the types of its arguments, fields that
+are read neither by the part nor by a kernel that it calls are therefore ``none``.
 """
 
 import ast
@@ -16,12 +16,12 @@ from numba.core.dispatcher import Dispatcher
 from xpbd_ros.sim.backend.emit import tuple_of
 
 ALL = None
-"""instead of names of fields: an argument is used as a whole"""
+"""in place of a set of fields: the argument is used as a whole"""
 _KNOWN: dict = {}
 
 
 def narrowed(function, kinds) -> list:
-    """Return the types of a kernel's positional arguments without fields that it does not read."""
+    """Return the types of a kernel's positional arguments, reduced to the fields that it reads."""
     return [_narrow(kind, names) for kind, names in zip(kinds, fields_read(function))]
 
 
@@ -37,7 +37,7 @@ def fields_read(function) -> list[set[str] | None]:
     if function not in _KNOWN:
         code = function.__code__
         names = code.co_varnames[:code.co_argcount]
-        _KNOWN[function] = [ALL] * len(names)    # should it call itself
+        _KNOWN[function] = [ALL] * len(names)    # for a recursive call
         definition = _definitions(code.co_filename).get((function.__name__, code.co_firstlineno))
         if definition is not None:
             found: dict[str, set[str] | None] = {name: set() for name in names}
@@ -51,8 +51,8 @@ def fields_read(function) -> list[set[str] | None]:
 def _definitions(file: str) -> dict[tuple[str, int], ast.FunctionDef]:
     """Return the functions of a source file by name and first line."""
     try:
-        tree = ast.parse(Path(file).read_text())
-    except OSError:    # no file, but text that was compiled
+        tree = ast.parse(Path(file).read_bytes())    # text has the encoding of the locale
+    except OSError:    # compiled from text, not from a file
         return {}
     return {(node.name, min([node.lineno, *(each.lineno for each in node.decorator_list)])): node
             for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
@@ -63,11 +63,11 @@ def _note(node: ast.AST, function, found) -> None:
     if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
         _add(found, node.value.id, {node.attr})
         return
+    if _compares_with_none(node):
+        return
     if isinstance(node, ast.Name):
         _add(found, node.id, ALL)
     inside = list(ast.iter_child_nodes(node))
-    if _asks_for_none(node):
-        return
     if isinstance(node, ast.Call):
         for each, names in zip(node.args, _fields_read_by(node.func, function)):
             if isinstance(each, ast.Name):
@@ -82,10 +82,11 @@ def _add(found, name: str, names: set[str] | None) -> None:
         found[name] = ALL if names is ALL or found[name] is ALL else found[name] | names
 
 
-def _asks_for_none(node: ast.AST) -> bool:
-    """Tell whether the code is ``name is None``, for which no field is read."""
+def _compares_with_none(node: ast.AST) -> bool:
+    """Return True for ``name is None`` and ``name is not None``, which read no field."""
     return (isinstance(node, ast.Compare) and isinstance(node.left, ast.Name)
-            and all(isinstance(each, ast.Constant) for each in node.comparators))
+            and all(isinstance(each, ast.Constant) and each.value is None
+                    for each in node.comparators))
 
 
 def _fields_read_by(node: ast.AST, function) -> list[set[str] | None]:
