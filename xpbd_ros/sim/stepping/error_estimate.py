@@ -50,7 +50,8 @@ class Start:
         """Return the state at the frame's end, computed with ``factor`` times the substeps."""
         again = self.copy()
         refine(again.state, self.frame_dt / self.substeps, factor)
-        self.step(again.effects, again.state, self.method, self.frame_dt, factor * self.substeps)
+        step = copy.deepcopy(self.step)    # which would keep the copied arrays
+        step(again.effects, again.state, self.method, self.frame_dt, factor * self.substeps)
         return again.state
 
 
