@@ -1,11 +1,13 @@
-"""The tuples of a step as numbers, of which compiled code makes the tuples again."""
+"""Tuples of arrays as words, from which kernels read the tuples."""
 
 import copy
 from typing import NamedTuple
+import weakref
 
 import numpy as np
 import pytest
 
+from support.scenes import hang
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.sim.backend.jit import jit
@@ -15,7 +17,7 @@ from xpbd_ros.sim.stepping import step
 
 
 class Part(NamedTuple):
-    """Of each kind of leaf."""
+    """One leaf of each type."""
 
     table: np.ndarray
     flags: np.ndarray
@@ -28,12 +30,12 @@ class Part(NamedTuple):
     nothing: None
 
 
-Part.__module__ = 'xpbd_ros.sim.test'    # passed as the package's own kinds
+Part.__module__ = 'xpbd_ros.sim.test'    # so that it is passed as the package's own tuples are
 
 
 @jit(cache_name=None)
 def read(values, found):
-    """Write down what a packed tuple holds, and change an array of it."""
+    """Copy what a packed tuple holds to ``found``, and change one of its arrays."""
     parts = unpacked(values)
     first, last = parts[0], parts[1]
     found[0], found[1] = first.table[1, 2], first.table.shape[1]
@@ -58,16 +60,18 @@ def test_each_leaf_comes_back():
     assert part.flags.tolist() == [False, True]
 
 
-def test_it_keeps_its_arrays():
-    values, found = Packed((a_part(), a_part())), np.zeros(12)
-    filling = [np.full((2, 3), 9.0) for _ in range(100)]
-    read(values, found)
-    assert found[0] == 5.0 and len(filling) == 100
+def test_it_keeps_its_arrays_alive():
+    part = a_part()
+    table, values = weakref.ref(part.table), Packed((part, a_part()))
+    del part
+    assert table() is not None
+    del values
+    assert table() is None
 
 
 @pytest.fixture
 def counted(monkeypatch) -> list:
-    """Return a list of all that steps pack, from now on."""
+    """Return a list to which all that steps pack is added."""
     found = []
 
     class Counted(Packed):
@@ -86,7 +90,7 @@ def test_a_step_packs_once(counted, threads):
     for _ in range(5):
         simulation.step()
     assert len(counted) == 2, 'effects, and the state'
-    simulation.step([SetKey('gravity', (0.0, 0.0, -9.0))])    # makes the effects anew
+    simulation.step([SetKey('gravity', (0.0, 0.0, -9.0))])    # rebuilds the effects
     simulation.step()
     assert len(counted) == 3
     other = copy.deepcopy(simulation)
@@ -95,6 +99,20 @@ def test_a_step_packs_once(counted, threads):
     simulation.step()
     assert len(counted) == 5
     assert other.hash() == simulation.hash()
+
+
+def test_an_error_estimate_leaves_nothing_packed(counted):
+    simulation = hang()
+    simulation.step(keep=True)
+    before = len(counted)
+    end = simulation.start.end(2)
+    assert len(counted) == before + 2, 'copies of effects and state'
+    counted.clear()
+    x = weakref.ref(end.x)
+    del end
+    assert x() is None
+    simulation.step()
+    assert not counted, 'its own are still packed'
 
 
 def test_what_a_step_keeps_is_bounded(counted):

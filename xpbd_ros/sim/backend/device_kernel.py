@@ -24,7 +24,6 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.device_team import DeviceTeam
 from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
 from xpbd_ros.sim.backend.jit import WHY_PLAIN
-from xpbd_ros.sim.backend.packed_arguments import is_compact, leaves
 from xpbd_ros.sim.backend.simd import WIDTH_VARIABLE
 
 ONE_LANE = '32'
@@ -80,33 +79,31 @@ def compiled(request: Request) -> str:
     part = request.find(*request.name).part()
     part.compile(request.signature)
     result = part.overloads[request.signature]
-    models = [datamodel.default_manager[kind] for kind in request.signature]
-    kinds = [str(kind) for model in models for kind in leaves(model.get_argument_type())]
-    assert len(kinds) == sum(_count(kind, False) for kind in request.signature)
+    arguments = [datamodel.default_manager[kind].get_argument_type()
+                 for kind in request.signature]
     return nvptx.ptx_of(str(result.library._final_module), result.fndesc.llvm_func_name,
-                        ['ptr' if kind.endswith('*') else kind for kind in kinds],
-                        _teams(request.signature), request.arch)
+                        ['ptr' if str(kind).endswith('*') else str(kind)
+                         for kind in _leaves(arguments)],
+                        _teams(request.signature, arguments), request.arch)
 
 
-def _teams(kinds, at: int = 0, inside: bool = False) -> list[int]:
-    """Return the parameters where a DeviceTeam begins; the first type is at ``at``."""
+def _leaves(kind) -> list:
+    """Return the types in LLVM of an argument, in order."""
+    if isinstance(kind, tuple | list):
+        return [leaf for each in kind for leaf in _leaves(each)]
+    return [kind]
+
+
+def _teams(kinds, arguments, at: int = 0) -> list[int]:
+    """Return the parameters where a DeviceTeam begins; the first argument is at ``at``."""
     found = []
-    for kind in kinds:
+    for kind, argument in zip(kinds, arguments):
         if getattr(kind, 'instance_class', None) is DeviceTeam:
             found.append(at)
         elif isinstance(kind, types.BaseTuple):
-            found += _teams(kind, at, isinstance(kind, types.NamedTuple))
-        at += _count(kind, inside)
+            found += _teams(kind, argument, at)
+        at += len(_leaves(argument))
     return found
-
-
-def _count(kind, inside: bool) -> int:
-    """Return how many parameters an argument takes; ``inside`` as in ``flat``."""
-    if isinstance(kind, types.BaseTuple):
-        return sum(_count(each, isinstance(kind, types.NamedTuple)) for each in kind)
-    if isinstance(kind, types.Array):
-        return 1 + kind.ndim if is_compact(kind, inside) else 5 + 2 * kind.ndim
-    return 1
 
 
 def main() -> None:

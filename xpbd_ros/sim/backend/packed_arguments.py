@@ -1,30 +1,33 @@
 """
-Arguments of compiled code as one array of numbers.
+Arguments of compiled code as one array of 64-bit words.
 
-Numba's wrapper takes the named tuples of a scene apart at every call. That code is straight, but
-keeps hundreds of arrays in view, so that compiling it takes as long as half of a step. ``Packed``
-holds the numbers that compiled code has of a tuple (``arguments``), one for each leaf; a kernel
-gets the tuple by ``unpacked``.
+Numba's wrapper unpacks the named tuples of a scene at every call. Compiling that code, which keeps
+hundreds of values alive, takes nearly as long as compiling the step. ``Packed`` holds the words
+that compiled code passes for a tuple (``arguments``), and a kernel reads the tuple from them by
+``unpacked``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from itertools import count
+import struct
 from typing import Any
 
 from llvmlite import ir
 from numba import typeof, types
-from numba.core.datamodel import models
+from numba._dispatcher import compute_fingerprint
+from numba.core.datamodel import default_manager, models
 from numba.core.pythonapi import NativeValue
 from numba.extending import intrinsic, register_model, typeof_impl, unbox
 import numpy as np
 
-from xpbd_ros.sim.backend.jit import WHY_PLAIN
-
-SLOT = ir.IntType(64)
+WORD = ir.IntType(64)
+_LAYOUTS: dict[bytes, tuple] = {}
+"""types and layouts of tuples by Numba's fingerprint, since ``typeof`` takes milliseconds"""
 
 
 class PackedType(types.Type):
-    """What Numba knows of a ``Packed``."""
+    """Numba type of a ``Packed``."""
 
     def __init__(self, tuple_: types.BaseTuple):
         self.tuple = tuple_
@@ -32,21 +35,25 @@ class PackedType(types.Type):
 
 
 class Packed:
-    """A tuple of arrays, numbers and such tuples, as ``unpacked`` takes it; it keeps them."""
+    """The words of a tuple of arrays, numbers and such tuples. It keeps a reference to them."""
 
     def __init__(self, values: tuple):
-        self.kind = PackedType(typeof(values))
+        key = compute_fingerprint(values)
+        if key not in _LAYOUTS:
+            kind = typeof(values)
+            _LAYOUTS[key] = PackedType(kind), layout(kind)
+        self.kind, found = _LAYOUTS[key]
         self._values = values
-        self._slots = packed(flat(values, self.kind.tuple), address)
-        self.address = address(self._slots)
+        self._words = np.array(words(values, found, host_address), np.int64)
+        self.address = host_address(self._words)
 
 
 @register_model(PackedType)
 class PackedModel(models.PrimitiveModel):
-    """In compiled code it is the address of the numbers."""
+    """In compiled code: the address of the words."""
 
     def __init__(self, manager, kind):
-        super().__init__(manager, kind, SLOT)
+        super().__init__(manager, kind, WORD)
 
 
 @typeof_impl.register(Packed)
@@ -66,64 +73,66 @@ def _address_of(kind, value, c):
 def unpacked(typing, values):
     """Return the tuple of a ``Packed``."""
     def write(context, builder, signature, arguments):
-        slots, number = builder.inttoptr(arguments[0], SLOT.as_pointer()), count()
+        first, number = builder.inttoptr(arguments[0], WORD.as_pointer()), count()
 
         def load(kind):
             if isinstance(kind, tuple | list):
                 return tuple(map(load, kind))
-            slot = builder.gep(slots, [SLOT(next(number))])
+            word = builder.gep(first, [WORD(next(number))])
             if isinstance(kind, ir.IntType):
-                return builder.trunc(builder.load(slot), kind)
+                return builder.trunc(builder.load(word), kind)
             if isinstance(kind, ir.PointerType):
-                return builder.inttoptr(builder.load(slot), kind)
-            return builder.load(builder.bitcast(slot, kind.as_pointer()))
+                return builder.inttoptr(builder.load(word), kind)
+            return builder.load(builder.bitcast(word, kind.as_pointer()))
         model = context.data_model_manager[signature.return_type]
         return model.from_argument(builder, load(model.get_argument_type()))
     return values.tuple(values), write
 
 
-def address(array: np.ndarray) -> int:
-    """Return where an array is."""
+def host_address(array: np.ndarray) -> int:
+    """Return the address of an array's data."""
     return array.__array_interface__['data'][0]
 
 
-def leaves(kind) -> list:
-    """Return the types in LLVM of an argument, in order."""
-    if isinstance(kind, tuple | list):
-        return [leaf for each in kind for leaf in leaves(each)]
-    return [kind]
-
-
-def flat(value: Any, kind: types.Type, *, inside: bool = False) -> list:
-    """
-    Return the parameters of a kernel for an argument: whole numbers, floats, arrays, None for 0.
-
-    As ``arguments`` passes them: contiguous arrays in named tuples as an address and a shape.
-    """
+def layout(kind: types.Type) -> list | Callable[..., list[int]]:
+    """Return what ``words`` needs to write values of a type; of a tuple, one for each item."""
     if isinstance(kind, types.BaseTuple):
-        ours = isinstance(kind, types.NamedTuple)
-        return [leaf for item, each in zip(value, kind)
-                for leaf in flat(item, each, inside=ours)]
-    if not isinstance(kind, types.Array):
-        return [value]
-    if is_compact(kind, inside):
-        return [value, *value.shape]
-    return [None, None, value.size, value.itemsize, value, *value.shape, *value.strides]
+        compact = getattr(default_manager[kind], 'compact', [False] * len(kind))
+        return [_compact_array if each else layout(item) for each, item in zip(compact, kind)]
+    if isinstance(kind, types.Array):
+        return _array
+    if isinstance(kind, types.Float):
+        return partial(_number, 'd' if kind.bitwidth == 64 else 'f4x')
+    return _integer
 
 
-def packed(parameters: Sequence[Any], address) -> np.ndarray:
-    """Return parameters as bytes of one SLOT each; ``address(array)`` is where an array is."""
-    found = np.zeros(len(parameters), np.int64)
-    for k, value in enumerate(parameters):
-        if isinstance(value, np.ndarray):
-            found[k] = address(value)
-        elif isinstance(value, float | np.floating):
-            found[k:k + 1].view(np.result_type(value))[0] = value
-        elif value is not None:
-            found[k] = value
-    return found
+def words(value: Any, how: Any, address: Callable[[np.ndarray], int]) -> list[int]:
+    """
+    Return the words by which ``arguments`` passes a value.
+
+    Parameters
+    ----------
+    value : tuple, array, number or None
+    how : its ``layout``
+    address : returns where an array is
+
+    """
+    if isinstance(how, list):
+        return [word for item, each in zip(value, how) for word in words(item, each, address)]
+    return how(value, address)
 
 
-def is_compact(kind: types.Array, inside: bool) -> bool:
-    """Tell whether an array is passed as an address and a shape; ``inside`` as in ``flat``."""
-    return not WHY_PLAIN and inside and kind.layout == 'C' and kind.ndim > 0
+def _compact_array(array, address) -> list[int]:
+    return [address(array), *array.shape]
+
+
+def _array(array, address) -> list[int]:
+    return [0, 0, array.size, array.itemsize, address(array), *array.shape, *array.strides]
+
+
+def _number(code, value, address) -> list[int]:
+    return [struct.unpack('q', struct.pack(code, value))[0]]
+
+
+def _integer(value, address) -> list[int]:
+    return [0 if value is None else int(value)]

@@ -16,7 +16,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.device_kernel import compile_kernels
 from xpbd_ros.sim.backend.device_memory import DeviceMemory
-from xpbd_ros.sim.backend.packed_arguments import flat, packed
+from xpbd_ros.sim.backend.packed_arguments import layout, words
 from xpbd_ros.sim.backend.threads import ThreadPool
 from xpbd_ros.sim.stepping.launches import (
     flattened,
@@ -176,10 +176,11 @@ class DeviceCrew:
         """Return the kernel, parameters and threads of a launch that does something, in a list."""
         assert self._memory is not None
         kernel = self._kernels[launch.request(self._card.arch).key]
-        parameters = [leaf for value, kind in zip(launch.arguments, launch.signature)
-                      for leaf in flat(value, kind)]
-        return [] if kernel is None else [
-            (kernel, packed(parameters, self._memory.address), launch.threads)]
+        if kernel is None:
+            return []
+        parameters = words(launch.arguments, list(map(layout, launch.signature)),
+                           self._memory.address)
+        return [(kernel, np.array(parameters, np.int64), launch.threads)]
 
     def _repeated(self, repeat: Repeat) -> Callable[[], None]:
         """Return what takes turns as long as inequalities are unmet."""

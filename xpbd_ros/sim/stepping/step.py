@@ -91,19 +91,19 @@ def advance(effects, state, method, frame_dt, substeps):
     restore_mode(mode)
 
 
-_advance = jit(advance, cache_name=None)    # within ``advance_packed``, which is cached
+_advance = jit(advance, cache_name=None)    # a part of ``advance_packed``, which is cached
 _COMPILED: dict[tuple[str, ...], Callable] = {}
 KEPT = 4
-"""most tuples of effects, and views of states, whose addresses a step keeps"""
+"""most tuples of effects, and of states, that a step keeps packed"""
 
 
 def advance_packed(effects, state, team, method, frame_dt, substeps):
-    """Do so for effects and state that are ``Packed``; the state without its team."""
+    """Advance by one frame; effects and state are ``Packed``, the state without its team."""
     _advance(unpacked(effects), in_team(unpacked(state), team), method, frame_dt, substeps)
 
 
 class Step:
-    """``advance``, compiled; what addresses the arrays of its arguments have is found once."""
+    """``advance``, compiled. The arguments of the last calls are kept packed."""
 
     def __init__(self, kernel):
         self.kernel = kernel
@@ -111,7 +111,7 @@ class Step:
         self._states: dict[tuple[int, ...], Packed] = {}
 
     def __deepcopy__(self, memo: dict) -> 'Step':
-        """Return one that keeps no addresses: the copies of arrays have others."""
+        """Return a step with nothing packed: copied arrays have other addresses."""
         return Step(self.kernel)
 
     def __call__(self, effects, state, method, frame_dt, substeps):
@@ -122,7 +122,7 @@ class Step:
 
 
 def _packed(values: tuple, known: dict[tuple[int, ...], Packed]) -> Packed:
-    key = tuple(map(id, values))    # of what ``Packed`` keeps, so that no other object gets it
+    key = tuple(map(id, values))    # unique, since ``Packed`` keeps the objects alive
     found = known.get(key)
     if found is None:
         if len(known) >= KEPT:
