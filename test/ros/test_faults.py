@@ -49,9 +49,9 @@ def goes_on(cloth: Cloth, frames: int = 20) -> None:
     assert not cloth.node.said('Traceback'), cloth.node.lines
 
 
-def test_another_node_of_the_same_name_is_told(cloth, peer):
+def test_another_node_of_the_same_name_is_reported(cloth, peer):
     twin = rclpy.create_node(cloth.name.lstrip('/'), context=peer.node.context)
-    told = f'another node is named {cloth.name}, too'
+    told = f'another node is also named {cloth.name}'
     status = cloth.status(lambda status: told in status['message'])
     assert status['level'] == b'\1', status
     twin.destroy_node()

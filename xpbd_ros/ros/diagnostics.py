@@ -128,9 +128,9 @@ class Status:
             warnings.append(WAITING)
         names = node.get_node_names_and_namespaces()
         if names.count((node.get_name(), node.get_namespace())) > 1:
-            warnings.append(f'another node is named {node.get_fully_qualified_name()}, too: their '
-                            'topics and services mix; give one another name '
-                            '(--ros-args -r __node:=...) or namespace')
+            warnings.append(f'another node is also named {node.get_fully_qualified_name()}, so '
+                            'that their topics and services collide: rename one (--ros-args -r '
+                            '__node:=...); a node that was killed stays listed for some seconds')
             log.warning(warnings[-1], throttle_duration_sec=60.0)
         if self._jumps_ns:
             warnings.append(f'the clock jumped by {sum(self._jumps_ns) * 1e-9:+.3f} s; '
