@@ -400,6 +400,20 @@ def test_a_log_whose_topics_are_all_unreadable_is_refused(write_log, capsys):
     assert capsys.readouterr().err.endswith(f'{file}: holds no readable message\n')
 
 
+def test_a_log_of_which_nothing_can_be_published_is_refused(tmp_path, capsys):
+    path = tmp_path / 'ros1.mcap'
+    with open(path, 'wb') as file:
+        log = Writer(file)
+        log.start('ros1')
+        schema = log.register_schema('std_msgs/UInt64', 'ros1msg', b'uint64 data')
+        log.add_message(log.register_channel('/count', 'ros1', schema), START, bytes(8), START)
+        log.finish()
+    assert main(['replay', str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert 'ended' not in out
+    assert err.endswith(f'xpbd_ros replay: {path}: has no topic that can be published here\n')
+
+
 def test_without_ros_it_says_how_to_get_it(write_log):
     code = ('import sys; sys.modules.update(rclpy=None);'
             'from xpbd_ros.cli.main import main; sys.exit(main(sys.argv[1:]))')

@@ -30,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosgraph_msgs.msg import Clock as ClockMessage
 from std_srvs.srv import Trigger
 
+from xpbd_ros.errors import InputError
 from xpbd_ros.log.qos import Qos
 from xpbd_ros.log.reader import LogReader, Message
 from xpbd_ros.log.replay_clock import Playhead
@@ -75,6 +76,10 @@ def replay(log: LogReader, *, remap: Collection[str] = (), keyboard: bool = Fals
         Number of published messages by topic.
     stopped : bool
         Whether a signal ended the replay.
+
+    Raises
+    ------
+    InputError : none of the topics can be published
 
     """
     rules = [word for rule in remap for word in ('--remap', rule)]
@@ -170,6 +175,9 @@ class Replay:
             if (topics is None or topic in topics) and not (
                     topic == CLOCK and (clock_hz or self._timed)):
                 self._add_publisher(topic)
+        if not (self._publishers or clock_hz or self._timed):
+            self.close()
+            raise InputError(f'{log.path}: has no topic that can be published here')
         for name, answer in (('pause', self._pause), ('resume', self._resume),
                              ('toggle_paused', self._toggle), ('is_paused', self._tell_paused),
                              ('play_next', self._play_next), ('stop', self._stop)):
