@@ -8,6 +8,7 @@ from pkgutil import walk_packages
 import subprocess
 import sys
 from threading import Thread
+from types import ModuleType
 
 from numba import config, njit, types, TypingError
 from numba.core import codegen
@@ -85,6 +86,28 @@ def test_variants_are_written_by_one_process_at_a_time(tmp_path, monkeypatch):
     assert list(tmp_path.rglob('*.nbi'))
     half(1)
     assert len(list(tmp_path.rglob('*.nbc'))) == 2
+
+
+def test_an_index_that_cannot_be_read_is_discarded(tmp_path, monkeypatch):
+    """Of a module that this process has not, as when tests have compiled a kernel; and torn."""
+    monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
+    monkeypatch.setattr(locked_cache, 'CACHE_FOLDER', tmp_path)
+
+    def first(pair):
+        return pair[0]
+    module = ModuleType('of_another_process')
+    exec('from typing import NamedTuple\nclass Pair(NamedTuple):\n    x: float\n    y: float',
+         module.__dict__)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    assert jit.jit(first)(module.Pair(2.0, 3.0)) == 2.0
+    monkeypatch.delitem(sys.modules, module.__name__)
+    assert jit.jit(first)((4.0, 5.0)) == 4.0
+    kernel = jit.jit(first)
+    assert kernel((6.0, 7.0)) == 6.0 and kernel.stats.cache_hits
+    for kind in ('*.nbc', '*.nbi'):
+        file, = tmp_path.rglob(kind)
+        file.write_bytes(file.read_bytes()[:-30])
+        assert jit.jit(first)((8.0, 9.0)) == 8.0
 
 
 def test_no_kernel_allocates():

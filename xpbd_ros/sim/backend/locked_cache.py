@@ -1,6 +1,7 @@
 """Numba's disk cache, safe for processes that compile at the same time."""
 
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 import fcntl
 
 from numba.core.caching import FunctionCache
@@ -16,9 +17,25 @@ class LockedCache(FunctionCache):
     processes at once would give two variants the same number, and one would run the other's code.
     """
 
+    def load_overload(self, signature, target):
+        """Return a variant, or None; an index or a variant that cannot be read is discarded."""
+        try:
+            return super().load_overload(signature, target)
+        except Exception:    # it is damaged, or names the type of a module that is not here
+            with locked():
+                self.flush()
+            return None
+
     def save_overload(self, signature, data):
         """Write one variant, under the cache's lock."""
-        with open(CACHE_FOLDER / 'lock', 'ab') as lock:
-            with suppress(OSError):    # a file system without locks
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        with locked():
             super().save_overload(signature, data)
+
+
+@contextmanager
+def locked() -> Iterator[None]:
+    """Hold the cache's lock."""
+    with open(CACHE_FOLDER / 'lock', 'ab') as lock:
+        with suppress(OSError):    # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
