@@ -12,7 +12,7 @@ from support.scenes import DOWN
 from xpbd_ros import load
 from xpbd_ros.cli.fit import lines, unit_of
 from xpbd_ros.cli.main import main
-from xpbd_ros.fit import picture
+from xpbd_ros.fit import picture, solve
 from xpbd_ros.fit.solve import Fit, Value
 from xpbd_ros.fit.surface import to_points
 from xpbd_ros.log.qos import Qos
@@ -188,6 +188,25 @@ def test_the_picture_has_the_unit_of_each_value(tmp_path, monkeypatch):
     assert seen == ['value [N m]', 'value']
 
 
+def test_labels_of_values_do_not_overlap(tmp_path, monkeypatch):
+    """Over less than a decade a logarithmic axis has a label at each tick, such as 1.4 × 10⁻¹."""
+    seen = []
+
+    def looked_at(figure, _):
+        figure.canvas.draw()
+        for axis in figure.axes:
+            ticks = [*axis.get_xticklabels(), *axis.get_xticklabels(minor=True)]
+            boxes = sorted((tick.get_window_extent() for tick in ticks if tick.get_text()),
+                           key=lambda box: box.x0)
+            seen.append(len(boxes))
+            assert all(a.x1 < b.x0 for a, b in zip(boxes, boxes[1:])), ticks
+    monkeypatch.setattr(picture, 'save', looked_at)
+    found = {key: Value(low, low, low, False, '', ((low, 0.002), (high, 0.001)))
+             for key, low, high in (('a', 0.1, 0.15), ('b', 1e-6, 1e-4), ('c', 0.1, 1.2))}
+    picture.draw(Fit(found, 0.001, 9), tmp_path, dict.fromkeys(found, ''))
+    assert min(seen) >= 2
+
+
 def test_units_of_keys_also_of_those_that_are_not_live():
     scene = scene_from_text(FRICTION + 'pins: {p: {cloth: c, at: corner_00}}',
                             where='here', name='here')
@@ -219,6 +238,34 @@ def test_a_value_without_any_effect_is_not_determined(tmp_path, capsys):
     found = fit(record(STRETCH, tmp_path / 'free'), '--vary', key, code=1, capsys=capsys)
     assert found['values'][key]['why_not'] == (
         'the residual is flat: this motion does not depend on it')
+
+
+class Straight:
+    """A model whose residuals are lines over the logarithm of the value, 0.2, and noise."""
+
+    numbers = 50
+
+    def __init__(self, slope: float):
+        self.slope = slope
+
+    def residuals(self, values):
+        noise = 1e-3 * np.random.default_rng(1).standard_normal(self.numbers)
+        return noise + self.slope * np.log(values['c'] / 0.2)
+
+
+@pytest.mark.parametrize('slope, low, high, why_not', [
+    (0.05, 0.002, 20.0, ''),
+    (0.05, 0.15, 0.25, ''),
+    (0.05, 0.1, 0.15, 'at the end of its range'),
+    (0.05, 0.3, 0.4, 'at the end of its range'),
+    (0.0, 0.002, 20.0, 'the residual is flat: this motion does not depend on it'),
+    (0.0, 0.15, 0.25, 'the residual is flat: this motion does not depend on it')])
+def test_a_value_is_determined_in_a_narrow_range_too(slope, low, high, why_not):
+    found = solve.fit(Straight(slope), [solve.Key('c', low, low, high)]).values['c']
+    assert (found.determined, found.why_not) == (not why_not, why_not)
+    if found.determined:
+        assert found.value == pytest.approx(0.2, rel=0.01)
+        assert found.low < 0.2 < found.high
 
 
 def test_a_log_of_this_package_brings_its_inputs(tmp_path, capsys):

@@ -19,7 +19,8 @@ def draw(found: Fit, file: Path, units: Mapping[str, str]) -> Path:
         else:
             text = 'not determined'
         axis.axvline(value.value, color=INK if value.determined else MUTED, linewidth=0.8)
-        axis.set_xscale('log')
+        if value.profile[-1][0] > 10.0 * value.profile[0][0]:    # or labels would overlap
+            axis.set_xscale('log')
         axis.set_ylim(bottom=0.0)
         axis.set_title(f'{key}\n{text}', fontsize=7, loc='left', color=INK)
         axis.set_xlabel(f'value [{units[key]}]' if units[key] else 'value', fontsize=8)

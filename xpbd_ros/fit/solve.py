@@ -30,7 +30,11 @@ SIGMAS = 1.959964
 WIDEST = 2.0
 """high over low of an interval, up to which a value is determined"""
 RISE = 12.0
-"""least increase of the sum of squares at half and at double a determined value, in s²"""
+"""
+least increase of the sum of squares at half and at double a determined value, or at the ends of a
+narrower range, in s²
+"""
+LN2 = math.log(2.0)
 
 
 @dataclass(frozen=True)
@@ -179,7 +183,7 @@ def _profile(search: Search, point: np.ndarray, k: int, key: Key, deviation: flo
     """Return (logarithm of the value, sum of squares), ascending."""
     low, high = math.log(key.low), math.log(key.high)
     near = point[k] + min(max(8.0 * deviation, 0.1), 1.0) * np.linspace(-1.0, 1.0, 9)
-    sides = [point[k] - math.log(2.0), point[k] + math.log(2.0)]
+    sides = [point[k] - LN2, point[k] + LN2]
     these = sorted({float(np.clip(z, low, high)) for z in (
         *np.linspace(low, high, SCAN), *near, *sides)})
     return list(zip(these, search.squares([_with(point, k, z) for z in these])))
@@ -188,10 +192,12 @@ def _profile(search: Search, point: np.ndarray, k: int, key: Key, deviation: flo
 def _value(search: Search, z: float, key: Key, deviation: float, least: float,
            profile: list[tuple[float, float]]) -> Value:
     variance = search.variance(least)
-    aside = [squares for other, squares in profile if abs(other - z) > 0.99 * math.log(2.0)]
+    half, double = max(z - LN2, math.log(key.low)), min(z + LN2, math.log(key.high))
+    aside = [squares for other, squares in profile
+             if not half < other < double and abs(other - z) > STEP]
     wide = math.exp(min(SIGMAS * deviation, 300.0))
     value = math.exp(z)
-    if min(aside, default=0.0) <= least + RISE * variance:
+    if min(aside, default=math.inf) <= least + RISE * variance:
         why = 'the residual is flat: this motion does not depend on it'
     elif value <= key.low * (1.0 + STEP) or value >= key.high / (1.0 + STEP):
         why = 'at the end of its range'
