@@ -67,7 +67,7 @@ def test_it_can_change_while_running():
     ({'total': F, 'cloth': 'd'}, "effects.force.cloth: unknown cloth 'd' (known: c)"),
     ({'total': F, 'cloth': 'c', 'at': 'top'}, "at: unknown place 'top' (known: corner_00"),
     ({'total': F, 'cloth': 'c', 'at': [12]}, 'effects.force.at: indices must be from 0 to 11'),
-    ({'total': [0.0, 0.0]}, 'effects.force.total: must be 3 numbers (got 2)'),
+    ({'total': [0.0, 0.0]}, 'effects.force.total: must be 3 numbers in N (got 2)'),
 ])
 def test_a_force_that_makes_no_sense_is_refused(force, reason):
     with pytest.raises(InputError) as error:

@@ -75,7 +75,7 @@ def test_every_one_has_a_description_and_a_range(cloth):
     ({'cloths.towel.effects.stretch.warp': nan}, 'cloths.towel.effects.stretch.warp'),
     ({'cloths.towel.effects.stretch.warp': inf}, 'cloths.towel.effects.stretch.warp'),
     ({'effects.contact.thickness': 0.0}, 'effects.contact.thickness: must be > 0 m (got 0.0)'),
-    ({'gravity': [0.0, 0.0]}, 'gravity: must be 3 numbers (got 2)'),
+    ({'gravity': [0.0, 0.0]}, 'gravity: must be 3 numbers in m/s² (got 2)'),
     ({'gravity': [0.0, nan, 0.0]}, 'gravity[1]: must be finite m/s² (got nan)'),
     ({'gravity': -9.8}, "expected 'Type.DOUBLE_ARRAY' got 'Type.DOUBLE'"),
     ({'mode': 'slow'}, "mode: must be one of realtime, lockstep, fast (got 'slow')"),

@@ -174,7 +174,7 @@ def test_a_live_key_frees_the_effects_before_it_without_the_collector():
     ('cloths.c.effects.stretch.warp', float('nan'), 'must be finite N/m (got nan)'),
     ('cloths.c.density', 2.0, 'cloths.c.density: cannot change while running (these can: '),
     ('solver.substeps', 0, 'solver.substeps: must be at least 1 (got 0)'),
-    ('gravity', [0, 0], 'gravity: must be 3 numbers (got 2)'),
+    ('gravity', [0, 0], 'gravity: must be 3 numbers in m/s² (got 2)'),
     ('gravity.x', 1, 'gravity.x: cannot change while running (these can: '),
     ('gravity.x', 1, ', solver.rough_substeps, '),
     ('', 1, ': cannot change while running (these can: ')])

@@ -24,12 +24,12 @@ def unknown(key: Any, known, what: str) -> str:
     return f'unknown {what}{hint} (known: {", ".join(known)})'
 
 
-def mapping(value: Any, path: str) -> dict:
-    """Return a mapping; None becomes an empty one, other types are refused."""
+def mapping(value: Any, path: str, form: str = '') -> dict:
+    """Return a mapping; None becomes an empty one, other types are refused with its form."""
     if value is None:
         return {}
     if not isinstance(value, dict):
-        raise InputError(f'{path}: must be a mapping (got {_short(value)})')
+        raise InputError(f'{path}: must be a mapping{form and f" {form}"} (got {_short(value)})')
     return value
 
 
@@ -53,7 +53,7 @@ def read(kind: type, value: Any, path: str, *, left_to_others: tuple[str, ...] =
     left_to_others : further keys that the mapping may have
 
     """
-    value = mapping(value, path)
+    value = mapping(value, path, _form(kind))
     known = {field.name: field for field in fields(kind)}
     hints = get_type_hints(kind)
     for key in value:
@@ -89,8 +89,6 @@ def _value(kind: Any, value: Any, path: str, metadata) -> Any:
             raise InputError(f'{path}: must be text or a list (got {_short(value)})')
         kind = fits[0] if fits else kinds[0]
     if isinstance(kind, type) and is_dataclass(kind):
-        if value is not None and not isinstance(value, dict) and _form(kind):
-            raise InputError(f'{path}: must be a mapping {_form(kind)} (got {_short(value)})')
         return read(kind, value, path)
     if get_origin(kind) is tuple:
         return _tuple(get_args(kind), value, path, metadata)
@@ -117,12 +115,15 @@ def _form(kind: Any) -> str:
 
 
 def _tuple(kinds: tuple, value: Any, path: str, metadata) -> tuple:
+    what = 'entries' if is_dataclass(kinds[0]) else 'numbers'
+    if metadata.get('unit') and what == 'numbers':
+        what = f'numbers in {metadata["unit"]}'
     if not isinstance(value, list | tuple):
-        raise InputError(f'{path}: must be a list (got {_short(value)})')
+        form = 'a list' if kinds[-1] is Ellipsis else f'a list of {len(kinds)} {what}'
+        raise InputError(f'{path}: must be {form} (got {_short(value)})')
     if kinds[-1] is Ellipsis:
         return tuple(_value(kinds[0], v, f'{path}[{k}]', metadata) for k, v in enumerate(value))
     if len(value) != len(kinds):
-        what = 'entries' if is_dataclass(kinds[0]) else 'numbers'
         raise InputError(f'{path}: must be {len(kinds)} {what} (got {len(value)})')
     result = tuple(_value(k, v, f'{path}[{n}]', metadata)
                    for n, (k, v) in enumerate(zip(kinds, value)))
