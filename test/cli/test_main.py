@@ -82,10 +82,12 @@ def test_linear_algebra_waits_for_no_second_core_unless_asked():
 
 
 def test_an_unknown_verb_is_refused(capsys):
-    with pytest.raises(SystemExit) as end:
-        main(['simulate'])
-    assert end.value.code == 2
-    assert "invalid choice: 'simulate'" in capsys.readouterr().err
+    for word, said in (('rnu', "rnu: unknown verb; did you mean 'run'? (known: demo, node, "),
+                       ('simulate', 'simulate: unknown verb (known: demo, node, ')):
+        with pytest.raises(SystemExit) as end:
+            main([word])
+        assert end.value.code == 2
+        assert f'xpbd_ros: error: {said}' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('verb', VERBS)
@@ -127,6 +129,21 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     assert err.endswith('use fewer particles\n')
 
 
+@pytest.mark.parametrize('error, said', [
+    (OSError(28, 'No space left on device'), 'No space left on device'),
+    (OSError(28, 'No space left on device', '/a\nb'), '/a\\nb: No space left on device'),
+    (TimeoutError('too late'), 'too late')])
+def test_an_error_of_the_system_is_one_line(error, said, monkeypatch, capsys):
+    """That of a write names no file."""
+    module = importlib.import_module('xpbd_ros.cli.run')
+
+    def run(arguments):
+        raise error
+    monkeypatch.setattr(module, 'run', run)
+    assert main(['run', 'towel']) == 2
+    assert capsys.readouterr() == ('', f'xpbd_ros run: {said}\n')
+
+
 def test_an_interrupt_is_one_line(monkeypatch, capsys):
     module = importlib.import_module('xpbd_ros.cli.run')
 
@@ -151,7 +168,9 @@ def test_the_node_takes_ros_arguments_only(capsys):
         with pytest.raises(SystemExit) as end:
             main(['node', *words])
         assert end.value.code == 2
-        assert 'unrecognized arguments: ' in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert 'unrecognized arguments: ' in said
+        assert 'parameters follow --ros-args: xpbd_ros node --ros-args -p scene:=' in said
 
 
 @pytest.fixture(scope='module')

@@ -3,12 +3,13 @@
 import json
 import math
 from pathlib import Path
+import resource
 
 import numpy as np
 import pytest
 
 from xpbd_ros.cli.main import main
-from xpbd_ros.cli.output import check_outputs, new_folder, write_json
+from xpbd_ros.cli.output import check_outputs, new_folder, write_json, write_text
 from xpbd_ros.errors import InputError
 from xpbd_ros.log.folder import folder_of, fresh_folder
 
@@ -42,6 +43,17 @@ def test_a_new_folder_is_removed_if_the_work_fails(tmp_path):
     with pytest.raises(InputError, match=r'd: cannot be created \(Not a directory\)'), new_folder(
             tmp_path / 'file' / 'd'):
         pass
+
+
+def test_a_full_disk_is_told_with_the_file(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(InputError) as error:
+            write_text(tmp_path / 'page.html', 'x' * 2000)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert str(error.value) == f"{tmp_path / 'page.html'}: cannot be written: File too large"
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):

@@ -338,7 +338,7 @@ def test_a_study_lists_its_differences_from_the_log(log, scene, capsys):
 BAD = {
     'no such scene': (['run', 'swinng'], "swinng: unknown scene; did you mean 'swing'?"),
     'no such file': (['run', 'none.yaml'], 'none.yaml: no such file'),
-    'a folder': (['run', 'full'], 'full: unknown scene (known: '),
+    'a folder': (['run', 'full'], 'full: is a folder'),
     'bad YAML': (['run', 'bad.yaml'], 'bad.yaml: line 3, column 1: '),
     'not UTF-8': (['run', 'latin.yaml'], 'latin.yaml: not UTF-8 text'),
     'unknown key': (['run', 'SCENE', '--set', 'cloths.sheet.densty=1'],

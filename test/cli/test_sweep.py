@@ -111,7 +111,7 @@ def test_a_table_of_other_keys_is_refused(text, words, scene, tmp_path, capsys):
 
 
 @pytest.mark.parametrize('words, said', [
-    ((), 'sweep needs either --table or --vary, and not both'),
+    ((), 'xpbd_ros sweep: needs either --table or --vary, and not both'),
     (('--vary', f'{WARP}=1:2'), '--vary needs --runs'),
     (('--vary', f'{WARP}=1', '--runs', '2'), 'must be KEY=LOW:HIGH or KEY=LOW:HIGH:log'),
     (('--vary', f'{WARP}=2:1', '--runs', '2'), 'LOW must be less than HIGH'),

@@ -333,7 +333,12 @@ def test_a_file_that_cannot_be_read_is_told_in_one_line(tmp_path):
                           'allowed')
     name = write(tmp_path, b'#' * (17 * 2**20))
     assert told(name) == f'{name}: larger than 16 MiB'
-    assert told(str(tmp_path)).startswith(f'{tmp_path}: unknown scene (known: ')
+    assert told(str(tmp_path)).startswith(f'{tmp_path}: is a folder; give a .yaml file, or one '
+                                          'of arch, bag, ')
+    (tmp_path / 'run_0.mcap').touch()
+    assert told(str(tmp_path)).startswith(f'{tmp_path}: is a folder of a log, which xpbd_ros '
+                                          'resim solves again; give a .yaml file, or one of ')
+    assert told('').startswith("'': is a folder; give a .yaml file, or one of arch, bag, ")
     assert told('a\0b').startswith('a\0b: unknown scene (known: ')
     name = write(tmp_path, b'{}', os.fsdecode(b'a\xff.yaml'))
     assert told(name).startswith(f'{name}: its name is no text in the encoding of file names, ')

@@ -16,7 +16,7 @@ budget_ms.
 
 from pathlib import Path
 
-from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json, write_text
 from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
@@ -47,7 +47,7 @@ def run(arguments) -> int:
     if arguments.calibrate is not None:
         return calibrate(arguments)
     if arguments.scene is None:
-        raise InputError('cost: needs a scene, or --calibrate')
+        raise InputError('needs a scene, or --calibrate')
     from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
     overrides = overrides_of(arguments.keys, duration=arguments.duration)
@@ -85,10 +85,10 @@ def calibrate(arguments) -> int:
     """Measure the cost table of this machine and write it."""
     for name in ('scene', 'duration', 'commands', 'picture'):
         if getattr(arguments, name) is not None:
-            raise InputError(f'cost --calibrate: does not go with {name}; it runs scenes of its '
+            raise InputError(f'--calibrate: does not go with {name}; it runs scenes of its '
                              'own')
     if arguments.keys:
-        raise InputError('cost --calibrate: does not go with --set; it runs scenes of its own')
+        raise InputError('--calibrate: does not go with --set; it runs scenes of its own')
     file = Path(arguments.calibrate) if arguments.calibrate else None
     check_outputs(arguments.json, file)
     if file is None:
@@ -100,7 +100,7 @@ def calibrate(arguments) -> int:
     from xpbd_ros.study.machine import describe, machine
     here = machine()
     table = measured(progress)
-    file.write_text(table_text(table, describe(here)))
+    write_text(file, table_text(table, describe(here)))
     write_json(arguments.json, {'machine': here, 'table': str(file.absolute()),
                                 'methods': table.methods, 'effects': table.effects})
     if arguments.json != '-':

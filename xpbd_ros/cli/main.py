@@ -54,6 +54,9 @@ def main(argv: list[str] | None = None) -> int:
         + "\n\n'xpbd_ros VERB --help' explains a verb.")
     parser.add_argument('--version', action='version', version=f'xpbd_ros {__version__}')
     parser.add_argument('verb', choices=VERBS, metavar='VERB')
+    if argv and not argv[0].startswith('-'):
+        from xpbd_ros.scene.read import unknown
+        parser.error(f'{argv[0]}: {unknown(argv[0], VERBS, "verb")}')
     parser.parse_args(argv)
     return 2
 
@@ -75,7 +78,8 @@ def run_verb(name: str, argv: list[str]) -> int:
               file=sys.stderr)
         return 2
     except OSError as error:
-        print(f'xpbd_ros {name}: {brief(str(error.filename))}: {error.strerror}', file=sys.stderr)
+        where = '' if error.filename is None else f'{brief(str(error.filename))}: '
+        print(f'xpbd_ros {name}: {where}{error.strerror or error}', file=sys.stderr)
         return 2
     except KeyboardInterrupt as interrupt:
         print(f'xpbd_ros {name}: interrupted {interrupt}'.rstrip(), file=sys.stderr)

@@ -18,7 +18,10 @@ def main(argv: list[str]) -> int:
         prog='xpbd_ros node', usage='xpbd_ros node [-h] [--ros-args ...]',
         description=__doc__.strip(), formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog=f'example:\n  {EXAMPLE}')
-    parser.parse_args(not_for_ros(argv))
+    _, others = parser.parse_known_args(not_for_ros(argv))
+    if others:
+        parser.error(f'unrecognized arguments: {" ".join(others)}; parameters follow --ros-args: '
+                     f'{EXAMPLE}')
     interrupt_on_signals()
     with exit_at_once_on_signals():
         from xpbd_ros.cli.ros import need_ros

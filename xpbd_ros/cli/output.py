@@ -92,11 +92,16 @@ def write_json(destination: str | None, data: dict) -> None:
         sys.stdout.write(text)
         return
     refuse_existing(destination)
+    write_text(destination, text)
+
+
+def write_text(file: str | Path, text: str) -> None:
+    """Write a new file; raise InputError if that fails, such as on a full disk."""
     try:
-        with open(destination, 'x', encoding='utf-8') as file:
-            file.write(text)
+        with open(file, 'x', encoding='utf-8') as stream:
+            stream.write(text)
     except OSError as error:
-        raise InputError(f'{destination}: cannot be written: {error.strerror}') from error
+        raise InputError(f'{file}: cannot be written: {error.strerror}') from error
 
 
 def finite(value: object) -> object:

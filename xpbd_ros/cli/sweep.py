@@ -102,7 +102,7 @@ def values_of(arguments) -> tuple[dict, list[dict], dict]:
     from xpbd_ros.sim.backend.disk_cache import CACHE_FOLDER
     from xpbd_ros.sweep.parameters import check_keys, draw, Range, read_table, whole_numbers
     if bool(arguments.table) == bool(arguments.vary):
-        raise InputError('sweep needs either --table or --vary, and not both')
+        raise InputError('needs either --table or --vary, and not both')
     if arguments.vary and (arguments.runs is None or arguments.runs < 1):
         raise InputError('--vary needs --runs, the number of runs, at least 1')
     if arguments.table and arguments.runs is not None:

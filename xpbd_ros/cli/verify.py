@@ -49,7 +49,8 @@ def run(arguments) -> int:
     }
     if folder:
         numbers['pictures'] = draw(answers, folder)
-        (folder / 'verify.md').write_text('\n'.join([*table(answers, wrong), '']))
+        (folder / 'verify.md').write_text('\n'.join([*table(answers, wrong), '']),
+                                          encoding='utf-8')
     write_json(arguments.json, numbers)
     if arguments.json != '-':
         print('\n'.join(lines(answers, wrong)))

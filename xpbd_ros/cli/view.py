@@ -18,7 +18,7 @@ import sys
 import threading
 import webbrowser
 
-from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
+from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json, write_text
 from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros, new_log
@@ -193,7 +193,7 @@ def show_tracks(arguments, tracks, scene, names=()) -> int:
         view = RecordedView(server, tracks, scene.sections.get('colliders', {}), names)
         if arguments.export:
             file = Path(arguments.export).absolute()
-            file.write_text(view.as_html(), encoding='utf-8')
+            write_text(file, view.as_html())
             url = file.as_uri()
             if arguments.json != '-':
                 print(file)

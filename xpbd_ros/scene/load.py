@@ -74,6 +74,10 @@ def find_scene(name: str) -> Path:
     if path.suffix in ('.yaml', '.yml'):
         raise InputError(f'{name}: ' + ('is a folder' if path.is_dir() else 'no such file'))
     shipped = shipped_scenes()
+    if name not in shipped and path.is_dir():
+        what = 'of a log, which xpbd_ros resim solves again' if any(path.glob('*.mcap')) else ''
+        raise InputError(f"{name or repr(name)}: is a folder{what and f' {what}'}; give a .yaml "
+                         f'file, or one of {", ".join(shipped)}')
     if name not in shipped:
         raise InputError(f"{name}: {unknown(name, shipped, 'scene')}; or give a .yaml file")
     return shipped[name]
