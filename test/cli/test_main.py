@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from support.logs import recorded, SHEET
 import xpbd_ros
 from xpbd_ros.cli.main import main, VERBS
 from xpbd_ros.errors import InputError
@@ -171,6 +172,21 @@ def test_the_node_takes_ros_arguments_only(capsys):
         said = capsys.readouterr().err
         assert 'unrecognized arguments: ' in said
         assert 'parameters follow --ros-args: xpbd_ros node --ros-args -p scene:=' in said
+
+
+def test_one_of_a_thing_is_told_in_the_singular(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path('scene.yaml').write_text(SHEET.replace('substeps: 8', 'substeps: 1'))
+    recorded('scene.yaml', Path('log'), {}, frames=1)
+    for words, said in (
+            (['run', 'scene.yaml', '--duration', '0.016'], 'scene: 1 frame, '),
+            (['check', 'scene.yaml'], '1 substep as given'),
+            (['check', 'scene.yaml'], 'sheet: 7x5 at 1 substep behaves like '),
+            (['export', 'log', '--format', 'npz', '--every', '9'], ': 1 frame of 35 particles'),
+            (['sweep', 'scene.yaml', '--vary', 'cloths.sheet.density=0.1:0.2', '--runs', '1',
+              '--duration', '0.016'], '1 run, 0 without an outcome, in ')):
+        main(words)
+        assert said in capsys.readouterr().out, words
 
 
 @pytest.fixture(scope='module')

@@ -245,7 +245,7 @@ def test_messages_of_a_damaged_chunk_are_read_on_request(run, tmp_path):
     taken = 121 - reader.count
     assert 0 < taken <= 10
     assert all_of_it.damage == [
-        f'{reader.damage[0]}; {taken} messages in it are taken unchecked']
+        f'{reader.damage[0]}; {taken} messages in it taken unchecked']
     whole, found = list(LogReader(run).messages()), list(all_of_it.messages())
     assert sum(one != other for one, other in zip(whole, found, strict=True)) <= 1
 
@@ -261,7 +261,7 @@ def test_a_damaged_magic_at_the_start_hides_nothing(run, damaged):
 def test_what_follows_the_end_is_no_part_of_the_log(run, damaged):
     data = (run / 'run_0.mcap').read_bytes()
     reader = damaged(data + b'something else')
-    assert reader.damage == ['14 bytes after its end are ignored']
+    assert reader.damage == ['14 bytes after its end ignored']
     assert reader.count == 121
 
 

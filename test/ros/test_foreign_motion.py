@@ -358,7 +358,7 @@ def test_messages_that_cannot_be_unpacked_are_counted(tmp_path):
     for index in range(1, 61):
         simulation.step(motion.commands(index))
     assert len(motion.texts()) == 1
-    assert motion.texts()[0].startswith('/tool_pose: 1 messages are refused: cannot be unpacked')
+    assert motion.texts()[0].startswith('/tool_pose: 1 message refused: cannot be unpacked')
 
 
 def test_a_silent_topic_releases_its_pin_and_is_told(tmp_path):

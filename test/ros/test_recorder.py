@@ -149,9 +149,10 @@ def test_what_happened_is_told_once():
     said = []
     status = status_of_a_node(said)
     counts = {'frames_taken_back': 2, 'frames_on_one_thread': 5}
-    for dropped, more, told in ((3, 0, '2 frames were not finite|3 frames dropped|5 frames of'),
+    for dropped, more, told in ((3, 0, '2 frames rolled back, not finite|3 frames dropped|'
+                                 '5 frames of'),
                                 (3, 0, ''), (10, 0, '7 frames dropped'), (10, 0, ''),
-                                (10, 1, '1 frames were not finite|1 frames of')):
+                                (10, 1, '1 frame rolled back, not finite|1 frame of')):
         found = {name: count + more for name, count in counts.items()}
         level, summary = status._findings(dropped, found)
         assert all(text in summary for text in told.split('|')), summary

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.overrides import add_set_argument, overrides_of
+from xpbd_ros.errors import counted
 
 EXAMPLE = 'xpbd_ros check towel --set solver.substeps=8'
 
@@ -49,7 +50,8 @@ def run(arguments) -> int:
 def lines(name: str, found) -> list[str]:
     """Return the printed report."""
     solver = found.solver
-    text = [f'{name}: {found.particles} particles, {found.constraints} constraints',
+    text = [f'{name}: {counted(found.particles, "particle")}, '
+            f'{counted(found.constraints, "constraint")}',
             f'solver      {solver.method}, {solver.integrator}, {solver.substeps} × '
             f'{solver.iterations} ({solver.reason})',
             f'a frame     about {found.frame_ms:.2g} ms of {found.frame_dt_ms:.3g} on one core of '
@@ -59,9 +61,11 @@ def lines(name: str, found) -> list[str]:
                  f'{"least":>10} {"largest":>10}']
     for row in found.stiffness:
         effect = f'{row.effect} {row.direction}' if row.direction else row.effect
-        asked = 'rigid' if row.asked == float('inf') else f'{row.asked:.4g}'
-        text.append(f'  {row.cloth:<10} {effect:<13} {asked:>12} {row.effective:>12.4g} '
-                    f'{row.effective_min:>10.4g} {row.effective_max:>10.4g} {row.unit}')
+        asked, mean, least, largest = (
+            'rigid' if value == float('inf') else f'{value:.4g}'
+            for value in (row.asked, row.effective, row.effective_min, row.effective_max))
+        text.append(f'  {row.cloth:<10} {effect:<13} {asked:>12} {mean:>12} {least:>10} '
+                    f'{largest:>10} {row.unit}')
     for row in found.decay:
         text.append(f'  {row.cloth:<10} numerical damping takes {100 * row.lost_per_second:.3g} % '
                     f'per second from the amplitude of a {row.mode} of {row.frequency_hz:.2g} Hz')

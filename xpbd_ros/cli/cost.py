@@ -20,7 +20,7 @@ from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json, wr
 from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros cost towel --duration 2'
@@ -117,8 +117,9 @@ def numbers_of(row, most: dict) -> dict:
 
 def lines(name: str, found, machine: str, most: dict) -> list[str]:
     """Return the printed table."""
-    text = [f'{name}: {found.particles} particles, {found.substeps} substeps, {found.frames} '
-            f'frames, {found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
+    text = [f'{name}: {counted(found.particles, "particle")}, '
+            f'{counted(found.substeps, "substep")}, {counted(found.frames, "frame")}, '
+            f'{found.frame_ms:.2f} ± {found.frame_ms_spread:.2f} ms per frame',
             machine, '',
             f'  {"effect":<14} {"µs/substep":>15} {"share":>7} {"constraints":>11} '
             f'{"ns each":>8} {"least":>6} {"flops":>6} {"KiB":>8} {"kernels":>7}']

@@ -13,7 +13,7 @@ import sys
 from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, write_json
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros
-from xpbd_ros.errors import brief, InputError
+from xpbd_ros.errors import brief, counted, InputError
 from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = 'xpbd_ros export towel_run --format parquet -o towel_tables'
@@ -49,7 +49,8 @@ def run(arguments) -> int:
                                 'cloths': states.particles, 'format': arguments.format})
     if arguments.json != '-':
         size = sum(file.stat().st_size for file in files)
-        print(f'{states.path}: {len(states)} frames of {particles} particles')
+        print(f'{states.path}: {counted(len(states), "frame")} of '
+              f'{counted(particles, "particle")}')
         more = f' and {len(files) - 1} more' if len(files) > 1 else ''
         print(f'{files[0]}{more}, {1e-6 * size:.2f} MB')
     return 0

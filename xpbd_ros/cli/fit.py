@@ -16,7 +16,7 @@ from xpbd_ros.cli.output import add_json_argument, check_outputs, new_folder, ST
 from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import commands_of, need_ros
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = ('xpbd_ros fit towel --log camera_run --vary cloths.towel.effects.bend.stiffness --vary '
@@ -196,8 +196,8 @@ def lines(numbers: dict) -> list[str]:
     solver = numbers['solver']
     return [*text,
             f"residual  {1e3 * numbers['residual_m']:.3g} mm RMS",
-            f"points    {numbers['points']} of {numbers['clouds']} clouds, compared with "
-            + ('their particles' if numbers['organised'] else 'the surface'),
+            f"points    {numbers['points']} of {counted(numbers['clouds'], 'cloud')}, compared "
+            'with ' + ('their particles' if numbers['organised'] else 'the surface'),
             f"solver    {solver['method']}, {solver['integrator']}, "
             f"{solver['substeps']} × {solver['iterations']}; {numbers['runs']} runs",
             f"picture   {numbers['pictures'][0]}"]

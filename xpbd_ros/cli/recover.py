@@ -13,6 +13,7 @@ from pathlib import Path
 
 from xpbd_ros.cli.info import content
 from xpbd_ros.cli.output import add_json_argument, check_outputs, refuse_existing, write_json
+from xpbd_ros.errors import counted
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.recover import recover
@@ -50,6 +51,6 @@ def run(arguments) -> int:
         print(f'{log.path}: {"damaged" if log.damage else "whole"}')
         for text in log.damage:
             print(f'  {text}')
-        print(f'{folder.absolute()}: {"whole" if whole.whole else "damaged"}, {whole.count} '
-              f'messages, {whole.frames} frames')
+        print(f'{folder.absolute()}: {"whole" if whole.whole else "damaged"}, '
+              f'{counted(whole.count, "message")}, {counted(whole.frames, "frame")}')
     return 1 if log.lossy else 0

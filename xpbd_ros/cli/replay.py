@@ -20,7 +20,7 @@ import sys
 
 from xpbd_ros.cli.output import add_json_argument, check_output, write_json
 from xpbd_ros.cli.ros import need_ros
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.reader import LogReader
 
 EXAMPLE = 'xpbd_ros replay drape_run --rate 0.5 --loop --clock'
@@ -99,7 +99,7 @@ def run(arguments) -> int:
         print(f'xpbd_ros replay: damaged log: {text}', file=sys.stderr)
     assert log.start_ns is not None and log.end_ns is not None
     duration = (log.end_ns - log.start_ns) * 1e-9
-    say(f'{log.path}: {log.count} messages, {duration:.3f} s')
+    say(f'{log.path}: {counted(log.count, "message")}, {duration:.3f} s')
     if left_out:
         say(f'left out, as inputs: {", ".join(left_out)} (--inputs publishes them)')
     published, stopped = replay(
@@ -111,7 +111,8 @@ def run(arguments) -> int:
         ack_timeout=ACK_TIMEOUT if acked is None else 1e-3 * acked or None,
         remap=arguments.remap, log_level=arguments.log_level,
         keyboard=not arguments.disable_keyboard_controls)
-    say(f'{"stopped" if stopped else "ended"} after {published.total()} messages')
+    say(f'{"stopped" if stopped else "ended"} after '
+        f'{counted(published.total(), "message")}')
     write_json(arguments.json, {
         'run': Path(arguments.run), 'whole': log.whole, 'damage': log.damage,
         'messages': published.total(), 'topics': dict(published), 'left_out': left_out,

@@ -22,7 +22,7 @@ from xpbd_ros.cli.output import add_json_argument, check_outputs, refuse_existin
 from xpbd_ros.cli.overrides import add_set_argument, parse_keys
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.writer import CHECKPOINT, VECTOR_BITS
 
@@ -185,7 +185,7 @@ def environment_differences(recording) -> list[dict[str, str]]:
 
 def report(repeat, numbers: dict) -> str:
     """Return the result as text."""
-    found = [f"{repeat.path}: {numbers['frames']} frames compared, "
+    found = [f"{repeat.path}: {counted(numbers['frames'], 'frame')} compared, "
              f"{numbers['real_time_factor']:.2f} × real time"]
     if repeat.first is None and repeat.compared:
         found.append('states    bit-identical')

@@ -19,7 +19,7 @@ from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import progress
 from xpbd_ros.cli.ros import need_ros, new_log, recording_of
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.folder import fresh_folder
 from xpbd_ros.scene.frames import notes_without_tf
 
@@ -123,7 +123,7 @@ def run(arguments) -> int:
         notes += repeat.notes
         numbers['commands'] = repeat.numbers()
     if motion:
-        notes += [*motion.texts(), *first_texts(refused, 'commands are refused')]
+        notes += [*motion.texts(), *first_texts(refused, 'refused')]
     if shots:
         numbers['pictures'] = [shots.draw(Path(arguments.picture))]
     write_json(arguments.json, numbers)
@@ -205,7 +205,8 @@ def refusals(frame) -> list[str]:
 def verdict(repeat, quiet: bool) -> int:
     """Print whether the run was as recorded, and return the exit code."""
     if repeat.identical and not quiet:
-        print(f'commands as in {repeat.path}: {repeat.compared} frames, bit for bit')
+        print(f'commands as in {repeat.path}: {counted(repeat.compared, "frame")}, bit for '
+              'bit')
     for text in repeat.problems:
         print(f'xpbd_ros run: {repeat.path}: {text}', file=sys.stderr)
     return 0 if repeat.identical else 1
@@ -217,7 +218,8 @@ def table(name: str, numbers: dict, monitor) -> str:
 
     solver = numbers['solver']
     return '\n'.join([
-        f"{name}: {numbers['frames']} frames, {numbers['real_time_factor']:.2f} × real time",
+        f"{name}: {counted(numbers['frames'], 'frame')}, "
+        f"{numbers['real_time_factor']:.2f} × real time",
         f"step     {numbers['step_ms']['p50']:.2f} ms p50, {numbers['step_ms']['p95']:.2f} ms p95",
         f"solver   {solver['method']}, {solver['integrator']}, "
         f"{solver['substeps']} × {solver['iterations']} ({solver['reason']})",
@@ -226,10 +228,10 @@ def table(name: str, numbers: dict, monitor) -> str:
         f"log      {numbers['run']}",
         *(f'picture  {file}' for file in numbers.get('pictures', ())),
         *(f'note     {text}' for text in numbers['notes']),
-        *(f'note     {numbers[guard]} frames {text}' for guard, text in TOTALS.items()
+        *(f'note     {counted(numbers[guard], "frame")} {text}' for guard, text in TOTALS.items()
           if numbers.get(guard)),
         *(f'note     {text}' for text in texts(numbers['guards'])),
-        *([f"refused  {numbers['refused']} commands"] if numbers['refused'] else [])])
+        *([f"refused  {counted(numbers['refused'], 'command')}"] if numbers['refused'] else [])])
 
 
 def count_frames(scene) -> int:

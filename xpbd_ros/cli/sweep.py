@@ -22,7 +22,7 @@ from xpbd_ros import __version__
 from xpbd_ros.cli.output import add_json_argument, check_outputs, write_json
 from xpbd_ros.cli.overrides import add_set_argument, overrides_of
 from xpbd_ros.cli.progress import add_scheduler_argument, progress
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.folder import fresh_folder
 
 EXAMPLE = ('xpbd_ros sweep drape --vary cloths.cover.friction=0.1:1 --vary '
@@ -176,9 +176,9 @@ def compute(arguments, store, base: dict, values: list[dict], workers: int) -> N
 
 def lines(numbers: dict, rows, failed: list[dict]) -> list[str]:
     """Return the printed summary."""
-    text = [f"{numbers['runs']} runs, {numbers['failed']} without an outcome, in "
+    text = [f"{counted(numbers['runs'], 'run')}, {numbers['failed']} without an outcome, in "
             f"{numbers['wall_s']:.1f} s"
-            + (f" with {numbers['workers']} worker{'s' * (numbers['workers'] > 1)}"
+            + (f" with {counted(numbers['workers'], 'worker')}"
                if numbers['workers'] else '')
             + (f" ({numbers['resumed']} from before)" if numbers['resumed'] else '')]
     for name in SHOWN:

@@ -17,7 +17,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, DataEnd, Metadata, Schema
 from mcap.stream_reader import CRCValidationError
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.records import HEAD, MAGIC, parse, pieces, read_summary, Summary
 from xpbd_ros.log.resync import CHUNK_HEAD, decompressed, descriptions, UNCOMPRESSED
 from xpbd_ros.log.walk import Record, walk
@@ -116,8 +116,8 @@ class Scan:
             self._lacks.append('it has no end: the writer was killed, or is still recording')
             loose = sum(span.opcode == Opcode.MESSAGE for span in self.spans)
             if loose and not unchecked:
-                self._lacks.append(f'no checksum covers {loose} messages of its last chunk, '
-                                   'which is incomplete')
+                self._lacks.append(f'no checksum covers {counted(loose, "message")} of its last '
+                                   'chunk, which is incomplete')
         else:
             summary = self._check_end(file, size, end) or summary
         self._compare(summary or Summary())
@@ -148,7 +148,7 @@ class Scan:
                 self._places.append(
                     f'bytes {record.start} to {record.end} are unreadable: '
                     f'{title(record.opcode)} is damaged ({reason(error)})' +
-                    f'; {taken} messages in it are taken unchecked' * bool(taken))
+                    f'; {counted(taken, "message")} in it taken unchecked' * bool(taken))
                 self.lossy = True
             self._crc = zlib.crc32(record.body, zlib.crc32(record.head, self._crc))
             if record.opcode == Opcode.FOOTER:
@@ -237,7 +237,7 @@ class Scan:
                                'the file there')
             self.lossy = True
         elif size > end:
-            self._lacks.append(f'{size - end} bytes after its end are ignored')
+            self._lacks.append(f'{counted(size - end, "byte")} after its end ignored')
         summary = read_summary(file, end)
         if summary is None:
             self._lacks.append('the summary before its end is damaged')
@@ -265,7 +265,8 @@ class Scan:
         nameless = sum(count for channel, count in self.counts.items()
                        if channel not in self.channels)
         if nameless:
-            self._lacks.append(f'{nameless} messages are of topics whose description is lost')
+            self._lacks.append(f'{counted(nameless, "message")} of topics whose description is '
+                               'lost')
             self.lossy = True
         if summary.statistics:
             count = summary.statistics.message_count

@@ -6,6 +6,7 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from xpbd_ros.errors import counted
 from xpbd_ros.ros.guards import LOST
 from xpbd_ros.ros.messages import set_stamp
 from xpbd_ros.ros.services import WAITING
@@ -119,8 +120,8 @@ class Status:
         rolled_back = int(stats['frames_taken_back'])
         alone = int(stats.get('frames_on_one_thread', 0))
         if rolled_back > self._rolled_back_before:
-            errors.append(f'{rolled_back - self._rolled_back_before} frames were not finite and '
-                          'were rolled back: the cloth stands still')
+            errors.append(f'{counted(rolled_back - self._rolled_back_before, "frame")} rolled '
+                          'back, not finite or implausible: the cloth stands still')
             log.error(errors[-1])
         if self.lost_log:
             errors.append(self.lost_log)
@@ -136,12 +137,12 @@ class Status:
             warnings.append(f'the clock jumped by {sum(self._jumps_ns) * 1e-9:+.3f} s; '
                             'stamps follow it')
         if dropped > self._dropped_before:
-            warnings.append(f'{dropped - self._dropped_before} frames dropped in the last second: '
-                            'too slow for real time')
+            warnings.append(f'{counted(dropped - self._dropped_before, "frame")} dropped in the '
+                            'last second: too slow for real time')
             log.warning(warnings[-1])
         if alone > self._alone_before:
-            warnings.append(f'{alone - self._alone_before} frames of the last second were done '
-                            'by one thread: other programs use the cores of the others; free '
+            warnings.append(f'{counted(alone - self._alone_before, "frame")} of the last second '
+                            'done by one thread: other programs use the cores of the others; free '
                             'some, or take fewer solver.threads')
             log.warning(warnings[-1], throttle_duration_sec=60.0)
         lost = [f'{stats[name]} {text}' for name, text in LOST.items() if stats.get(name)]

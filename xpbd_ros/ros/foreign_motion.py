@@ -13,7 +13,7 @@ from typing import Any
 
 from sensor_msgs.msg import JointState
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.log.foreign import ForeignLog, Record
 from xpbd_ros.ros.followers import Followers
 from xpbd_ros.ros.foreign_topic import message_class
@@ -190,7 +190,7 @@ class ForeignMotion:
             for topic in self._takers.keys() - heard:
                 self._check_times(topic, path)
             refused = first_texts([text for reasons in self._refused.values() for text in reasons],
-                                  'messages are refused')
+                                  'refused')
             raise InputError(f'{path}: {"; ".join([reason, *refused])} ({self._log.path})')
         self._clear()
         self._now_ns = self._begin_ns
@@ -253,5 +253,5 @@ class ForeignMotion:
     def texts(self) -> list[str]:
         """Return notes on silent TF frames and refused messages."""
         return [*self._notes, *(
-            f'{topic}: {len(reasons)} messages are refused: {reasons[0]}'
+            f'{topic}: {counted(len(reasons), "message")} refused: {reasons[0]}'
             for topic, reasons in self._refused.items())]

@@ -2,8 +2,10 @@
 
 from collections.abc import Mapping
 
-TOTALS = {'frames_taken_back': 'were not finite and were rolled back',
-          'explicit_redone': 'were unstable with explicit and were computed again with line'}
+from xpbd_ros.errors import counted
+
+TOTALS = {'frames_taken_back': 'rolled back, not finite or implausible',
+          'explicit_redone': 'unstable with explicit, computed again with line'}
 """counters of frames since the start, each with a text about so many frames"""
 LOST = {'self_without_room': 'pairs of cloth were left out for lack of room, and may cross; raise '
                              'effects.self_collision.room',
@@ -49,5 +51,5 @@ class Tally:
 
 def texts(found: Mapping[str, Mapping[str, int]]) -> list[str]:
     """Return a line for each counter of a tally, the worst first."""
-    return [f"{name}: {IN_FRAME[name]} (in {found[name]['frames']} frames, at most "
-            f"{found[name]['largest']} in one)" for name in IN_FRAME if name in found]
+    return [f"{name}: {IN_FRAME[name]} (in {counted(found[name]['frames'], 'frame')}, at "
+            f"most {found[name]['largest']} in one)" for name in IN_FRAME if name in found]

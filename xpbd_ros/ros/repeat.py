@@ -158,7 +158,7 @@ class Repeat:
         elif self.first is None and self.missing:
             found.append(f'{self.missing} of {self.missing + self.compared} frames have no state '
                          'hash in the log and are not compared')
-        return found + first_texts(self.refused, 'inputs are refused')
+        return found + first_texts(self.refused, 'refused')
 
     def numbers(self) -> dict:
         """Return the result as JSON keys."""

@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sensor_msgs.msg import PointCloud2
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.ros.clouds import points_of
 from xpbd_ros.ros.inputs import check_frame
 from xpbd_ros.sim.command_check import FAR
@@ -95,7 +95,8 @@ class CloudStates:
         if not (np.abs(points[~missing]) <= FAR).all():
             raise InputError(f'a point is infinite, or further than {FAR:g} m away')
         if message.is_dense and missing.any():
-            raise InputError(f'{missing.sum()} points are NaN, and the cloud says is_dense')
+            raise InputError(f'NaN in {counted(missing.sum(), "point")}, and the cloud says '
+                             'is_dense')
         grid = cloth.mesh.grid
         if points.shape[:2] == ((1, len(cloth.slots)) if grid is None else grid.shape):
             x, holes = filled(points.reshape(-1, 3), cloth), int(missing.sum())
@@ -109,8 +110,8 @@ class CloudStates:
     def _register(self, points: np.ndarray, cloth: Cloth) -> np.ndarray:
         count = len(cloth.slots)
         if len(points) < count:
-            raise InputError(f"{len(points)} points, and '{cloth.name}' has {count} particles: "
-                             'too few to register')
+            raise InputError(f"{counted(len(points), 'point')}, and '{cloth.name}' has {count} "
+                             'particles: too few to register')
         found = registered(points, self._saved().simulation(), cloth, self._radius())
         self.values = {'set_state_points': len(points),
                        'set_state_particles': len(found.distance),
@@ -119,8 +120,8 @@ class CloudStates:
                        'set_state_points_left': found.left}
         self._tell(f"'{cloth.name}' is registered to {len(points)} points: "
                    f'{len(found.distance)} of {count} particles, residual {found.rms:.3g} m RMS, '
-                   f'{found.distance.max():.3g} m at most; {found.left} points are further than '
-                   f'{self._radius():g} m from the cloth')
+                   f'{found.distance.max():.3g} m at most; {counted(found.left, "point")} further '
+                   f'than {self._radius():g} m from the cloth')
         return found.x
 
 

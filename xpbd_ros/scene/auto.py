@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED
 from xpbd_ros.scene.model import SolverKeys
 from xpbd_ros.scene.stability import (
@@ -125,7 +125,7 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool) ->
             LINE['backward_euler'] * stable, _affordable(
                 keys, 'line', effects, state, frame_dt, live))
     if keys.substeps is not None:
-        reason = f'{method}, {integrator}, {keys.substeps} substeps as given'
+        reason = f'{method}, {integrator}, {counted(keys.substeps, "substep")} as given'
         if method == 'explicit' and keys.substeps < stable:
             reason += f'; {ceil(min(stable, 1e9))} would be stable in every orientation'
         return Solver(substeps=keys.substeps, reason=reason, **chosen)
@@ -139,7 +139,8 @@ def _choose(keys: SolverKeys, effects, state, frame_dt: float, *, live: bool) ->
     took = 1e-6 * substeps * compensation(method, state, h, live) * table_of(keys).substep_ns(
         method, keys.iterations, effects, state, h, substeps)
     met = _what_they_meet(wanted, affordable, keys.budget_ms, costly)
-    return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, {substeps} substeps '
+    return Solver(substeps=substeps, reason=f'auto: {method}, {integrator}, '
+                  f'{counted(substeps, "substep")} '
                   f'{met}, about {took:.2g} ms per frame', **chosen)
 
 
@@ -220,8 +221,9 @@ def _with_explicit(lines: Solver, keys: SolverKeys, effects, state, frame_dt: fl
         return mixed
     return replace(
         mixed, method='explicit', integrator='leapfrog', substeps=substeps,
-        reason=f'auto: explicit, leapfrog, {substeps} substeps, about {1e-6 * substeps * per:.2g} '
-        f'ms per frame; rough frames: {rough.reason.removeprefix("auto: ")}')
+        reason=f'auto: explicit, leapfrog, {counted(substeps, "substep")}, about '
+        f'{1e-6 * substeps * per:.2g} ms per frame; rough frames: '
+        f'{rough.reason.removeprefix("auto: ")}')
 
 
 def _is_stable(keys: SolverKeys, effects, state, frame_dt: float) -> bool:
@@ -235,8 +237,8 @@ def _lines_as_given(keys: SolverKeys) -> Solver:
     assert keys.substeps is not None
     integrator = keys.rough_integrator or INTEGRATOR['line']
     return Solver('line', integrator, keys.substeps, keys.iterations, keys.precision, keys.threads,
-                  f'line, {integrator}, {keys.substeps} substeps as given', keys.rough_frames,
-                  integrator, keys.rough_substeps or keys.substeps)
+                  f'line, {integrator}, {counted(keys.substeps, "substep")} as given',
+                  keys.rough_frames, integrator, keys.rough_substeps or keys.substeps)
 
 
 def rounds_away(state, h: float) -> bool:

@@ -174,7 +174,7 @@ def test_edges_that_ought_to_be_rigid_and_are_not_are_warned_about():
              'solver': {'method': 'gauss_seidel', 'substeps': substeps},
              'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}}, where='x', name='x')).warnings
     found = warnings(1)
-    assert found[0].startswith('c: 6x6 at 1 substeps behaves like ') and len(found) == 2
+    assert found[0].startswith('c: 6x6 at 1 substep behaves like ') and len(found) == 2
     enough = max(int(text.split('; about ')[1].split(' substeps')[0]) for text in found)
     assert 'not like rigid edges: hung by a side it is' in found[0] and enough > 1
     assert warnings(enough - 1) and not warnings(enough)

@@ -9,7 +9,7 @@ relative to the mesh, independent of the unit of length.
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError, plural
 from xpbd_ros.sim.geometry.mesh import cross, dot, length, Mesh
 
 FLAT = 1e-4
@@ -57,7 +57,7 @@ def solid_mesh(vertices: np.ndarray, tetrahedra: np.ndarray,
     turned = volume < 0.0
     tetrahedra[turned] = tetrahedra[turned][:, [1, 0, 2, 3]]
     if turned.any():
-        notes.append(f'{_count(turned.sum(), "tetrahedron")} inside out; turned')
+        notes.append(f'{counted(turned.sum(), "tetrahedron")} inside out; turned')
     faces = tetrahedra[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]]
     _refuse_shared_thrice(faces, 'face', 'tetrahedron')
     faces = faces.reshape(-1, 3)
@@ -83,7 +83,7 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
     notes = []
     vertices, cells = np.asarray(vertices, float), np.array(cells, np.int64)
     if not len(cells):
-        raise InputError(f'has no {_plural(kind)}')
+        raise InputError(f'has no {plural(kind)}')
     if cells.min() < 0 or cells.max() >= len(vertices):
         bad = np.flatnonzero(((cells < 0) | (cells >= len(vertices))).any(1))[0]
         raise InputError(f'{kind} {bad} names a vertex that does not exist '
@@ -96,19 +96,19 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
     place[used] = vertices[used]
     number, merged = _merge(place, used)
     if merged:
-        notes.append(f'{_count(merged, "vertex")} at the place of another; merged')
+        notes.append(f'{counted(merged, "vertex")} at the place of another; merged')
     cells = number[cells]
     which = np.arange(len(cells))    # indices in the file
     ordered = np.sort(cells, axis=1)
     collapsed = (ordered[:, 1:] == ordered[:, :-1]).any(1)
     if collapsed.any():
-        notes.append(f'{_count(collapsed.sum(), kind)} with an edge of length zero; left out')
+        notes.append(f'{counted(collapsed.sum(), kind)} with an edge of length zero; left out')
     _, first = np.unique(ordered, axis=0, return_index=True)
     double = np.ones(len(cells), bool)
     double[first] = False
     double &= ~collapsed
     if double.any():
-        notes.append(f'{_count(double.sum(), kind)} there twice; left out')
+        notes.append(f'{counted(double.sum(), kind)} there twice; left out')
     keep = ~(collapsed | double)
     cells, which = cells[keep], which[keep]
     if not len(cells):
@@ -116,7 +116,7 @@ def _clean(vertices, cells, kind: str) -> tuple[np.ndarray, np.ndarray, list[str
     used = np.unique(cells)
     unused = len(vertices) - merged - len(used)
     if unused:
-        notes.append(f'{_count(unused, "vertex")} that no {kind} uses; left out')
+        notes.append(f'{counted(unused, "vertex")} that no {kind} uses; left out')
     if merged or unused:
         number = np.zeros(len(vertices), np.int64)
         number[used] = np.arange(len(used))
@@ -147,11 +147,11 @@ def _check_shapes(positions, cells, which, kind: str) -> list[str]:
     if len(flat):
         how = 'its corners lie in line' if corners == 3 else 'its corners are flat'
         raise InputError(
-            f'{kind} {which[flat[0]]} is degenerate: {how} ({_count(len(flat), kind)} so); remove '
-            'or remesh such cells in the program that made the file')
+            f'{kind} {which[flat[0]]} is degenerate: {how} ({counted(len(flat), kind)} so); '
+            'remove or remesh such cells in the program that made the file')
     needles = (shape < NEEDLE).sum()
     if needles:
-        return [f'{_count(needles, kind)} like needles (worst {shape.min():.2g} high on 1 long); '
+        return [f'{counted(needles, kind)} like needles (worst {shape.min():.2g} high on 1 long); '
                 'accuracy suffers there, remesh']
     return []
 
@@ -163,7 +163,7 @@ def _refuse_shared_thrice(facets: np.ndarray, facet: str, kind: str) -> None:
     bad = found[times > 2]
     if len(bad):
         raise InputError(
-            f'{_count(len(bad), facet)} with more than two {_plural(kind)}, the first between '
+            f'{counted(len(bad), facet)} with more than two {plural(kind)}, the first between '
             f'particles {", ".join(map(str, bad[0]))}; split the mesh there, or remove what is '
             'double in the program that made the file')
 
@@ -194,7 +194,7 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     turned = (turned ^ wrong[piece]) & (not twisted)
     notes = []
     if turned.any():
-        notes.append(f'{_count(turned.sum(), "triangle")} turned over; mended')
+        notes.append(f'{counted(turned.sum(), "triangle")} turned over; mended')
     triangles = np.where(turned[:, None], triangles[:, ::-1], triangles)
     if twisted:
         notes.append('the surface has one side only, like a Möbius strip')
@@ -204,7 +204,7 @@ def orient(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, li
     a, b, c = (scaled[triangles[:, k]] for k in range(3))
     inward = closed & (np.bincount(piece, dot(a, cross(b, c)), pieces) < 0.0) & (not twisted)
     if inward.any():
-        notes.append(f'{_count(inward.sum(), "closed surface")} inside out; turned')
+        notes.append(f'{counted(inward.sum(), "closed surface")} inside out; turned')
         triangles = np.where(inward[piece][:, None], triangles[:, ::-1], triangles)
     apart = 1 if pieces == 1 else _count_pieces(triangles)
     if apart > 1:
@@ -284,11 +284,3 @@ def _unit(direction) -> tuple[float, float, float]:
         raise InputError('warp: must not be zero (a direction, such as [1, 0, 0])')
     scaled = np.array(direction) / size
     return tuple((scaled / length(scaled)).tolist())
-
-
-def _plural(kind: str) -> str:
-    return {'vertex': 'vertices', 'tetrahedron': 'tetrahedra'}.get(kind, f'{kind}s')
-
-
-def _count(number: int, kind: str) -> str:
-    return f'{number} {kind if number == 1 else _plural(kind)}'

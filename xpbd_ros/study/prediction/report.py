@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from xpbd_ros.errors import counted
 from xpbd_ros.scene.auto import INTEGRATOR, table_of
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.frames import notes_without_tf
@@ -97,8 +98,8 @@ def _pads(scene: Scene, simulation: Simulation) -> list[str]:
         if density is not None and not len(cloth.mesh.tetrahedra):
             tension = carried_tension(solver.method, cloth, density,
                                       simulation.frame_dt / solver.substeps)
-            found.append(f'cloths.{cloth.name}: {solver.substeps} substeps of {solver.method} '
-                         f'carry up to {tension:.3g} N/m into a grip of pads')
+            found.append(f'cloths.{cloth.name}: with {counted(solver.substeps, "substep")} of '
+                         f'{solver.method} up to {tension:.3g} N/m go into a grip of pads')
     return found
 
 
@@ -123,11 +124,12 @@ def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | N
         if abs(row.error) <= WARNED_ERROR:
             continue
         where = f' along {row.direction}' if row.direction else ''
-        text = (f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
-                f'{row.effective:.3g} {row.unit}{where} ({row.effect}), not {row.asked:.6g}')
+        text = (f'{size_of(scene, row.cloth)} at {counted(solver.substeps, "substep")} behaves '
+                f'like {_three(row.effective)} {row.unit}{where} ({row.effect}), not '
+                f'{row.asked:.6g}')
         if row.effect == 'pressure':
-            text = (f'{row.cloth} at {solver.substeps} substeps has an overpressure of '
-                    f'{row.effective:.3g} Pa, not {row.asked:.4g}')
+            text = (f'{row.cloth} at {counted(solver.substeps, "substep")} has an overpressure '
+                    f'of {_three(row.effective)} Pa, not {row.asked:.4g}')
         if row.effect in STRETCH:
             text += f'; {_remedy(scene, simulation, enough)}'
         else:
@@ -137,6 +139,11 @@ def _soft(scene: Scene, simulation: Simulation, rows: list[Row], enough: int | N
         found.append(f'{solver.substeps} substeps are too few for the stretch waves of this cloth:'
                      f' errors above 10 %; {_remedy(scene, simulation, enough)}')
     return found
+
+
+def _three(value: float) -> str:
+    """Return a number with three digits, without an exponent below a million."""
+    return f'{float(f"{value:.3g}"):g}'
 
 
 def _more(scene: Scene, simulation: Simulation, row: Row) -> str:
@@ -163,9 +170,9 @@ def _not_rigid(scene: Scene, simulation: Simulation, row: Row) -> list[str]:
         return []
     count = ceil(solver.substeps * (strain / WARNED_STRAIN)**0.5)
     line = '' if solver.method == 'line' or cloth.mesh.grid is None else ' or method line'
-    return [f'{size_of(scene, row.cloth)} at {solver.substeps} substeps behaves like '
-            f'{row.effective:.3g} {row.unit} along {row.direction} ({row.effect}), not like rigid '
-            f'edges: hung by a side it is {100.0 * strain:.2g} % longer; about {count} '
+    return [f'{size_of(scene, row.cloth)} at {counted(solver.substeps, "substep")} behaves '
+            f'like {_three(row.effective)} {row.unit} along {row.direction} ({row.effect}), not '
+            f'like rigid edges: hung by a side it is {100.0 * strain:.2g} % longer; about {count} '
             f'substeps{line} would do']
 
 
