@@ -165,6 +165,9 @@ def test_an_empty_grasp_reports_the_distance_to_free_particles():
     start, distance = reason.split('the nearest is ')
     assert start == "pin 'c': no free particle within 0.2 m of [0.0, 0.0, 1.0]; "
     assert float(distance.split()[0]) == pytest.approx(gap, rel=1e-2)
+    simulation.step([Release('b'), Grasp('b', Pose(), 10.0)])
+    (_, reason), = simulation.step([Grasp('c', Pose(), 0.2)]).refused
+    assert reason == "pin 'c': no particle is free; pins hold all of them"
 
 
 def test_beyond_the_capacity_a_grasp_is_refused_with_the_number():
@@ -220,16 +223,16 @@ def test_commands_of_one_message_act_together_or_not_at_all():
     again = Grasp('e', Pose(corners[0]), 0.01)
     up = MovePin('a', Pose((0.0, 0.0, 0.05)))
     frame = simulation.step([(a, b, c, d)])
-    assert frame.refused == ((a, 'all 3 pins are in use (effects.pin.max_pins); nothing of it was '
-                                 'done'),)
+    assert frame.refused == ((a, 'all 3 pins are in use (effects.pin.max_pins); no command with '
+                                 'it is applied'),)
     assert (dict(frame.pins), frame.applied) == ({}, ())
     assert (frame.inv_mass > 0.0).all()
     assert simulation.step([(a, again)]).pins == {}
     frame = simulation.step([(a, Release('a'), again, b)])
     assert (list(frame.pins), frame.refused) == (['e', 'b'], ())
     frame = simulation.step([(ReleaseAll(), a), (up, MovePin('missing', Pose()))])
-    assert frame.refused == ((up, "pin 'missing' holds nothing (holding: a); nothing of it was "
-                                  'done'),)
+    assert frame.refused == ((up, "pin 'missing' holds nothing (holding: a); no command with it "
+                                  'is applied'),)
     assert frame.pins['a'].pose.position == corners[0], 'it was not moved'
     assert simulation.step([(up, Release('a'), ReleaseAll())]).refused == ()
 
@@ -240,8 +243,8 @@ def test_commands_of_the_whole_simulation_go_alone():
     for group in ((key, grasp), (grasp, key), (Reset(), MovePin('missing', Pose()))):
         name = 'Reset' if Reset() in group else 'SetKey'
         frame = simulation.step([group])
-        assert frame.refused == ((group[0], f'{name}: goes alone, not in a tuple; nothing of it '
-                                            'was done'),)
+        assert frame.refused == ((group[0], f'{name}: goes alone, not in a tuple; no command '
+                                            'in it is applied'),)
         assert (frame.applied, dict(frame.pins)) == ((), {})
     assert simulation.state.gravity[2] == -GRAVITY
     assert simulation.step([(key,)]).applied == (key,)

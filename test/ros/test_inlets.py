@@ -139,7 +139,7 @@ def test_a_message_acts_whole_or_not_at_all(cloth):
     before = at_rest(cloth)
     cloth.peer.say('/heard/pin_targets', targets(left=(-0.2, -0.2, 0.3), missing=(0, 0, 0)))
     cloth.node.wait_for('/heard/pin_targets: refused', "pin 'missing' holds nothing (holding: "
-                        'left, right); nothing of it was done')
+                        'left, right); no command with it is applied')
     assert at_rest(cloth) == before
 
 
@@ -160,7 +160,7 @@ def test_of_five_grasps_where_four_have_room_none_holds(cloth):
     places = [*CORNERS.values(), (0.2, -0.2, 0.004), (0.2, 0.2, 0.004), (0.0, 0.0, 0.004)]
     cloth.mark(*(pin(f'new{k}', place) for k, place in enumerate(places)))
     cloth.node.wait_for('/heard/pins: refused', 'all 4 pins are in use (effects.pin.max_pins); '
-                        'nothing of it was done')
+                        'no command with it is applied')
     assert cloth.status()['pins'] == '0'
     cloth.mark(*(pin(f'new{k}', place) for k, place in enumerate(places[:4])))
     cloth.status(lambda status: status['pins'] == '4')

@@ -247,8 +247,8 @@ def test_clicks_of_one_message_see_each_other():
     assert list(simulation.step([(Click(tuple(x[3])), Click(tuple(x[9])))]).pins) == [
         'clicked_0', 'clicked_1']
     frame = simulation.step([(Click(tuple(x[3])), Click(tuple(x[3])), Click(tuple(x[5])))])
-    assert frame.refused[0][1] == ('all 2 pins are in use (effects.pin.max_pins); nothing of it '
-                                   'was done')
+    assert frame.refused[0][1] == ('all 2 pins are in use (effects.pin.max_pins); no command with '
+                                   'it is applied')
 
 
 def test_a_pin_of_the_scene_follows_its_target_while_it_is_open():

@@ -1,4 +1,4 @@
-"""``view`` of a study: the reference, the chosen and the cheapest setting side by side."""
+"""``view`` of a study: the reference, the recommended and the cheapest setting side by side."""
 
 import importlib.util
 import json
@@ -42,7 +42,7 @@ def study(tmp_path_factory):
 def test_the_settings_are_those_of_the_report(study):
     report = report_of(study)
     assert [name.split('\n')[0] for name, _ in report.settings] == [
-        'reference', 'chosen', 'cheapest']
+        'reference', 'recommended', 'cheapest']
     assert [name.split('\n')[2:] for name, _ in report.settings[1:]] == [
         ['0.3 ms, 0.003 m'], ['0.1 ms, 0.01 m']]
     substeps = [scene.top.solver.substeps for _, scene in report.settings]
@@ -55,12 +55,12 @@ def test_the_settings_are_those_of_the_report(study):
 
 
 def test_a_setting_runs_as_in_the_study(study):
-    """The distance from the reference falls from the cheapest to the chosen setting."""
+    """The distance from the reference falls from the cheapest to the recommended setting."""
     tracks = [Track.stepped(name, compile_scene(scene), {}, range(1, 13))
               for name, scene in report_of(study).settings]
     assert all(track.times == pytest.approx(np.arange(13) / 60.0, abs=1e-8) for track in tracks)
-    reference, chosen, cheapest = (track.positions['sheet'] for track in tracks)
-    far, near = (np.linalg.norm(x - reference, axis=2).max() for x in (cheapest, chosen))
+    reference, recommended, cheapest = (track.positions['sheet'] for track in tracks)
+    far, near = (np.linalg.norm(x - reference, axis=2).max() for x in (cheapest, recommended))
     assert 0.0 < near < 0.7 * far
     assert tracks[0].pins[5][0].name == 'left'
 
@@ -73,7 +73,7 @@ def test_three_settings_move_side_by_side(study):
         browser.open(address(process))
         browser.until(lambda: ' of 12' in browser.text(), 'a frame')
         browser.until(lambda: ' mm at most: cheapest' in browser.text(), 'the distances')
-        assert ' mm at most: chosen' in browser.text()
+        assert ' mm at most: recommended' in browser.text()
         assert 'distance to the reference [mm]' in browser.text()
         browser.press('Pause')
         browser.until(lambda: blue(browser.picture()) > 0.001, 'the reference')

@@ -5,9 +5,9 @@ Drag the gizmo of a pin and the cloth follows; click the cloth to grasp it there
 release it. All that is done in the page is recorded as commands, so that a recorded session
 repeats bit for bit with 'xpbd_ros resim'. A log is played with plots of its forces; --beside shows
 others next to it, coloured by the distance to it. The folder of a study of 'xpbd_ros accuracy'
-shows its reference, its chosen and its cheapest setting side by side. --node shows a node that
-runs elsewhere, and drags its pins over DDS. The page is on this machine only, unless --host names
-another address.
+shows its reference, its recommended and its cheapest setting side by side. --node shows a node
+that runs elsewhere, and drags its pins over DDS. The page is on this machine only, unless --host
+names another address.
 """
 
 from collections.abc import Callable

@@ -272,14 +272,14 @@ class Simulation:
             owner = next((built for built in self.effects.values()
                           if type(command) in built.commands), None)
             if owner is None:
-                why = ('goes alone, not in a tuple; nothing of it was done'
+                why = ('goes alone, not in a tuple; no command in it is applied'
                        if type(command) in self._own else 'the scene has no effect that does this')
                 return f'{type(command).__name__}: {why}'
             owners.setdefault(id(owner), (owner, []))[1].append(command)
         for owner, mine in owners.values():
             reason = owner.refusal(mine, self.state)
             if reason is not None:
-                return reason if len(group) == 1 else f'{reason}; nothing of it was done'
+                return reason if len(group) == 1 else f'{reason}; no command with it is applied'
         for owner, mine in owners.values():
             for command in mine:
                 owner.commands[type(command)](owner, command, clock, self.state)

@@ -102,6 +102,8 @@ class Picking:
         if self._full:
             return self._full
         near, nearest = within(command, self.taken, state)
+        if nearest == np.inf:
+            return f"pin '{command.pin}': no particle is free; pins hold all of them"
         if not len(near):
             return (f"pin '{command.pin}': no free particle within {command.radius:g} m "
                     f'of {[round(c, 4) for c in command.pose.position]}; the nearest is '

@@ -36,10 +36,10 @@ class Report(NamedTuple):
 
 def report_of(path: Path) -> Report | None:
     """
-    Return the settings that a finished study shows: reference, chosen, cheapest.
+    Return the settings that a finished study shows: reference, recommended, cheapest.
 
-    The reference is the finest setting of the simulation's own limit for dt → 0; the chosen
-    setting is the recommended one, or else the most accurate one.
+    The reference is the finest setting of the simulation's own limit for dt → 0. Without a
+    recommendation the most accurate setting is shown.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def report_of(path: Path) -> Report | None:
         numbers = json.loads(file.read_text(encoding='utf-8'))
         rows = [row for row in numbers['settings'] if row['ms_p50'] is not None
                 and row['error_m'] is not None and not row['baseline']]
-        chosen, frames = numbers['recommended'], int(numbers['frames'])
+        recommended, frames = numbers['recommended'], int(numbers['frames'])
         commands = numbers['commands']
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f'{file}: is no complete report of xpbd_ros accuracy '
@@ -66,11 +66,12 @@ def report_of(path: Path) -> Report | None:
     if not rows:
         raise InputError(f'{file}: no setting has both an error and a time')
     scene = load_scene(str(folder / SCENE))
-    best = chosen or min(rows, key=lambda row: row['error_m'])
+    best = recommended or min(rows, key=lambda row: row['error_m'])
     cheapest = min(rows, key=lambda row: row['ms_p50'] or inf)
     finest = own_rungs(scene)[-1]
     found = [Shown(f'reference\n{name_of(finest)}', with_solver(scene, finest.block()))]
-    for word, row in (('chosen' if chosen else 'most accurate', best), ('cheapest', cheapest)):
+    for word, row in (('recommended' if recommended else 'most accurate', best),
+                      ('cheapest', cheapest)):
         setting = Setting(**{key: row[key] for key in finest.block()})
         if word != 'cheapest' or setting != Setting(**{key: best[key] for key in finest.block()}):
             found.append(Shown(f'{word}\n{name_of(setting)}\n{row["ms_p50"]:.3g} ms, '
