@@ -142,7 +142,8 @@ def test_a_node_that_is_not_there_is_one_line(cloth, context, capsys, monkeypatc
         stranger.destroy_node()
     said = capsys.readouterr().err
     assert said.count('\n') == 1
-    assert '--node /stranger: is there, and publishes no scene' in said
+    assert ('--node /stranger: is there, and publishes no scene; a cloth_node does once it has '
+            'compiled it, ') in said
 
 
 @pytest.mark.parametrize(('words', 'text'), [

@@ -202,8 +202,9 @@ class ClothClient:
                     f"{os.environ.get('ROS_DOMAIN_ID', '0')} (there: "
                     f"{', '.join(nodes) or 'none'}); start it with xpbd_ros node, or set "
                     'ROS_DOMAIN_ID to its domain')
-        return (f'--node {self.name}: is there, and publishes no scene; is it a cloth_node that '
-                f'is active? ros2 lifecycle set {self.name} configure, then activate')
+        return (f'--node {self.name}: is there, and publishes no scene; a cloth_node does once it '
+                f'has compiled it, for up to a minute, and is active: ros2 lifecycle set '
+                f'{self.name} configure, then activate, unless it does so itself')
 
     def scene(self) -> Scene:
         """Return the scene as it runs."""
