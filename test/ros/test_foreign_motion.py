@@ -317,11 +317,13 @@ def test_a_topic_outside_the_time_of_the_run_is_named_with_its_times(tmp_path):
 
 
 def test_a_log_without_tf_cannot_move_a_tf_frame(tmp_path):
-    log = write_bag(tmp_path / 'bag', [pose_written(0.0, '/tool_pose', 'base', Pose())], 'mcap')
+    log = write_bag(tmp_path / 'bag', [
+        pose_written(0.1 * k, '/tool_pose', 'base', Pose()) for k in range(9)], 'mcap')
     assert refusal(log, SOURCES['tf']).endswith(
         f'{log} has no such topic (it has no topic of tf2_msgs/msg/TFMessage)')
     assert refusal(log, SOURCES['pose']) == (
-        f'inputs./tool_pose: no message on /tool_pose; needs TF, and {log} has no topic of '
+        "inputs./tool_pose: no pose on /tool_pose; /tool_pose: 9 messages refused: TF frame "
+        f"'base' is not the scene's 'world'; transforming it needs TF, and {log} has no topic of "
         f'tf2_msgs/msg/TFMessage ({log})')
 
 

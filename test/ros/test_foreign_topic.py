@@ -64,7 +64,7 @@ def test_messages_may_arrive_between_two_lookups():
     stamp_ns = source.latest_ns('world', 'hand')
     assert source.pose('world', 'hand', stamp_ns).position[2] == pytest.approx(0.1 * (1 + KEPT))
     source.clear()
-    with pytest.raises(InputError, match='no message on /hand'):
+    with pytest.raises(InputError, match='no pose on /hand'):
         source.pose('world', 'hand', stamp_ns)
 
 

@@ -22,7 +22,6 @@ from xpbd_ros.ros.inputs import unpacked
 from xpbd_ros.ros.logged_tf import LoggedTransforms
 from xpbd_ros.ros.pose_messages import JOINT_STATE, read_transforms, TF_MESSAGE, TYPES
 from xpbd_ros.ros.topic_poses import TopicPoses
-from xpbd_ros.scene.compare import first_texts
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.robots import Robot
 from xpbd_ros.sim.simulation import Simulation
@@ -189,9 +188,8 @@ class ForeignMotion:
         for path, reason in self._missing():
             for topic in self._takers.keys() - heard:
                 self._check_times(topic, path)
-            refused = first_texts([text for reasons in self._refused.values() for text in reasons],
-                                  'refused')
-            raise InputError(f'{path}: {"; ".join([reason, *refused])} ({self._log.path})')
+            raise InputError(f'{path}: {"; ".join([reason, *self._refusals()])} '
+                             f'({self._log.path})')
         self._clear()
         self._now_ns = self._begin_ns
 
@@ -252,6 +250,8 @@ class ForeignMotion:
 
     def texts(self) -> list[str]:
         """Return notes on silent TF frames and refused messages."""
-        return [*self._notes, *(
-            f'{topic}: {counted(len(reasons), "message")} refused: {reasons[0]}'
-            for topic, reasons in self._refused.items())]
+        return [*self._notes, *self._refusals()]
+
+    def _refusals(self) -> list[str]:
+        return [f'{topic}: {counted(len(reasons), "message")} refused: {reasons[0]}'
+                for topic, reasons in self._refused.items()]

@@ -66,7 +66,11 @@ class TopicPoses:
     def _need_transforms(self, frame: str) -> None:
         """Raise InputError if poses in this TF frame can never be transformed."""
         if frame not in ('', self._frame_id):
-            self._transforms()
+            try:
+                self._transforms()
+            except InputError as error:
+                raise InputError(f"TF frame '{frame}' is not the scene's '{self._frame_id}'; "
+                                 f'transforming it {error}') from None
 
     def _before(self, joint: str, new: Trajectory, now_ns: int) -> Pose:
         """Return the pose of a joint when a trajectory arrives: that of the previous one."""
@@ -109,7 +113,7 @@ class TopicPoses:
         """Return the joint of these that a follower's ``frame`` names, or the only one."""
         named, known = topic_of_frame(source), tuple(joints)
         if not known:
-            raise InputError(f'no message on {self._topic}')
+            raise InputError(f'no pose on {self._topic}')
         joint = named[1] if named is not None else None
         if joint is None and len(known) == 1:
             return known[0]
