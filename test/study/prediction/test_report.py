@@ -193,6 +193,10 @@ def test_lines_that_cannot_follow_the_waves_are_warned_about():
       'effects': {'contact': {'thickness': 0.001}}},
      'colliders.rod: 0.02 m across, and particles are 0.25 m apart: it can pass between them; use '
      'a finer cloth'),
+    ({'cloths': {'c': {'grid': {'size': [300, 400], 'resolution': [3, 3]}, 'density': 0.2}}},
+     'cloths.c: is 400 m large; sizes are in metres'),
+    ({'cloths': {'c': {'grid': {'size': [1, 1], 'resolution': [3, 3]}, 'density': 250}}},
+     "cloths.c.density: 250 kg/m² is no cloth's; 250 g/m² are 0.25"),
     ({'effects': {'contact': {'thickness': 4}}},
      'effects.contact.thickness: 4 m, and the largest cloth is 1 m; thicknesses are in metres'),
     ({'effects': {'self_collision': {'thickness': 0.3}}},
@@ -307,6 +311,19 @@ def test_nothing_is_compiled_to_machine_code():
             'print([len(f.signatures) for f in step._COMPILED.values()])')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == '[0]'
+
+
+def test_a_mesh_in_centimetres_is_warned_about(tmp_path):
+    vertices, triangles = disc(4, 35.0)
+    (tmp_path / 'disc.obj').write_text(obj_text(vertices, triangles))
+    raw = {'cloths': {'c': {'mesh': {'file': 'disc.obj'}, 'density': 0.2}},
+           'effects': {'pin': {}}}
+    for keys, told in (({}, ['cloths.c: is 70 m large; unless its file is in metres, give '
+                             'mesh.scale, such as 0.01 for centimetres']),
+                       ({'cloths.c.mesh.scale': 0.01}, [])):
+        found = check(scene_from_mapping(raw, where='x', name='x', overrides=keys,
+                                         folder=tmp_path))
+        assert found.warnings == told
 
 
 def test_a_mesh_is_checked_like_a_grid(tmp_path, capsys):

@@ -27,6 +27,8 @@ WARNED_ERROR = 0.1
 """relative error of a stiffness from which on there is a warning"""
 WARNED_STRAIN = 0.01
 """mean strain of a rigid cloth that hangs from a side, from which on there is a warning"""
+LARGE, HEAVY = 50.0, 30.0
+"""extent [m] and density [kg/m²] beyond those of cloth: as of numbers in cm, mm and g/m²"""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def check(scene: Scene) -> Report:
     frame_dt_ms = 1e3 * simulation.frame_dt
     warnings = [*_soft(scene, simulation, rows, counts.get('0.1')), *_slow(expected, frame_dt_ms),
                 *_unsupported(scene), *_thin(scene, simulation), *_thick(scene, simulation),
-                *_coarse(scene, simulation)]
+                *_units(scene, simulation), *_coarse(scene, simulation)]
     return Report(solver, len(simulation.slot), _count(simulation), rows,
                   decays(scene, simulation, solver), counts, expected, table.cpu, frame_dt_ms,
                   warnings, (*notes_without_tf(scene), *simulation.notes,
@@ -229,6 +231,23 @@ def _thick(scene: Scene, simulation: Simulation) -> list[str]:
         found.append(f'effects.self_collision.thickness: {selves.thickness:g} m, and particles '
                      f'are {spacing:.3g} m apart: its time grows with the square of the ratio; '
                      'choose a smaller one')
+    return found
+
+
+def _units(scene: Scene, simulation: Simulation) -> list[str]:
+    """Return warnings about sizes and densities that look like numbers in other units."""
+    found = []
+    for cloth in simulation.cloths:
+        keys = scene.cloths[cloth.name]
+        size = float(np.ptp(cloth.mesh.positions, 0).max())
+        if size > LARGE:
+            way = 'sizes are in metres' if keys.mesh is None else (
+                'unless its file is in metres, give mesh.scale, such as 0.01 for centimetres')
+            found.append(f'cloths.{cloth.name}: is {size:.3g} m large; {way}')
+        assert keys.density is not None
+        if keys.density > HEAVY and not len(cloth.mesh.tetrahedra):
+            found.append(f"cloths.{cloth.name}.density: {keys.density:g} kg/m² is no cloth's; "
+                         '250 g/m² are 0.25')
     return found
 
 
