@@ -128,7 +128,7 @@ def test_a_grasp_that_makes_no_sense(changes, reason):
     ({'type': Marker.TRIANGLE_LIST}, 'marker a/0: 0 points are no triangles'),
     ({'type': Marker.TRIANGLE_LIST, 'points': [Point()] * 4}, '4 points are no triangles'),
     ({'type': Marker.TRIANGLE_LIST, 'points': [Point(x=nan)] * 3}, '3 points are no triangles'),
-    ({'ns': 'no good!'}, "bad name 'no good!'"),
+    ({'ns': 'no good!'}, "bad name 'no good!'; it must match [A-Za-z_][A-Za-z0-9_]*"),
     ({'id': -1}, "bad name 'a_-1'"),
     ({'action': 7}, 'marker a/0: unknown action 7'),
     ({'lifetime__sec': -1}, 'marker a/0: lifetime: -1 s and 0 ns are not a valid time'),

@@ -160,7 +160,9 @@ def test_what_cannot_start_ends_with_2_and_one_clear_line(failed, name):
 def test_unknown_parameters_are_reported(start, towel):
     node = start('-r', '__node:=strange', scene=towel, mode='lockstep', solver__subteps=99,
                  solver__substeps=9)
-    assert "did you mean 'solver.substeps'?" in node.wait_for('parameter solver.subteps: ')
+    said = node.wait_for('parameter solver.subteps: ')
+    assert "did you mean 'solver.substeps'?" in said
+    assert 'max_message_bytes, solver.substeps, gravity, solver.iterations, ' in said, 'in order'
     node.wait_for('running, mode lockstep')
     assert len(node.said('[WARN]')) == 1
     assert node.end() == 0

@@ -91,7 +91,7 @@ def nanoseconds(time, what: str) -> int:
 def check_name(name: str, what: str) -> str:
     """Return a name; refuse one that a scene cannot have."""
     if not NAME.fullmatch(name):
-        raise InputError(f'{what}: bad name {name[:40]!r}')
+        raise InputError(f'{what}: bad name {name[:40]!r}; it must match {NAME.pattern}')
     return name
 
 

@@ -27,7 +27,7 @@ class LiveParameters:
     def __init__(self, node):
         self._node = node
         self._rows = {row.name: row for row in TABLE}
-        self._keys: set[str] = set()
+        self._keys: list[str] = []
         self._accepted: dict = {}
         """live keys that were set; some may wait for the next frame"""
         node.add_on_set_parameters_callback(self._check)
@@ -40,7 +40,7 @@ class LiveParameters:
         changed = {}
         for name, (value, about) in live.items():
             given = as_plain(self._node.declare_parameter(name, value, about).value)
-            self._keys.add(name)
+            self._keys.append(name)
             if given != value:
                 changed[name] = given
         return changed
