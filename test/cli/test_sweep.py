@@ -101,7 +101,7 @@ def test_a_refused_value_is_told_in_its_row_and_the_sweep_goes_on(scene, tmp_pat
     ('cloths.shet.density\n0.2\n', "unknown cloth; did you mean 'sheet'?"),
     (f'{WARP},{WARP}\n1,2\n', f"column 2: '{WARP}' is given twice"),
     (f'{WARP}\n', 'must hold a row of keys, and a row of values'),
-    (f'{WARP},duration\n1,1\n2\n', 'line 3: 1 values for 2 keys'),
+    (f'{WARP},duration\n1,1\n2\n', 'line 3: 1 value for 2 keys'),
 ])
 def test_a_table_of_other_keys_is_refused(text, words, scene, tmp_path, capsys):
     (tmp_path / 'values.csv').write_text(text)

@@ -210,6 +210,8 @@ def test_a_budget_too_small_is_filled_and_said_so(compliance, why):
     assert small.reason.startswith(
         f'auto: line, bdf2, {small.substeps} substeps fill the budget of 1 ms; ')
     assert why in small.reason
+    least = resolved({'compliance': compliance}, solver={'budget_ms': 1e-6})
+    assert least.reason.startswith('auto: line, bdf2, 1 substep fills the budget of 1e-06 ms; ')
 
 
 @pytest.mark.parametrize('iterations', [1, 3])

@@ -175,12 +175,13 @@ def _check(keys: SolverKeys, method: str, integrator: str, barred, effects) -> N
 
 def _what_they_meet(wanted: float, affordable: int, budget_ms: float, costly: list[str]) -> str:
     """Return whether substeps resolve the stretch or meet the budget, in words."""
+    s = 's' * (affordable == 1)    # MIN_SUBSTEPS are taken where they can be
     if wanted <= affordable:
-        return 'resolve the stretch'
+        return f'resolve{s} the stretch'
     if costly:
-        return (f'exceed the budget of {budget_ms:g} ms, but fewer take no less time with '
+        return (f'exceed{s} the budget of {budget_ms:g} ms, but fewer take no less time with '
                 f'{", ".join(costly)}')
-    fill = (f'fill the budget of {budget_ms:g} ms; ' if affordable < MAX_SUBSTEPS else
+    fill = (f'fill{s} the budget of {budget_ms:g} ms; ' if affordable < MAX_SUBSTEPS else
             'are the largest number allowed; ')
     if wanted < 1e9:
         return f'{fill}{ceil(wanted)} would resolve it'

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.scene.load import load_scene, parse_yaml
 from xpbd_ros.scene.model import Scene
 
@@ -95,7 +95,8 @@ def read_table(file: str) -> list[Overrides]:
     found = []
     for line, row in rows[1:]:
         if len(row) != len(keys):
-            raise InputError(f'{file}: line {line}: {len(row)} values for {len(keys)} keys')
+            raise InputError(f'{file}: line {line}: {counted(len(row), "value")} for '
+                             f'{counted(len(keys), "key")}')
         found.append({key: parse_yaml(cell, f'{file}: line {line}: {key}')
                       for key, cell in zip(keys, row) if cell.strip()})
     return found
