@@ -151,6 +151,8 @@ def test_a_node_that_is_not_there_is_one_line(cloth, context, capsys, monkeypatc
     (['towel', '--node', '/cloth'], 'name one of a scene, a log, a study or --node'),
     ([], 'name one of a scene, a log, a study or --node'),
     (['--node', '/cloth', '--export', 'page.html'], '--export: needs a log, and --node'),
+    (['--node', '/cloth', '--every', '2'], '--every: needs a log, and --node'),
+    (['towel', '--every', '2'], '--every: needs a log, and towel is a scene'),
     (['--node', '/cloth', '--screenshot', 'a.png', '--at', '1'], '--at: needs a scene or a log'),
     (['--node', '/cloth', '--set', 'gravity=0'], '--set: needs a scene or a log, and --node')])
 def test_mistakes_are_one_line(words, text, capsys):

@@ -41,7 +41,7 @@ def add_arguments(parser):
                         help='show this running node instead, such as /cloth')
     parser.add_argument('--beside', action='append', default=[], metavar='RUN2',
                         help='a further log of the same cloths; may be given several times')
-    parser.add_argument('--every', type=int, default=1, metavar='N',
+    parser.add_argument('--every', type=int, metavar='N',
                         help='of a log, only frames whose index is a multiple of N (default: 1)')
     parser.add_argument('--export', metavar='FILE.html',
                         help='write a page of the log that plays without a server, and end')
@@ -73,12 +73,13 @@ def run(arguments) -> int:
         raise InputError('name one of a scene, a log, a study or --node, such as xpbd_ros view '
                          'towel')
     if arguments.node is not None:
-        refuse(arguments, 'a log', '--node shows a running node', 'beside', 'export')
+        refuse(arguments, 'a log', '--node shows a running node', 'beside', 'export', 'every')
         refuse(arguments, 'a scene or a log', '--node shows a running node', 'at', 'keys')
         return (picture_of_node if arguments.screenshot else show_node)(arguments)
     path = Path(arguments.shown)
     if path.exists() and (report := report_at(path)) is not None:
         refuse(arguments, 'a scene or a log', f'{path} is a study', 'beside', 'screenshot')
+        refuse(arguments, 'a log', f'{path} is a study', 'every')
         refuse(arguments, 'a scene', f'{path} is a study', 'keys')
         return show_report(arguments, report)
     if path.suffix == '.mcap' or path.is_dir():
@@ -86,7 +87,7 @@ def run(arguments) -> int:
                'xpbd_ros resim', 'keys')
         return (picture_of_log if arguments.screenshot else show_log)(arguments)
     refuse(arguments, 'a log', f'{path} is a scene; record one with xpbd_ros run', 'beside',
-           'export')
+           'export', 'every')
     return (picture_of_scene if arguments.screenshot else show_scene)(arguments)
 
 
@@ -150,13 +151,14 @@ def show_log(arguments) -> int:
     need_ros('view')
     from xpbd_ros.ros.logged_commands import Recording
 
-    if arguments.every < 1:
-        raise InputError(f'--every: must be at least 1 (got {arguments.every})')
-    track = track_of(arguments.shown, arguments.every)    # tells the damage of a log first
+    every = 1 if arguments.every is None else arguments.every
+    if every < 1:
+        raise InputError(f'--every: must be at least 1 (got {every})')
+    track = track_of(arguments.shown, every)    # tells the damage of a log first
     recording = Recording(arguments.shown)
     tracks = [with_energy(recording, track)]
     for run in arguments.beside:
-        track = track_of(run, arguments.every)
+        track = track_of(run, every)
         try:
             tracks.append(with_energy(Recording(run), track))
         except InputError:    # of a damaged log, whose states can be shown
@@ -250,7 +252,7 @@ def picture_of_log(arguments) -> int:
     from xpbd_ros.study.snapshots import instant_of
 
     need_view('--screenshot')
-    refuse(arguments, 'a page', 'it is drawn without one', 'beside', 'export')
+    refuse(arguments, 'a page', 'it is drawn without one', 'beside', 'export', 'every')
     states = states_of(arguments.shown)
     entries = Recording(arguments.shown).scene.sections.get('colliders', {})
     wanted = state = next(iter(states))
