@@ -190,6 +190,9 @@ def test_matrices_become_poses_for_any_turn():
      "robots.arm.gripper.frame: unknown link; did you mean 'jaw-1'?"),
     (f'description: r.urdf, {GRIPPER.replace("radius: 0.05", "radius: 0")}',
      'robots.arm.gripper.radius: must be > 0 m (got 0)'),
+    ('description: r.urdf, joint_states: joint states',
+     'robots.arm.joint_states: is not the name of a topic, such as /joint_states (got '
+     "'joint states')"),
     ('description: r.urdf, frame_prefix: /left/',
      "robots.arm.frame_prefix: TF frames have no leading '/'; take 'left/'"),
     (f'description: r.urdf, {GRIPPER.replace("0.1", "0.1, open_above: 0.05")}',

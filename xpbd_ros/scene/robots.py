@@ -14,6 +14,7 @@ from typing import Any
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.frames import Follower, TIMEOUT
+from xpbd_ros.scene.inputs import TOPIC
 from xpbd_ros.scene.read import mapping, names, read, unknown
 from xpbd_ros.scene.urdf import Description
 from xpbd_ros.sim.commands import Pose
@@ -125,6 +126,9 @@ def with_robots(raw: dict, folder: Path, topic_text: TopicText | None) -> tuple[
     for name, value in names(raw['robots'], 'robots').items():
         path = f'robots.{name}'
         keys = read(RobotKeys, value, path)
+        if not TOPIC.fullmatch(keys.joint_states.removeprefix('~/')):
+            raise InputError(f'{path}.joint_states: is not the name of a topic, such as '
+                             f"/joint_states (got '{keys.joint_states}')")
         if keys.frame_prefix is not None:
             check_frame_name(f'{path}.frame_prefix', keys.frame_prefix)
         try:
