@@ -78,10 +78,9 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
     new_pair_contacts,
     new_pair_friction,
     PairContacts,
-    press,
     project_pairs,
-    remove_depenetration_velocity,
 )
+from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetration_velocity
 from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes

@@ -127,7 +127,9 @@ def find_some(near, planes, pairs, x, kind, q, apart, me):
     store_weights(pairs, q, weight)
     a, b, c, d = starts
     store(pairs.deficit, q, select(inside, gap - dot(n, weighted(weight, a, b, c, d)), NEVER))
-    store(pairs.overlap, q, select(inside, larger(gap - distance, 0.0), 0.0))
+    overlap = select(inside, larger(gap - distance, 0.0), 0.0)
+    store(pairs.overlap, q, overlap)
+    unload(pairs.friction, q, select(gap < keep, overlap, 0.0))
     together = bits(both(inside, distance <= 0.0))
     if together:
         while together:
@@ -186,6 +188,13 @@ def zero_slip(friction, q, zero):
     """Zero the displacement by friction."""
     if friction is not None:
         store_vector(friction.slip, q, (zero, zero, zero))
+
+
+@jit(inline=True)
+def unload(friction, q, overlap):
+    """Note the part of pushes that undoes overlaps too deep for one substep."""
+    if friction is not None:
+        store(friction.unloaded, q, overlap)
 
 
 @jit(inline=True)

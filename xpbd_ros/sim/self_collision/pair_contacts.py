@@ -9,8 +9,7 @@ Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with
 Pairs stand in groups of PACK, and those of a round of a group share no particle
 (``self_collision.near_pairs``), so they are projected side by side, in the lanes of vectors.
 
-Depenetration of an earlier overlap must not become velocity: that part is removed from v at the
-substep's end.
+What follows of them at the substep's end is in ``self_collision.pair_impulses``.
 """
 
 from typing import NamedTuple
@@ -36,11 +35,8 @@ from xpbd_ros.sim.backend.simd import (
 )
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
 from xpbd_ros.sim.backend.threads import (
-    alone_on_device,
     in_block,
-    turns_on_device,
     wait_in_block,
-    wait_on_device,
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
 from xpbd_ros.sim.self_collision.backing import (
@@ -51,8 +47,7 @@ from xpbd_ros.sim.self_collision.backing import (
     prevented,
     take_part,
 )
-from xpbd_ros.sim.self_collision.inverse_mass import inverse_mass
-from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, next_marked
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
 
 NEVER = -1e30
 """-C of pairs that are no contacts in a substep [m]"""
@@ -69,6 +64,8 @@ class PairFriction(NamedTuple):
     """μ_k of each pair, shape (capacity,)"""
     coefficient: np.ndarray | None
     """μ of each pair in this substep, shape (capacity,); None where all are μ_k"""
+    unloaded: np.ndarray
+    """part of the push that undoes a deep overlap, and loads no friction [m], (capacity,)"""
     slip: np.ndarray
     """displacement s by friction, accumulated in this substep [m], shape (3, capacity)"""
 
@@ -135,7 +132,7 @@ def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
     """Return the friction data of pair contacts, with μ_k and μ_s by pair of cloths."""
     return PairFriction(kinetic, static, np.zeros_like(pairs.push),
                         None if static is None else np.zeros_like(pairs.push),
-                        np.zeros_like(pairs.normal))
+                        np.zeros_like(pairs.push), np.zeros_like(pairs.normal))
 
 
 @jit(inline=True)
@@ -308,8 +305,8 @@ def rub_of(friction, pairs, q, push, slip, part, way):
     else:    # Numba prunes the branch that is not taken
         sx, sy, sz = slip[0] - way[0], slip[1] - way[1], slip[2] - way[2]
         size = root(dot((sx, sy, sz), (sx, sy, sz)))
-        most = coefficient(friction.coefficient, friction.slides, q) * (
-            push - smaller(load(pairs.overlap, q), push))
+        most = load(coefficients(friction.coefficient, friction.slides), q) * (
+            push - smaller(load(friction.unloaded, q), push))
         scale = select(size > most, most / select(size > 0.0, size, 1.0), 1.0)
         there = either(push > 0.0, dot(slip, slip) > 0.0)
         sx, sy, sz = (select(there, scale * sx, 0.0), select(there, scale * sy, 0.0),
@@ -321,108 +318,9 @@ def rub_of(friction, pairs, q, push, slip, part, way):
 
 
 @jit(inline=True)
-def coefficient(chosen, kinetic, q):
-    """Return μ of a vector of pairs in this substep."""
+def coefficients(chosen, kinetic):
+    """Return μ of all pairs in this substep."""
     if chosen is None:
-        return load(kinetic, q)
+        return kinetic
     else:    # Numba prunes the branch that is not taken
-        return load(chosen, q)
-
-
-@jit
-def mobility_of_pair(pairs, k, near, state):
-    """Return W = Σ w b² of pair k [1/kg], w by ``inverse_mass``."""
-    total = 0.0
-    for p in range(4):
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            total += inverse_mass(near.h, state, near.slot[i]) * pairs.weight[p, k]**2
-    return total
-
-
-@jit
-def remove_depenetration_velocity(pairs, near, state, substep):
-    """Remove the normal velocity that results from depenetration of earlier overlaps."""
-    mark_pushed(state.team, pairs, near, pairs.overlap)
-    if alone_on_device(state.team):
-        k = next_marked(near.hits, 0, pairs.end[0])
-        while k < pairs.end[0]:
-            calm_pair(pairs, k, near, state, substep)
-            k = next_marked(near.hits, k + 1, pairs.end[0])
-
-
-@jit
-def mark_pushed(team, pairs, near, numbers):
-    """Set ``hits`` for the pairs in groups that push and whose number is positive."""
-    begin, end, turn = turns_on_device(team, pairs.end[0] // PACK)
-    for pack in range(begin, end, turn):
-        found = 0
-        for q in range(PACK * pack, PACK * (pack + 1), lanes(pairs.push)):
-            found |= bits(both(load(numbers, q) > 0.0, load(pairs.push, q) > 0.0)) << (
-                q - PACK * pack)
-        near.hits[pack] = found
-    wait_on_device(team)
-
-
-@jit(inline=True)
-def calm_pair(pairs, k, near, state, substep):
-    """Remove the normal velocity from depenetration of pair k."""
-    v, n = state.v, pairs.normal
-    still = min(pairs.overlap[k], pairs.push[k]) / substep.h
-    speed, rest = 0.0, 0.0
-    for p in range(3, -1, -1):
-        b = float(pairs.weight[p, k]) if p > 0 else -rest
-        rest += b
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            j = near.slot[i]
-            speed += b * (n[0, k] * v[0, j] + n[1, k] * v[1, j] + n[2, k] * v[2, j])
-    excess = min(speed, still)
-    if excess <= 0.0:
-        return
-    excess /= mobility_of_pair(pairs, k, near, state)
-    rest = 0.0
-    for p in range(3, -1, -1):
-        b = float(pairs.weight[p, k]) if p > 0 else -rest
-        rest += b
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            j = near.slot[i]
-            share = inverse_mass(near.h, state, j) * b * excess
-            for a in range(3):
-                v[a, j] -= share * n[a, k]
-
-
-@jit
-def press(pairs, near, state, substep):
-    """Add the forces on pinned particles, b (n d + s) / (W h²), to the mean over the frame."""
-    part = (substep.end - substep.begin) / substep.h**2
-    mark_pushed(state.team, pairs, near, pairs.push)
-    if alone_on_device(state.team):
-        k = next_marked(near.hits, 0, pairs.end[0])
-        while k < pairs.end[0]:
-            press_by_pair(pairs, k, near, state, part)
-            k = next_marked(near.hits, k + 1, pairs.end[0])
-
-
-@jit(inline=True)
-def press_by_pair(pairs, k, near, state, part):
-    """Add those of pair k."""
-    scale = part / mobility_of_pair(pairs, k, near, state)
-    load = max(0.0, pairs.push[k] - pairs.overlap[k])    # the rest leaves no velocity
-    for p in range(4):
-        i = pairs.particles[p, k]
-        if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
-            continue
-        for a in range(3):
-            along = pairs.normal[a, k] * load + slip_of(pairs.friction, k, a)
-            state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
-
-
-@jit(inline=True)
-def slip_of(friction, k, a):
-    """Return component a of the displacement by friction of pair k [m]; 0 without friction."""
-    if friction is None:
-        return 0.0
-    else:    # Numba prunes the branch that is not taken
-        return friction.slip[a, k]
+        return chosen
