@@ -33,7 +33,8 @@ def test_baselines_and_what_is_not_finite_are_not_on_the_front():
 @pytest.mark.parametrize('seed', range(10))
 def test_what_is_recommended_obeys_and_is_the_best(seed):
     random = np.random.default_rng(seed)
-    rows = [row(ms, error, p95=1.5 * ms) for ms, error in random.uniform(0.1, 10.0, (30, 2))]
+    rows = [row(ms, error, p95=slower * ms) for ms, error, slower in random.uniform(
+        [0.1, 0.1, 1.0], [10.0, 10.0, 3.0], (30, 3))]
     for budget in (0.5, 3.0, 20.0):
         best = recommend(rows, 'position', budget=budget)
         fits = [one for one in rows if one.timing.ms_p95 <= budget]
@@ -75,3 +76,5 @@ def test_a_default_is_judged_by_the_best_that_is_as_fast():
     _, four = judge_defaults(rows, 'position', chosen, floor=2e-3)
     assert four.best is rows[3]
     assert four.ratio == pytest.approx(3.0)
+    _, four = judge_defaults(rows, 'position', chosen, floor=1e-2)
+    assert four.ratio == 1.0
