@@ -17,11 +17,13 @@ from xpbd_ros.cli.main import main
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.cost_table import SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.scene.stability import explicit_substeps, substep_ratio
 from xpbd_ros.sim.contact.collider_entries import SHAPES
+from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
 from xpbd_ros.study.prediction import check
 from xpbd_ros.study.prediction.decay import factor
 from xpbd_ros.study.prediction.stiffness import stiffness
-from xpbd_ros.study.prediction.substeps import stretch_error
+from xpbd_ros.study.prediction.substeps import resolving, stretch_error
 
 COARSE = {'cloths.sheet.grid.resolution': [9, 9]}
 COARSE_COVER = {'cloths.cover.grid.resolution': [9, 9]}
@@ -271,6 +273,38 @@ def test_decay_goes_with_the_integrator():
         assert 0.0 < a.lost_per_second < b.lost_per_second <= 1.0
     assert slow.decay[0].frequency_hz == pytest.approx(
         1.2024 * math.sqrt(9.80665) / (2 * math.pi))
+
+
+def test_a_stretch_wave_loses_what_is_said():
+    """A strip that swings along its length, four times as long as the cloth; by its energy."""
+    chosen = scene_from_mapping({
+        'gravity': [0.0, 0.0, 0.0],
+        'solver': {'method': 'line', 'integrator': 'ndf2', 'substeps': 2},
+        'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [21, 1]}, 'density': 0.2,
+                         'effects': {'stretch': {'warp': 400.0, 'weft': 200.0}}}},
+        'pins': {'a': {'cloth': 'c', 'at': 'corner_00'}}, 'effects': {'damping': {'rate': 0.0}}},
+        where='x', name='x')
+    (mode,) = check(chosen).decay
+    simulation, energies = compile_scene(chosen), []
+    simulation.state.x[0] += 1e-3 * np.sin(0.5 * np.pi * simulation.state.x[0])
+    for _ in range(75):
+        simulation.step()
+        energies.append(kinetic_energy(simulation.state) + elastic_energy(simulation))
+    assert mode.lost_per_second > 0.1
+    assert 1.0 - math.sqrt(energies[74] / energies[14]) == pytest.approx(
+        mode.lost_per_second, rel=0.01)
+
+
+def test_waves_of_stretch_and_shear_are_resolved_at_second_order():
+    """A thousandth with ``substep_ratio`` times the substeps of an explicit solver."""
+    simulation = compile_scene(scene_from_mapping({
+        'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [6, 6]}, 'density': 0.2,
+                         'effects': {**SPRINGS, 'shear': {'stiffness': 500.0}}}},
+        'solver': {'method': 'line', 'integrator': 'bdf2', 'substeps': 8}}, where='x', name='x'))
+    share = substep_ratio('line', 'bdf2') * explicit_substeps(
+        simulation.effects, simulation.state, simulation.frame_dt)[0]
+    assert [resolving(simulation, simulation.solver, error) / share for error in (
+        1e-1, 1e-2, 1e-3, 1e-4)] == pytest.approx([0.1, 0.1**0.5, 1.0, 1.0])
 
 
 def test_the_verb_prints_and_fails_with_a_warning(capsys, tmp_path):

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from support.meshes import file_of
-from support.scenes import DOWN, GRAVITY, hang, run, run_until_still, simulate
+from support.meshes import ball, file_of
+from support.scenes import DOWN, EXAMPLES, GRAVITY, hang, run, run_until_still, simulate
 from support.tiers import slow
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
+from xpbd_ros.sim.particles.history import new_history, STEPS, usual_step
 from xpbd_ros.sim.stepping.methods import SOFT
-from xpbd_ros.study.prediction.loads import sheets
+from xpbd_ros.study.prediction.loads import in_axes, sheets, SLOPES
 from xpbd_ros.study.prediction.static_response import JACOBI, StaticResponse
-from xpbd_ros.study.prediction.stiffness import response_of, SIGNIFICANT, stiffness
+from xpbd_ros.study.prediction.stiffness import response_of, SIGNIFICANT, STEP_RATIO, stiffness
 
 
 def scene(grid, size, *, effects, pins, substeps, iterations=1, method='gauss_seidel',
@@ -92,6 +93,12 @@ def test_a_hanging_cloth_gives_about_as_predicted(modulus, substeps, iterations)
     assert row.effective / modulus == pytest.approx(measured(simulation, edges=warp)[0], rel=0.25)
 
 
+@pytest.mark.parametrize('integrator', STEPS)
+def test_the_step_of_an_integrator_is_the_one_that_it_takes(integrator):
+    assert STEP_RATIO[integrator] == pytest.approx(
+        usual_step(new_history(integrator, 16, np.float64), 1.0), rel=1e-15)
+
+
 def test_effective_compliance_adds_that_of_later_edges():
     """The law itself, to rounding, with the tensions that the cloth has: K = 1, and K = 3."""
     for iterations in (1, 3):
@@ -126,6 +133,41 @@ def rectangle(columns=6, rows=4):
     a, b, c, d = (part.ravel() for part in (n[:-1, :-1], n[:-1, 1:], n[1:, 1:], n[1:, :-1]))
     triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     return file_of(x.reshape(-1, 3), triangles), n[:, 0].tolist()
+
+
+@pytest.mark.parametrize('mesh', [False, True])
+def test_gradients_are_those_of_the_residuals(mesh):
+    """Of all effects that are linearised, at rest, by central differences."""
+    names = [name for name in SLOPES if not (mesh and name == 'shear')]
+    simulation = simulate((5, 4), mesh=mesh and rectangle()[0],
+                          effects={name: EXAMPLES[name] for name in names})
+    x, step = np.zeros(simulation.state.x.shape), 1e-6
+    x[:, simulation.slot] = in_axes(simulation.cloths[0].mesh).T
+    for name in names:
+        listed = simulation.effects[name].constraints
+        slopes = SLOPES[name](listed, x.T)
+        for i in simulation.slot:
+            for k in range(2 if name == 'bend' else 0, 3):
+                ends = []
+                for way in (step, -step):
+                    there = x.copy()
+                    there[k, i] += way
+                    ends.append(listed.residual(there).reshape(len(slopes), -1))
+                found = (ends[0] - ends[1])[:, 2 if name == 'bend' else 0:] / (2.0 * step)
+                expected = (slopes[..., k] * (listed.particles == i)[:, None]).sum(2)
+                np.testing.assert_allclose(found, expected, rtol=0.0, err_msg=name,
+                                           atol=1e-5 * np.abs(slopes).max())
+
+
+def test_the_gas_that_a_ball_lacks_is_what_is_filled_in():
+    """V0 (amount^(1/κ) - 1), and ∇V·x = 3 V."""
+    simulation = simulate(mesh=file_of(*ball(2, 0.5)), effects={
+        'stretch': {'warp': 300.0, 'weft': 300.0},
+        'pressure': {'amount': 1.1, 'outside': 1e4, 'kappa': 1.4}})
+    (sheet,) = sheets(simulation)
+    volume = float((sheet.effects['pressure'].jacobian @ sheet.rest.ravel())[0]) / 3.0
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.5**3, rel=0.05)
+    assert sheet.excess == pytest.approx(volume * (1.1**(1.0 / 1.4) - 1.0), rel=1e-9)
 
 
 @pytest.mark.parametrize('names', [
