@@ -1,14 +1,17 @@
 """Signed distance fields of closed surfaces, against the shapes that they are of."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from support.meshes import BOX_FACES, box_surface, octahedral_ball
 from xpbd_ros.errors import InputError
-from xpbd_ros.sim.contact.colliders import BOX, Grids, SPHERE
+from xpbd_ros.sim.contact.colliders import BOX, Grids, Heights, SPHERE
 from xpbd_ros.sim.contact.distance_field import distance_field
-from xpbd_ros.sim.contact.signed_distance import grid_distance, shape_distance
+from xpbd_ros.sim.contact.signed_distance import grid_distance, ground_distance, shape_distance
 
 
 def look_up(field, points):
@@ -31,11 +34,26 @@ def nodes(field):
         *map(np.arange, field.values.shape), indexing='ij'), -1).reshape(-1, 3)
 
 
-def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside():
-    field = distance_field(*box_surface(), gap=0.01, spacing=0.031)
-    expected, _ = exact(BOX, (0.3, 0.5, 0.2), nodes(field))
+@pytest.mark.parametrize('half', [(0.3, 0.5, 0.2), (0.3, 0.3, 0.3)])
+def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside(half):
+    """Also where nodes lie on the diagonals of its faces."""
+    field = distance_field(*box_surface(*half), gap=0.01, spacing=0.031)
+    expected, _ = exact(BOX, half, nodes(field))
     np.testing.assert_allclose(field.values.ravel(), expected, atol=1e-6)
-    assert field.reach == pytest.approx(np.sqrt(0.38))
+    assert field.reach == pytest.approx(np.linalg.norm(half))
+
+
+def test_the_normal_is_along_the_gradient_between_the_nodes():
+    """Of values that belong to no surface, in each cell."""
+    rng, step = np.random.default_rng(5), 1e-6
+    field = SimpleNamespace(values=rng.normal(size=(4, 3, 5)), origin=np.array([0.1, -0.2, 0.3]),
+                            spacing=0.5, clearance=1.0)
+    points = field.origin + 0.5 * (rng.integers(0, [3, 2, 4], (200, 3))
+                                   + rng.uniform(0.01, 0.99, (200, 3)))
+    gradient = np.stack([look_up(field, points + way)[0] - look_up(field, points - way)[0]
+                         for way in step * np.eye(3)], 1)
+    gradient /= np.linalg.norm(gradient, axis=1, keepdims=True)
+    np.testing.assert_allclose(look_up(field, points)[1], gradient, atol=1e-6)
 
 
 def test_the_error_between_nodes_falls_with_the_spacing_squared():
@@ -51,12 +69,34 @@ def test_the_error_between_nodes_falls_with_the_spacing_squared():
     assert errors[1] < 0.4 * errors[0] < 0.1 * 0.06
 
 
+def test_ground_has_its_tangent_plane_and_goes_on_beyond_its_rim():
+    """A table of 4 rows along y and 6 places along x, of 3 m by 1 m."""
+    rng, half, step = np.random.default_rng(6), np.array([1.5, 0.5]), 1e-6
+    table = rng.normal(size=(4, 6))
+    heights = Heights(table.ravel(), np.array([0]), np.array([[6, 4]]))
+    bilinear = RegularGridInterpolator((np.linspace(-0.5, 0.5, 4), np.linspace(-1.5, 1.5, 6)),
+                                       table)
+    points = rng.uniform(-2.0, 2.0, (500, 3))
+
+    def height(x, y):
+        return bilinear(np.stack([np.clip(y, -0.5, 0.5), np.clip(x, -1.5, 1.5)], -1))
+    x, y, z = points.T
+    up = np.stack([(height(x - step, y) - height(x + step, y)) / (2.0 * step),
+                   (height(x, y - step) - height(x, y + step)) / (2.0 * step), np.ones(500)], 1)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    found = np.array([ground_distance(heights, 0, *half, *p) for p in points.tolist()])
+    np.testing.assert_allclose(found[:, 1:], up, atol=1e-6)
+    np.testing.assert_allclose(found[:, 0], (z - height(x, y)) * up[:, 2], atol=1e-6)
+
+
 def test_off_the_grid_it_is_never_more_than_the_distance():
     points = np.random.default_rng(3).uniform(-3.0, 3.0, (2000, 3))
     field = distance_field(*box_surface(), gap=0.01, spacing=0.05)
     expected, _ = exact(BOX, (0.3, 0.5, 0.2), points)
     phi, normals = look_up(field, points)
     out = expected > field.clearance + 0.2
+    beyond = (np.abs(points) > 0.5 * field.spacing * (np.array(field.values.shape) - 1)).any(1)
+    assert (phi[beyond] >= field.clearance).all()
     assert (phi <= expected + 0.02).all()
     assert (phi[out] > 0.1 * expected[out]).all()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-12)
