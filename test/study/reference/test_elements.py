@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from scipy.sparse.linalg import eigsh
 
 from support.shipped_scenes import WITH_MESHIO
@@ -20,6 +21,7 @@ from xpbd_ros.study.reference import (
     Stiffness,
 )
 from xpbd_ros.study.reference.forces import FORCE_KERNELS
+from xpbd_ros.study.reference.stiffness import Factor
 from xpbd_ros.study.verify.energies import FRAMES, scene
 
 pytestmark = WITH_MESHIO
@@ -123,6 +125,18 @@ def test_gas_is_solved_for_exactly():
     gas = next(part for part in problem.elements if part.name == 'gas')
     assert gas.pressure(rest) < -1.0
     assert np.abs(gradient(problem, rest)[~problem.pinned]).max() < 1e-9
+
+
+def test_a_sum_is_positive_if_all_of_its_eigenvalues_are():
+    """S + U A⁻¹ Uᵀ, also where S alone is indefinite."""
+    rng, seen = np.random.default_rng(4), set()
+    for _ in range(40):
+        S = np.diag(rng.uniform(-1.0, 4.0, 6)) + 0.3 * np.ones((6, 6))
+        U, a = rng.standard_normal((6, 2)), rng.uniform(0.1, 1.0, 2)
+        whole = np.linalg.eigvalsh(S + U / a @ U.T).min() > 0.0
+        assert Factor(sparse.csc_matrix(S), U, a).positive == whole
+        seen.add((whole, bool(np.linalg.eigvalsh(S).min() > 0.0)))
+    assert seen == {(True, True), (True, False), (False, False)}
 
 
 def test_both_methods_agree_on_every_effect(every):

@@ -401,6 +401,22 @@ def test_a_moving_pin_drives_the_oscillator():
         np.testing.assert_allclose(found.v[0], [u, 0, 0], atol=1e-9)
 
 
+@pytest.mark.parametrize('method', METHODS)
+def test_a_pin_has_the_velocity_of_its_path(method):
+    """Exactly, where that accelerates evenly."""
+    problem = oscillator(motion=lambda t: [[3.0 * t - 2.0 * t * t, 0.0, t * t]])
+    _, v = advance(method, problem, 0.025, 8)
+    np.testing.assert_allclose(v[0], [3.0 - 4.0 * 0.2, 0.0, 0.4], rtol=1e-12)
+
+
+def test_a_limit_is_known_no_better_than_its_numbers_are_rounded():
+    """Free fall, which a leapfrog has exactly, far from the origin."""
+    problem = Problem(x=[[1e6, 0, 2]], v=[[1, 0, 0]], mass=[3], gravity=[0, 0, -G])
+    found = limit(problem, 0.7, 1e-15)
+    assert found.error(np.array([[1e6 + 0.7, 0.0, 2.0 - 0.245 * G]])) <= found.uncertainty
+    assert np.spacing(1e6) < found.uncertainty < 1e-7
+
+
 # Statics: closed forms
 
 @pytest.mark.parametrize('count', [2, 5, 33])
