@@ -391,12 +391,14 @@ def test_between_fingers_static_friction_of_one_holds_against_the_other(pull, sl
     np.testing.assert_allclose(found[0 if turned else 1], [pull, 0.0, 0.0], atol=1e-12)
 
 
-@pytest.mark.parametrize('way, left', [(2.9, 0.0), (3.1, 1.1)])
+@pytest.mark.parametrize('way, left', [(2.9, (0.0, 0.0)), (3.1, (1.1, 3.1))])
 def test_fingers_at_rest_hold_with_both_static_frictions(way, left):
-    """μ_s d of 1 m and 2 m together; beyond, μ_k d of 0.5 m and 1.5 m."""
+    """μ_s d of 1 m and 2 m together; beyond, μ_k d of 0.5 m and 1.5 m, or none."""
     p = (0.0, way, 0.0)
-    found = np.sum(shared_friction(p, p, (1.0, 2.0), (0.5, 1.5)), 0)
-    np.testing.assert_allclose(np.add(p, found), [0.0, left, 0.0], atol=1e-12)
+    for slides, rest in zip(((0.5, 1.5), (0.0, 0.0)), left):
+        found = shared_friction(p, p, (1.0, 2.0), slides)
+        np.testing.assert_allclose(np.add(p, np.sum(found, 0)), [0.0, rest, 0.0], atol=1e-12)
+        assert (np.linalg.norm(found, axis=1) <= ((1.0, 2.0) if rest == 0.0 else slides)).all()
 
 
 class Solved(NamedTuple):

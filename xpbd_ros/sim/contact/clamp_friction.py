@@ -17,14 +17,13 @@ from math import sqrt
 from typing import NamedTuple
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.contacts import shortened
 from xpbd_ros.sim.contact.corners import contact_distance
 from xpbd_ros.sim.geometry.closest_points import dot
 
 OPPOSITE = -0.9
 """largest cosine of the angle between the normals of a clamp"""
 SAME = 1e-9
-"""difference of the surfaces' motions up to which they count as one surface, relative to L"""
+"""difference of the surfaces' motions up to which they count as one surface, relative to μ_s d"""
 ROUNDS = 16
 """fixed-point iterations where both slide"""
 
@@ -153,13 +152,15 @@ def shared_friction(p, r, sticks, slides):
 
     """
     gx, gy, gz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    apart, total = sqrt(gx * gx + gy * gy + gz * gz), slides[0] + slides[1]
-    if total == 0.0:
+    apart, most = sqrt(gx * gx + gy * gy + gz * gz), sticks[0] + sticks[1]
+    if most == 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-    if apart <= SAME * total:
-        a, b = slides[0] / total, slides[1] / total
-        x, y, z = shortened(-a * p[0] - b * r[0], -a * p[1] - b * r[1], -a * p[2] - b * r[2],
-                            sticks[0] + sticks[1], total)
+    if apart <= SAME * most:
+        a, b = sticks[0] / most, sticks[1] / most
+        x, y, z = -a * p[0] - b * r[0], -a * p[1] - b * r[1], -a * p[2] - b * r[2]
+        size = sqrt(x * x + y * y + z * z)
+        if size > most:
+            a, b = slides[0] / size, slides[1] / size
         return (a * x, a * y, a * z), (b * x, b * y, b * z)
     ex, ey, ez = gx / apart, gy / apart, gz / apart
     l = slides[1]
