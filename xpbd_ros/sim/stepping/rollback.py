@@ -32,14 +32,12 @@ def is_plausible(x, v, before, reach, begin, end):
 
 
 def put_back(simulation, x, v) -> None:
-    """Undo a frame: positions and velocities as given, no history, no forces."""
+    """Undo a frame: positions and velocities as given, no history."""
     state = simulation.state
     state.x[:], state.v[:] = x, v
     for array in history_arrays(state):
         array[:] = 0.0    # no share of nan is 0
     forget(state)
-    if state.reaction is not None:
-        state.reaction[:] = 0.0
     for built in simulation.effects.values():
         built.again()
 
