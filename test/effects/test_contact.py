@@ -473,6 +473,13 @@ def test_what_lies_does_not_hum_however_elastic():
     assert np.abs(height[300:]).max() < 1e-9
 
 
+@pytest.mark.parametrize('speed, after', [(1.9, 0.0), (2.1, 2.1)])
+def test_what_weight_gives_in_two_substeps_does_not_bounce(speed, after):
+    simulation = particle({'s': {'plane': {}, 'restitution': 1.0}}, (0.0, 0.0, R))
+    simulation.state.v[2, 0] = -speed * GRAVITY / 60.0
+    assert simulation.step().v[0, 2] == pytest.approx(after * GRAVITY / 60.0, abs=1e-9)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize('integrator', ['backward_euler', 'bdf2'])
 def test_what_wind_presses_on_does_not_hum_either(integrator):

@@ -11,6 +11,7 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.sim.commands import MoveCollider, Pose, Twist
 from xpbd_ros.sim.constraints.spin_correction import turn_back
 from xpbd_ros.sim.geometry.mesh import cross, dot, length
+from xpbd_ros.sim.particles.rounding import Rounding
 
 RADIUS = 0.5
 YOUNG, POISSON = 300.0, 0.3
@@ -139,6 +140,19 @@ def test_a_body_that_internal_forces_have_turned_is_turned_back():
     mobility[3], x = 0.0, moved.copy()    # pinned
     turn_back(x, None, mobility, mass, 0, 9, before)
     np.testing.assert_array_equal(x, moved)
+
+
+def test_a_body_in_float32_is_turned_back_by_what_its_positions_lack_too():
+    """Σ (x - c) × d / m = 0 of moves below the last bit, as ``particles.rounding`` keeps them."""
+    random = np.random.default_rng(2)
+    before = random.normal(size=(3, 8)).astype(np.float32) + np.float32(4.0)
+    x, move = before.copy(), 1e-7 * random.normal(size=(3, 8)).astype(np.float32)
+    rounding, ones = Rounding(move, np.zeros((8, 4), np.float32)), np.ones(8, np.float32)
+    centre = x.mean(1, keepdims=True)
+    turning = [np.cross(x - centre, move, axis=0).sum(1)]
+    turn_back(x, rounding, ones, ones, 0, 8, before)
+    turning.append(np.cross(before - centre, x - before + move, axis=0).sum(1))
+    assert np.linalg.norm(turning[1]) < 1e-5 * np.linalg.norm(turning[0])
 
 
 def test_gas_changes_while_it_runs_and_more_of_it_fills_more():

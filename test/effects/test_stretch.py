@@ -211,8 +211,21 @@ def test_a_rigid_straight_line_between_two_pins_stays_finite(grid, far, span, pr
         np.testing.assert_allclose(frame.x, np.outer(np.linspace(0.0, 1.0, 9), target), atol=1e-6)
         pull = [frame.pins[name].force[0 if grid[0] > 1 else 1] for name in ('a', 'b')]
         assert pull[0] == pytest.approx(-pull[1], rel=1e-3)
-        assert abs(pull[0]) > 100.0
+        step = 2.0 / 3.0 / 240.0    # H of BDF2; doc/numerics.md 3.3, and damping of 1 1/s
+        mobility = step**2 / (1.0 + step) / simulation.state.mass[simulation.slot[1:-1]]
+        assert pull[0] == pytest.approx((span - 1.0) / (2.0 * TINY * mobility.sum()), rel=1e-3)
     np.testing.assert_allclose(frame.x[[0, -1]], [[0.0, 0.0, 0.0], target], atol=1e-6)
+
+
+def test_a_rigid_line_too_short_for_its_pins_may_begin_with_pinned_neighbours():
+    simulation = simulate(
+        (9, 1), effects={'stretch': {'compliance': 0.0}}, method='line', integrator='bdf2',
+        substeps=4, scene_effects={'damping': {'rate': 1.0}},
+        pins={'a': {'cloth': 'c', 'at': [0, 1]},
+              'b': {'cloth': 'c', 'at': 'corner_01', 'target': [1.5, 0.0, 0.0]}})
+    x = run(simulation, 60).x
+    np.testing.assert_allclose(x[1:, 0], np.linspace(0.125, 1.5, 8), atol=1e-6)
+    np.testing.assert_allclose(x[:, 1:], 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize('axis, grid', [(0, (2, 1)), (1, (1, 2))])

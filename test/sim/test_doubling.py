@@ -1,5 +1,7 @@
 """Step doubling: what a frame started from gives it again, and tells how wrong it is."""
 
+from types import SimpleNamespace
+
 import numba
 import numpy as np
 import pytest
@@ -99,6 +101,23 @@ def test_a_history_moves_along_a_cubic_exactly():
         refine(state, h, factor)
         assert [a[0, 0] for a in (last_x, last_v, older_x, older_v)] == pytest.approx(
             [*at(-h / factor), *at(-2 * h / factor)], rel=1e-14)
+
+
+@pytest.mark.parametrize('order', [1, 2])
+@pytest.mark.parametrize('strain, least, most, frames', [(0.05, 0.78, 1.19, 2),
+                                                         (0.2, 0.89, 1.05, 6)])
+def test_the_estimate_is_between_those_for_first_and_second_order(strain, least, most, frames,
+                                                                  order):
+    """Of errors C / N^p, in the slots of the particles alone."""
+    rng, slot = np.random.default_rng(order), np.array([0, 2, 3, 6])
+    exact, error = rng.normal(size=(2, 3, 8))
+    start = SimpleNamespace(substeps=5, end=lambda factor: SimpleNamespace(
+        x=exact + error / factor**order))
+    found = estimate(start, exact + error, frame=3, slot=slot, strain=strain)
+    true = np.linalg.norm(error[:, slot], axis=0)
+    assert (found.frame, found.substeps, found.resolved, found.frames) == (3, 5, True, frames)
+    assert least < found.rms / rms(true) < most
+    assert found.largest / true.max() == pytest.approx(found.rms / rms(true), rel=1e-12)
 
 
 @pytest.mark.parametrize(('method', 'integrator', 'substeps'), [
