@@ -1,11 +1,13 @@
 """Strain limits and tethers: how far is too far, what they pull with, and when they do nothing."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from support.meshes import disc, obj_text
-from support.scenes import DOWN, GRAVITY, run, run_stage, simulate
+from support.meshes import disc, file_of, obj_text
+from support.scenes import DOWN, GRAVITY, numbers, run, run_stage, simulate
 from support.tiers import quick_only
 from xpbd_ros.effects.strain_limit import forget_turns, note_turn, PATIENCE
 from xpbd_ros.effects.tether import CLOSING, Pulls
@@ -13,6 +15,7 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.sim.commands import Grasp, MovePin, Pose, Release
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy
+from xpbd_ros.sim.particles.history import FULL
 from xpbd_ros.sim.particles.state import Substep
 from xpbd_ros.sim.stepping import stages
 
@@ -189,6 +192,85 @@ def test_without_a_limit_it_would_be():
 def test_what_is_not_too_far_is_not_touched(effect):
     assert len({simulation.hash() for simulation in (hang(effect), hang({}))
                 if run(simulation, 20)}) == 1
+
+
+@pytest.mark.parametrize('mesh', [False, True])
+def test_a_limit_pulls_at_pins_with_the_momentum_that_it_gives(mesh):
+    """What it stops ends the substep with backward Euler: mass Δx / h, with any history."""
+    simulation, h = hang({'strain_limit': {'max': 0.1}}, mesh=mesh, integrator='bdf2',
+                         pins={'top': {'cloth': 'c', 'at': [0, 1]}}), 0.01
+    state, slots = simulation.state, simulation.slot
+    state.history.fresh[:] = FULL
+    state.mobility[:] = state.inv_mass * (2.0 / 3.0 * h)**2
+    state.x[:] *= 1.3
+    before = state.x.copy()
+    for stage in (stages.prepare, stages.project_inequalities):
+        run_stage(stage, simulation.effects['strain_limit'].data, state, Substep(h, 0.0, 1.0))
+    gained = (state.x - before)[:, slots] @ state.mass[slots] / h**2    # the pinned stay
+    assert np.abs(gained).max() > 1.0
+    np.testing.assert_allclose(state.reaction[:, slots[:2]].sum(1), -gained, rtol=0.0,
+                               atol=1e-9 * np.abs(gained).max())
+
+
+def limited(simulation, x, mobility):
+    """Return the positions to which the limit of one cloth moves particles, and its data."""
+    state, (data,) = simulation.state, simulation.effects['strain_limit'].parts
+    state.x[:, simulation.slot], state.mobility[simulation.slot] = x.T, mobility
+    for stage in (stages.prepare, stages.project_inequalities):
+        run_stage(stage, data, state, Substep(0.01, 0.0, 1.0))
+    return state.x[:, simulation.slot].T.copy(), data
+
+
+@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('axis, grid', [(0, (6, 1)), (1, (1, 6))])
+def test_a_straight_line_becomes_the_nearest_one_that_is_not_too_long(axis, grid, seed):
+    """In the metric of the masses, with any edges too long: of all sets of taut edges the one."""
+    rng = np.random.default_rng(seed)
+    x, mobility = np.zeros((6, 3)), rng.uniform(0.3, 3.0, 6) * 1e-4
+    mobility[rng.integers(6)] = 0.0    # pinned
+    x[1:, axis] = np.cumsum(np.where(rng.random(5) < 0.4, 0.1998, rng.uniform(0.0, 0.3, 5)))
+    found, _ = limited(simulate(grid, effects={'strain_limit': {'max': 0.0}}), x, mobility)
+    for taut in product((False, True), repeat=5):
+        J = np.diff(np.eye(6), axis=0)[np.array(taut)]
+        pull = np.linalg.solve(J * mobility @ J.T, J @ x[:, axis] - 0.2)
+        nearest = x[:, axis] - mobility * (J.T @ pull)
+        if (pull >= 0.0).all() and (np.diff(nearest) <= 0.2 + 1e-12).all():
+            break
+    np.testing.assert_allclose(found[:, axis], nearest, atol=1e-5)
+
+
+@pytest.mark.parametrize('mesh, grid', [(True, None), (False, (11, 13))])
+def test_only_edges_at_their_limit_pull(mesh, grid):
+    """By f ≤ 0 each, and they have moved the particles: x = x0 + M Jᵀ f."""
+    simulation = simulate(grid, mesh=mesh, effects={'strain_limit': {'max': 0.0}})
+    rng, x = np.random.default_rng(7), simulation.frame().x
+    x = x + rng.normal(0.0, 0.005 if mesh else 0.002, x.shape) * [1.0, 1.0, 0.0]
+    mobility = rng.uniform(0.5, 2.0, len(x)) * 1e-4
+    found, data = limited(simulation, x, mobility)
+    ends = numbers(simulation, data.pulled.particles)
+    force = data.force[data.pulled.index]
+    d = found[ends[:, 0]] - found[ends[:, 1]]
+    l = np.linalg.norm(d, axis=1)
+    assert (l < data.pulled.longest * 1.003).all()
+    assert (force <= 0.0).all()
+    slack = l < data.pulled.longest * 0.997
+    assert 0.1 < slack.mean() < 0.8
+    assert not force[slack].any()
+    moved = np.zeros_like(x)
+    for end, way in zip(ends.T, (1.0, -1.0)):
+        np.add.at(moved, end, way * mobility[end, None] * (force / l)[:, None] * d)
+    assert np.linalg.norm(moved - (found - x)) < 0.03 * np.linalg.norm(found - x)
+
+
+def test_a_net_held_by_one_particle_is_shortened_in_one_projection():
+    """All edges are 10 % too long; without acceleration some would still be, by 23 %."""
+    simulation = simulate(mesh=file_of(*disc(9)), effects={'strain_limit': {'max': 0.0}})
+    x = simulation.frame().x
+    mobility = np.where(x[:, 0] < x[:, 0].max(), 1e-4, 0.0)
+    found, data = limited(simulation, 1.1 * x, mobility)
+    ends = numbers(simulation, data.pulled.particles)
+    l = np.linalg.norm(found[ends[:, 0]] - found[ends[:, 1]], axis=1)
+    assert (l < 1.012 * data.pulled.longest).all()
 
 
 def test_a_limit_keeps_momentum():
