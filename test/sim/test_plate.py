@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay
 
 from support.meshes import disc, file_of
 from support.scenes import numbers, simulate
+from xpbd_ros.sim.constraints.plate_rigidity import plate
 
 EDGE, COUNT = 0.05, 12
 KINDS = {'regular': 0.0, 'turned': 20.0, 'alternating': 0.0, 'irregular': 0.0,
@@ -57,8 +58,8 @@ def built(kind, effect, warp, weft):
                     effects={effect: {'warp': warp, 'weft': weft}})
 
 
-def stored(simulation, kind, warp, weft):
-    """Return what is stored per area over a plate's, rolled along each direction and settled."""
+def settles(simulation, kind):
+    """Return a function: the energy per area of a sheet of given heights that has settled."""
     bends, (vertices, _, inside) = simulation.effects['bend'].constraints, sheet(kind)
     particles = numbers(simulation, bends.particles)
     fold = sparse.csr_matrix((bends.weight.ravel(), (np.repeat(np.arange(len(particles)), 4),
@@ -67,14 +68,30 @@ def stored(simulation, kind, warp, weft):
     x, there = vertices[particles], inside[particles].any(1)
     area = sum(0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, k] - x[:, 0]), axis=1)
                for k in (2, 3)) / 3.0    # each triangle has three hinges
-    found = []
-    for c, s in zip(np.cos(DIRECTIONS), np.sin(DIRECTIONS)):
-        z = 0.5 * (c * vertices[:, 0] + s * vertices[:, 1])**2
+
+    def energy(z):
+        z = z.copy()
         z[inside] = spsolve(stiffness[inside][:, inside],
                             -stiffness[inside][:, ~inside] @ z[~inside])
-        energy = (0.5 * (fold @ z)**2 / bends.compliance)[there].sum() / area[there].sum()
-        found.append(energy / (0.5 * (np.sqrt(warp) * c * c + np.sqrt(weft) * s * s)**2))
-    return np.array(found)
+        return (0.5 * (fold @ z)**2 / bends.compliance)[there].sum() / area[there].sum()
+    return energy
+
+
+def stored(simulation, kind, warp, weft):
+    """Return what is stored per area over a plate's, rolled along each direction and settled."""
+    energy, (x, y, _) = settles(simulation, kind), sheet(kind)[0].T
+    return np.array([energy(0.5 * (c * x + s * y)**2)
+                     / (0.5 * (np.sqrt(warp) * c * c + np.sqrt(weft) * s * s)**2)
+                     for c, s in zip(np.cos(DIRECTIONS), np.sin(DIRECTIONS))])
+
+
+def strips(simulation, kind):
+    """Return the rigidity of strips along warp and weft that are free to curl and to twist."""
+    energy, (x, y, _) = settles(simulation, kind), sheet(kind)[0].T
+    bent = 0.5 * x * x, 0.5 * y * y, x * y
+    plate = [[energy(one + other) - energy(one) - energy(other) for other in bent]
+             for one in bent]
+    return 1.0 / np.diag(np.linalg.inv(plate))[:2]
 
 
 @pytest.mark.parametrize('kind', KINDS)
@@ -96,6 +113,13 @@ def test_bend_and_hinge_are_the_same_plate(kind):
         bend.effects['bend'].constraints.energy(bend.state.x), rel=1e-6)
 
 
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_strip_that_may_curl_is_as_stiff_as_said(kind):
+    simulation = built(kind, 'bend', 1e-3, 4e-3)
+    found = plate(simulation.cloths[0].mesh, 1e-3, 4e-3)
+    np.testing.assert_allclose(found.strip, strips(simulation, kind), rtol=0.02)
+
+
 @pytest.mark.parametrize('kind', ['regular', 'irregular'])
 def test_what_a_mesh_cannot_carry_is_told_with_what_it_gives(kind):
     """A hundredfold: hinges of one formula gave 3.3e-3 N m along warp for 1e-4."""
@@ -105,8 +129,10 @@ def test_what_a_mesh_cannot_carry_is_told_with_what_it_gives(kind):
     (note,) = simulation.notes
     assert note.startswith('cloths.c.effects.bend: the hinges of this mesh cannot bend as asked: '
                            '0.0001 N m along warp and 0.01 along weft come out as ')
-    said = note.split('come out as ')[1].split(',')[0].split(' and ')
-    np.testing.assert_allclose([float(number) for number in said], along, rtol=0.05)
+    rolled, curled = (part.split(';')[0].split(',')[0].split(' and ') for part in (
+        note.split('come out as ')[1], note.split('free to curl as ')[1]))
+    np.testing.assert_allclose(np.array(rolled, float), along, rtol=0.05)
+    np.testing.assert_allclose(np.array(curled, float), strips(simulation, kind), rtol=0.05)
     assert along[0] < 5.0 * warp
     assert along[1] == pytest.approx(weft, rel=0.1)
 
@@ -120,3 +146,13 @@ def test_a_curved_mesh_refuses_two_rigidities():
         if not count:
             np.testing.assert_allclose(simulation.effects['bend'].constraints.compliance, 1e3,
                                        rtol=1e-12)
+
+
+def test_a_mesh_without_an_inside_has_the_rigidity_across_each_edge():
+    """(√B1 sin² + √B2 cos²)² for an edge at an angle to warp."""
+    angle = np.radians(30.0)
+    edge, across = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.4, 0.0])
+    vertices = np.array([0.0 * edge, edge, 0.5 * edge + across, 0.5 * edge - across])
+    bends = simulate(mesh=file_of(vertices, np.array([[0, 1, 2], [1, 0, 3]])), effects={
+        'bend': {'warp': 1e-3, 'weft': 9e-3}}).effects['bend'].constraints
+    np.testing.assert_allclose(1.0 / bends.compliance, 1e-3 * (0.25 + 3.0 * 0.75)**2, rtol=1e-6)
