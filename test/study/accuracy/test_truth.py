@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.load import scene_from_mapping
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.study.accuracy import truth
 from xpbd_ros.study.accuracy.errors import errors
 from xpbd_ros.study.accuracy.trajectory import energy, Trajectory
@@ -85,6 +85,15 @@ def test_a_limit_is_extrapolated_by_no_more_than_an_order_of_two_and_a_half():
     last = runs[2] - runs[1]
     np.testing.assert_allclose(found, runs[2] + last / (2.0**2.5 - 1.0), rtol=1e-14)
     assert uncertainty > np.sqrt((runs[2] - LINE)**2).max()
+
+
+@pytest.mark.parametrize('slowest', [1e-3, 0.2, 0.37, 0.51, 16])
+def test_runs_towards_the_limit_halve_the_step(slowest, monkeypatch):
+    """Also where the time of a frame bounds them; else Richardson's formula does not hold."""
+    monkeypatch.setattr(truth, 'SLOWEST', slowest)
+    counts = [setting.substeps for setting in truth.own_rungs(load_scene('drape'))]
+    assert counts[-1] == 2 * counts[-2] == 4 * counts[-3] >= 4
+    assert slowest != 16 or counts[-1] == 8 * counts[0]
 
 
 @pytest.fixture(scope='module')

@@ -109,6 +109,7 @@ def own_rungs(scene: Scene) -> list[Setting]:
     per = SHIPPED.substep_ns(base.method, 1, simulation.effects, simulation.state)
     most = SLOWEST * 1e9 * simulation.frame_dt / per
     finest = max(4, min(FACTORS[-1] * base.substeps, int(most), MAX_SUBSTEPS))
+    finest -= finest % (8 if finest > 8 else 4)    # so that each of the last three halves the step
     return [with_substeps(base, max(1, finest * factor // FACTORS[-1])) for factor in FACTORS]
 
 
