@@ -12,6 +12,12 @@ from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.load import load_scene
 from xpbd_ros.scene.stability import stability_limit
 from xpbd_ros.sim.measure import elastic_energy, kinetic_energy, potential_energy
+from xpbd_ros.sim.particles.explicit_updates import (
+    displacement_before,
+    half_kick,
+    newmark,
+    stay,
+)
 from xpbd_ros.sim.stepping import explicit_guard
 
 PINS = {'a': {'cloth': 'c', 'at': 'corner_00'}, 'b': {'cloth': 'c', 'at': 'corner_01'}}
@@ -353,3 +359,26 @@ def test_an_effect_elsewhere_changes_nothing_here(method, integrator, also, tmp_
         scene.state.x_prev[:] = scene.state.x
         found.append(run(scene, 1).x[4:])
     np.testing.assert_allclose(found[1], found[0], atol=1e-12)
+
+
+def test_what_half_a_kick_leaves_is_known_before_it():
+    """The displacement by the velocity half a substep earlier; ``stay`` keeps a velocity."""
+    simulation, h = sheet(8), 2e-3
+    state, rng = simulation.state, np.random.default_rng(2)
+    state.v[:], state.apart.move[:] = rng.normal(size=(2, *state.v.shape))
+    state.gravity[:] = 1e4, -2e4, 3e4
+    stay(state, simulation.slot[7], h)
+    before, expected = state.v.copy(), np.array([
+        [displacement_before(state, i, k, h) for i in simulation.slot] for k in range(3)])
+    half_kick(state, h, -0.5)
+    np.testing.assert_allclose(h * state.v[:, simulation.slot], expected, rtol=1e-12)
+    same = (state.v == before)[:, simulation.slot].all(0)
+    assert np.flatnonzero(same).tolist() == sorted([7, *np.flatnonzero(
+        state.inv_mass[simulation.slot] == 0.0)])
+
+
+@pytest.mark.parametrize('square, gamma, beta', [
+    (0.5, 0.0, 0.25), (1.0, 0.0, 0.25), (1.5, 0.5, 0.625), (2.0, 1.0, 1.0), (9.0, 1.0, 1.0),
+    (np.inf, 1.0, 1.0)])
+def test_springs_act_in_the_mean_where_they_are_resolved_and_late_where_not(square, gamma, beta):
+    assert newmark(1.0, 1.0 / square) == pytest.approx((gamma, beta), rel=1e-12)
