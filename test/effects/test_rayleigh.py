@@ -61,6 +61,18 @@ def test_oscillator_decay_converges_at_the_integrators_order(method):
     np.testing.assert_allclose(np.log2(errors[:-1]) - np.log2(errors[1:]), order, atol=0.35)
 
 
+def test_dampers_see_the_velocity_of_the_integrator():
+    """(x - x̄) / H, of a pair that flies on; H = 2 h / 3."""
+    simulation = pair(TAU, integrator='bdf2')
+    simulation.state.v[:, simulation.slot] = [[0.3], [-0.2], [0.1]]
+    run(simulation, 4)
+    past = simulation.effects['rayleigh'].past
+    assert past.per_step[0] == pytest.approx(1.5 / H)
+    np.testing.assert_allclose(
+        ((simulation.state.x - past.x) * past.per_step)[:, simulation.slot],
+        [[0.3, 0.3], [-0.2, -0.2], [0.1, 0.1]], atol=1e-12)
+
+
 def sheet(effects, **options):
     """Return a free sheet of square cells that stretches and shears."""
     return simulate((5, 4), (0.5, 0.4), gravity=(0, 0, 0), substeps=8, effects={
