@@ -54,6 +54,19 @@ def test_the_settings_are_those_of_the_report(study):
     assert report_of(study.parent) is None
 
 
+def test_a_mix_is_shown_with_its_rough_frames(study, tmp_path):
+    (tmp_path / 'scene.yaml').write_text(SHEET)
+    numbers = json.loads((study / 'accuracy.json').read_text())
+    mix = row(40, 0.2, 0.0005, method='explicit', integrator='leapfrog', rough_frames=30,
+              rough_integrator='bdf2', rough_substeps=6)
+    numbers['settings'].append(mix)
+    (tmp_path / 'accuracy.json').write_text(json.dumps({**numbers, 'recommended': mix}))
+    name, scene = report_of(tmp_path).settings[1]
+    assert name.split('\n')[1] == 'explicit leapfrog 40×1 and line bdf2 6×1'
+    solver = compile_scene(scene).solver
+    assert (solver.rough_frames, solver.rough_integrator, solver.rough_substeps) == (30, 'bdf2', 6)
+
+
 def test_a_setting_runs_as_in_the_study(study):
     """The distance from the reference falls from the cheapest to the recommended setting."""
     tracks = [Track.stepped(name, compile_scene(scene), {}, range(1, 13))

@@ -1,9 +1,10 @@
 """Settings of a finished study that show the cost of accuracy, to be run side by side."""
 
+from dataclasses import fields
 import json
 from math import inf
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.load import load_scene
@@ -72,8 +73,14 @@ def report_of(path: Path) -> Report | None:
     found = [Shown(f'reference\n{name_of(finest)}', with_solver(scene, finest.block()))]
     for word, row in (('recommended' if recommended else 'most accurate', best),
                       ('cheapest', cheapest)):
-        setting = Setting(**{key: row[key] for key in finest.block()})
-        if word != 'cheapest' or setting != Setting(**{key: best[key] for key in finest.block()}):
+        setting = _setting(row)
+        if word != 'cheapest' or setting != _setting(best):
             found.append(Shown(f'{word}\n{name_of(setting)}\n{row["ms_p50"]:.3g} ms, '
                                f'{row["error_m"]:.2g} m', with_solver(scene, setting.block())))
     return Report(found, frames, commands)
+
+
+def _setting(row: dict) -> Setting:
+    """Return the setting of a row; only a mix has the keys of rough frames."""
+    keys: Any = {key.name: row.get(key.name) for key in fields(Setting)}
+    return Setting(**keys)
