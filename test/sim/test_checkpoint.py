@@ -126,8 +126,9 @@ def test_code_of_others_is_refused_before_it_runs(pickled, capfd):
     refused(zlib.compress(pickled), 'is no part of a simulation', capfd)
 
 
-def test_a_checkpoint_of_another_scene_is_refused():
-    first, other = with_effects(), with_effects((5, 5))
+@pytest.mark.parametrize('other', [{'grid': (5, 5)}, {'names': FEW}])
+def test_a_checkpoint_of_another_scene_is_refused(other):
+    first, other = with_effects(), with_effects(**other)
     with pytest.raises(InputError, match='of another scene'):
         restore(other, checkpoint(first))
 

@@ -237,6 +237,19 @@ def test_a_pin_that_turns_is_refused():
         problem_of(simulation)
 
 
+def test_a_pin_on_a_spring_gives_way_by_its_compliance_as_a_whole():
+    """Σ m g α, however many particles it holds."""
+    simulation = compile_scene(scene_from_mapping({
+        'gravity': [0.0, 0.0, -G], 'cloths': {'c': {
+            'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.5,
+            'effects': {'stretch': {'warp': 300.0, 'weft': 300.0}}}},
+        'pins': {'a': {'cloth': 'c', 'at': 'edge_x0', 'compliance': 0.02}}}, where='x', name='x'))
+    x = equilibrium(problem_of(simulation))
+    held = simulation.frame().x[:, 0] == 0.0
+    assert held.sum() == 3
+    assert x[:12][held, 2].mean() == pytest.approx(-0.5 * 0.06 * G * 0.02, rel=1e-9)
+
+
 def test_a_strip_has_no_cells_and_is_solved():
     strip, plain = (problem_of(compile_scene(scene_from_mapping(
         {'cloths': {'rope': {'grid': {'size': [1.0, 0.1], 'resolution': [5, 1]}, 'density': 0.2,
