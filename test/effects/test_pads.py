@@ -542,6 +542,19 @@ def test_an_overlap_comes_apart_slowly(stiffness):
     assert np.abs(frame.v).max() < 0.05
 
 
+@pytest.mark.parametrize('depth', [0.009, 0.02])
+def test_what_leaves_a_pad_by_itself_keeps_its_speed(depth):
+    """At 0.5 m/s: only what the pad adds is taken, whether it recovers at once or at 1 m/s."""
+    simulation = simulate((1, 1), (0.03, 0.02), density=2.0, friction=0.0, gravity=(0, 0, 0),
+                          method='line', integrator='ndf2', pose={
+                              'position': [0.0, 0.0, R - depth]},
+                          colliders={'pad': {'plane': {}, 'pad': {'stiffness': 1e8}}}, **effects())
+    simulation.state.v[2, 0] = 0.5
+    frame = simulation.step()
+    assert frame.x[0, 2] > R - depth + 0.5 / 60.0 + 1e-4, 'pushed'
+    assert frame.v[0, 2] == pytest.approx(0.5, abs=1e-3)
+
+
 @pytest.mark.parametrize('substeps', [1, 20, 2000])
 def test_what_falls_on_a_pad_gains_no_energy(substeps):
     """Unresolved it stays, resolved it comes back with the speed of recovery at most."""
