@@ -542,13 +542,38 @@ def test_an_overlap_comes_apart_slowly(stiffness):
     assert np.abs(frame.v).max() < 0.05
 
 
+def one_particle(depth, *, stiffness, substeps=1, density=2.0, **keys):
+    """Return a particle without weight, so deep in a pad that faces up."""
+    return simulate((1, 1), (0.03, 0.02), density=density, friction=0.0, gravity=(0, 0, 0),
+                    method='line', integrator='ndf2', substeps=substeps,
+                    pose={'position': [0.0, 0.0, R - depth]},
+                    colliders={'pad': {'plane': {}, 'pad': {'stiffness': stiffness}, **keys}},
+                    **effects())
+
+
+def test_what_meets_a_pad_that_is_resolved_bounces():
+    """In 168 substeps, half a period, with a loss of some per cent."""
+    simulation = one_particle(-1e-3, stiffness=1e6, substeps=2000, density=0.2)
+    simulation.state.v[2, 0] = -0.3
+    assert 0.27 < run(simulation, 2).v[0, 2] < 0.3
+
+
+@pytest.mark.parametrize('speed', [0.5, -0.5])
+def test_what_sinks_into_a_moving_pad_goes_on_with_it(speed):
+    """Pressed on by a force of its weight 2 kg/m² g; as deep as in one at rest."""
+    simulation = one_particle(0.0, stiffness=1e5, substeps=4, motion=[
+        [0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 2.0 * speed]])
+    simulation.state.v[2, 0] = speed
+    simulation.state.gravity[2] = -GRAVITY
+    frame = run(simulation, 60)
+    assert speed + R - frame.x[0, 2] == pytest.approx(2.0 * GRAVITY / 1e5, rel=1e-6)
+    assert frame.v[0, 2] == pytest.approx(speed, abs=1e-6)
+
+
 @pytest.mark.parametrize('depth', [0.009, 0.02])
 def test_what_leaves_a_pad_by_itself_keeps_its_speed(depth):
     """At 0.5 m/s: only what the pad adds is taken, whether it recovers at once or at 1 m/s."""
-    simulation = simulate((1, 1), (0.03, 0.02), density=2.0, friction=0.0, gravity=(0, 0, 0),
-                          method='line', integrator='ndf2', pose={
-                              'position': [0.0, 0.0, R - depth]},
-                          colliders={'pad': {'plane': {}, 'pad': {'stiffness': 1e8}}}, **effects())
+    simulation = one_particle(depth, stiffness=1e8)
     simulation.state.v[2, 0] = 0.5
     frame = simulation.step()
     assert frame.x[0, 2] > R - depth + 0.5 / 60.0 + 1e-4, 'pushed'
