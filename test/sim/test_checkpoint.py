@@ -117,6 +117,12 @@ def test_other_bytes_are_refused(data, capfd):
     refused(data, '', capfd)
 
 
+@pytest.mark.parametrize('missing', [1, 4, 100])
+def test_a_checkpoint_cut_short_is_refused(missing, capfd):
+    """Also if all is there but the end of its checksum."""
+    refused(checkpoint(with_effects())[:-missing], 'no end, and no checksum', capfd)
+
+
 @pytest.mark.parametrize('pickled', [
     pickle.dumps(Call()), pickle.dumps(Attribute()),
     name(b'xpbd_ros.sim.backend.threads', b'np.load'),

@@ -62,7 +62,10 @@ def restore(simulation: Simulation, data: bytes) -> None:
 
     """
     try:
-        raw = zlib.decompressobj().decompress(data, LARGEST)
+        reader = zlib.decompressobj()
+        raw = reader.decompress(data, LARGEST)
+        if not reader.eof:
+            raise EOFError('no end, and no checksum')
         stream = BytesIO(raw)
         bits, found = _Unpickler(stream, simulation).load()
         saved = None
