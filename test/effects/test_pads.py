@@ -16,7 +16,7 @@ from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
-from xpbd_ros.sim.contact.clamp_friction import shared_friction
+from xpbd_ros.sim.contact.clamp_friction import _pushes, shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.contact.pads import solve, surface_area
 from xpbd_ros.sim.geometry.mesh import grid_mesh
@@ -424,6 +424,22 @@ def test_the_pushes_of_several_pads_are_the_minimum_of_their_energy(count):
         u = np.array(solve(pads, pads, count - 1))
         np.testing.assert_allclose(
             u, (ratio * np.maximum(0.0, deficit - normal @ u)) @ normal, atol=1e-9)
+
+
+def test_the_pushes_of_a_clamp_balance_along_its_axis():
+    """Of fingers aslant, one stiffer, with the particle displaced across the axis."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]) + rng.normal(0.0, 0.2, (2, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        axis = (normals[0] - normals[1]) / np.linalg.norm(normals[0] - normals[1])
+        z = np.cross(axis, rng.normal(size=3))
+        ratio, deficit, along = 10.0**rng.uniform(-2.0, 2.0, 2), rng.normal(size=2), rng.normal()
+        pads = Solved(normals, np.arange(2), ratio, deficit, np.zeros(2, np.int32))
+        y, d = _pushes(pads, 0, 1, tuple(axis), tuple(map(tuple, normals)), tuple(deficit), along,
+                       tuple(z))
+        np.testing.assert_allclose(d, ratio * (deficit - normals @ (y * axis + z)), rtol=1e-12)
+        assert y == pytest.approx(along + np.dot(d, normals @ axis), rel=1e-9)
 
 
 def test_compliance_scale_divides_the_stiffness_of_pads():
