@@ -226,7 +226,7 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
                 assert set(found) <= set(chosen[kind])
                 touching += len(found)
             empty_groups(None, near)
-            choose_near(None, near, pairs, THICKNESS)
+            choose_near(None, near, pairs, THICKNESS, False)
             chosen = all_near(near, pairs)
             for kind, found in near_by_brute_force(near, (1.0 + SPARE) * THICKNESS).items():
                 assert sorted(chosen[kind]) == sorted(found)
@@ -247,8 +247,8 @@ def test_near_pairs_are_complete_where_particles_leave_inner_margins_while_other
     state.x[2, slot] += np.where(np.arange(len(slot)) % 2, 5e-3, -5e-3)
     state.x[2, slot[0]] += 0.02    # the only one to leave its margin
     common_step(near, state)
-    load_pairs(near, state, THICKNESS)
-    choose_near(None, near, pairs, THICKNESS)
+    _, found = load_pairs(near, state, THICKNESS)
+    choose_near(None, near, pairs, THICKNESS, found)
     assert (near.count[[0, 4]] - searches == [1, 0]).all()
     chosen = all_near(near, pairs)
     for kind, found in near_by_brute_force(near).items():

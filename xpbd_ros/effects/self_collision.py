@@ -206,8 +206,8 @@ def strays(near, state):
 def find_pairs(effect, state, substep):
     """Find the pairs in reach in this substep."""
     near, pairs, team, thickness = effect.near, effect.pairs, state.team, effect.thickness[0]
-    most = load_pairs(near, state, thickness)
-    lost = choose_near(team, near, pairs, thickness)
+    most, found = load_pairs(near, state, thickness)
+    lost = choose_near(team, near, pairs, thickness, found)
     if alone(team):
         stir_contacts(effect.contacts, most)
         pairs.count[0] = SOUGHT
@@ -223,19 +223,21 @@ def load_pairs(near, state, thickness):
 
     Returns
     -------
-    longest way of a particle in this substep [m], on the main thread
+    longest way of a particle in this substep [m], on the main thread; True if ``near.hits`` has
+    the near pairs
 
     """
     team = state.team
     most, leaves = track_motion(team, near, state.x, SLACK * thickness)
     if leaves:
         seek(team, near, thickness, SUBSTEPS)
-    if is_front_incomplete(team, near) or not leaves and has_many_new(near):
-        prune(team, near, state.x, thickness)
+    pruned = is_front_incomplete(team, near) or not leaves and has_many_new(near)
     load_starts(team, near)
     load_moves(near, state)
     wait_uneven(team)
-    return most
+    if pruned:
+        prune(team, near, thickness)
+    return most, pruned
 
 
 @jit

@@ -1,9 +1,9 @@
 """
 Reordering of the neighbour list: near pairs first, pairs of renewed particles removed.
 
-On a CPU one thread moves the pairs in place. On a GPU each thread takes a contiguous part of the
-list, computes the new positions by a prefix sum over all parts (stream compaction), and copies the
-pairs there. The order is the same.
+Each thread takes a contiguous part of the list, and a prefix sum over all parts tells where its
+pairs go; the order does not depend on the number of threads. On a CPU one thread removes pairs, in
+place.
 """
 
 from typing import NamedTuple
@@ -32,40 +32,78 @@ class Moves(NamedTuple):
     """as in ``NeighbourList``, shape (4, capacity)"""
     keep: np.ndarray
     """the same, shape (capacity,)"""
-    earlier: np.ndarray
-    """number of marked pairs before each PACK pairs of the list, shape (capacity / PACK,)"""
 
 
 def new_moves(room: int) -> Moves:
     """Return scratch memory for a capacity in pairs."""
-    return Moves(np.zeros((4, room), np.int32), np.zeros(room, np.float32),
-                 np.zeros(room // PACK, np.int64))
+    return Moves(np.zeros((4, room), np.int32), np.zeros(room, np.float32))
 
 
+@jit
 def bring_forward(team, near, kind):
-    """Swap the pairs marked in ``hits``, in their order, with the first ones of a kind."""
+    """
+    Let the marked pairs of a kind be the first ones: exchange others there with those behind.
+
+    ``hits`` goes with the pairs, and is zero behind.
+    """
+    marks, hits, movers, base = near.marks, near.hits, near.movers, near.kind_begin[kind]
+    first, last = share(team, (near.kind_end[kind] - base + PACK - 1) // PACK)
+    first, last, count = base // PACK + first, base // PACK + last, 0
+    for pack in range(first, last):
+        count += count_bits(np.int64(marks[pack]))
+    before, total = prefix_sum(team, near, count)
+    front, count = base + total, 0
+    wait_uneven(team)
+    for pack in range(first, last):
+        count += count_bits(np.int64(marks[pack] & ~first_bits(front - PACK * pack)))
+    m = prefix_sum(team, near, count)[0]
+    for pack in range(first, last):
+        behind = marks[pack] & ~first_bits(front - PACK * pack)
+        while behind:
+            lane = lowest_bit(np.int64(behind))
+            movers[m] = PACK * pack + lane << 1 | hits[pack] >> lane & 1
+            behind &= behind - 1
+            m += 1
+    wait_uneven(team)
+    m = PACK * first - base - before    # others before this thread's part
+    for pack in range(first, last):
+        there = first_bits(front - PACK * pack)
+        others, hit = there & ~marks[pack], hits[pack] & there
+        while others:
+            lane = lowest_bit(np.int64(others))
+            exchange(near, PACK * pack + lane, movers[m] >> 1)
+            hit |= (movers[m] & 1) << lane
+            others &= others - 1
+            m += 1
+        hits[pack] = hit
+    if alone(team):
+        near.kind_front[kind] = front
+    wait_uneven(team)
 
 
+@jit(inline=True)
+def first_bits(count):
+    """Return the lowest bits of a pack, at most PACK of them."""
+    return (1 << min(max(count, 0), PACK)) - 1
+
+
+@jit
 def bring_new_forward(team, near, kind):
-    """Swap the pairs that a search has found with the first ones behind those in front."""
+    """Exchange the pairs that a search has found with the first ones behind those in front."""
+    front, new, end = near.kind_front[kind], near.plan[kind], near.kind_end[kind]
+    count = min(new - front, end - new)
+    first, last, step = turns(team, count)
+    for m in range(first, last, step):
+        exchange(near, front + m, end - count + m)
+    wait_uneven(team)    # all have read the ends
+    if alone(team):
+        near.unpruned[0] += end - new
+        near.kind_front[kind] = front + end - new
+    wait_uneven(team)
 
 
 def drop_renewed(team, near, kind):
     """Remove a kind's pairs of renewed particles; set ``plan`` to the end of the others."""
-
-
-@inline(bring_forward)
-def _bring_forward(team, near, kind):
-    if is_on_device(team):
-        return lambda team, near, kind: bring_forward_in_parallel(team, near, kind)
-    return lambda team, near, kind: bring_forward_serially(near, kind)
-
-
-@inline(bring_new_forward)
-def _bring_new_forward(team, near, kind):
-    if is_on_device(team):
-        return lambda team, near, kind: bring_new_forward_in_parallel(team, near, kind)
-    return lambda team, near, kind: bring_new_forward_serially(near, kind)
 
 
 @inline(drop_renewed)
@@ -73,32 +111,6 @@ def _drop_renewed(team, near, kind):
     if is_on_device(team):
         return lambda team, near, kind: drop_renewed_in_parallel(team, near, kind)
     return lambda team, near, kind: drop_renewed_serially(near, kind)
-
-
-@jit
-def bring_forward_serially(near, kind):
-    """Do ``bring_forward`` on one thread."""
-    front = near.kind_begin[kind]
-    for pack in range(near.kind_begin[kind], near.kind_end[kind], PACK):
-        hit = near.hits[pack // PACK]
-        while hit:
-            k = pack + lowest_bit(hit)
-            hit &= hit - 1
-            if front < k:
-                exchange(near, front, k)
-            front += 1
-    near.kind_front[kind] = front
-
-
-@jit
-def bring_new_forward_serially(near, kind):
-    """Do ``bring_new_forward`` on one thread."""
-    front = near.kind_front[kind]
-    for k in range(near.plan[kind], near.kind_end[kind]):
-        exchange(near, front, k)
-        front += 1
-    near.unpruned[0] += front - near.kind_front[kind]
-    near.kind_front[kind] = front
 
 
 @jit
@@ -118,83 +130,6 @@ def keep_others(near, first, last, end):
                 copy(near, k, near, end)
             end += 1
     return end
-
-
-@jit
-def bring_forward_in_parallel(team, near, kind):
-    """Do ``bring_forward`` on all threads of a GPU."""
-    front = move_to_front(team, near, near.kind_begin[kind], near.kind_end[kind])
-    if alone(team):
-        near.kind_front[kind] = front
-
-
-@jit
-def bring_new_forward_in_parallel(team, near, kind):
-    """Do ``bring_new_forward`` on all threads of a GPU."""
-    front, new, end = near.kind_front[kind], near.plan[kind], near.kind_end[kind]
-    first, last, step = turns(team, (end + PACK - 1) // PACK - front // PACK)
-    for pack in range(front // PACK + first, front // PACK + last, step):
-        before, there = max(0, new - PACK * pack), min(PACK, end - PACK * pack)
-        near.hits[pack] = ((1 << there) - 1) & ~((1 << min(before, PACK)) - 1)
-    wait(team)
-    found = move_to_front(team, near, front, end)
-    if alone(team):
-        near.unpruned[0] += found - front
-        near.kind_front[kind] = found
-
-
-@jit
-def move_to_front(team, near, front, end):
-    """
-    Swap the pairs marked in ``hits``, none before ``front``, with those from ``front`` on.
-
-    The n-th marked pair moves to front + n. The pair displaced from there moves to the marked
-    pair's old position, unless that is in front too. If front + n was itself the old position of
-    an earlier marked pair, it holds what that one displaced (``displaced_by``).
-
-    Returns
-    -------
-    end of the pairs in front
-
-    """
-    hits, earlier, base = near.hits, near.moves.earlier, front // PACK
-    first, last = share(team, (end + PACK - 1) // PACK - base)
-    first, last, count = base + first, base + last, 0
-    for pack in range(first, last):
-        count += count_bits(np.int64(hits[pack]))
-    place, total = prefix_sum(team, near, count)
-    for pack in range(first, last):
-        earlier[pack] = place
-        hit = hits[pack]
-        while hit:
-            copy(near, PACK * pack + lowest_bit(hit), near.moves, place)
-            hit &= hit - 1
-            place += 1
-    wait(team)
-    for pack in range(first, last):
-        hit, n = hits[pack], earlier[pack]
-        while hit:
-            k = PACK * pack + lowest_bit(hit)
-            if k >= front + total:
-                copy(near, displaced_by(near, front, n), near, k)
-            hit &= hit - 1
-            n += 1
-    wait(team)
-    if first < last:
-        for n in range(earlier[first], place):
-            copy(near.moves, n, near, front + n)
-    wait(team)
-    return front + total
-
-
-@jit(inline=True)
-def displaced_by(near, front, n):
-    """Return the original position of the pair that the n-th marked one displaces."""
-    hits, k = near.hits, front + n
-    while hits[k // PACK] >> k % PACK & 1:
-        before = hits[k // PACK] & ((1 << k % PACK) - 1)
-        k = front + near.moves.earlier[k // PACK] + count_bits(np.int64(before))
-    return k
 
 
 @jit

@@ -45,6 +45,8 @@ from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
 CLOTH = 3
 """last column of the records at rest"""
+FRONT = 2.0
+"""travels within which pairs are in front, and inner margin of a particle in travels"""
 SPARE = 0.05
 """further distance of pairs in groups, relative to the thickness"""
 REST_SHARE = 0.5
@@ -52,12 +54,18 @@ REST_SHARE = 0.5
 
 
 @jit
-def choose_near(team, near, pairs, thickness):
-    """Choose and group the near pairs; return the number of those beyond the capacity."""
-    missing = find_near(team, near, POINTS, thickness)
-    missing |= find_near(team, near, TRIANGLES, thickness)
-    missing |= find_near(team, near, EDGES, thickness)
-    if any_thread(team, near, missing or near.regroup[0]):
+def choose_near(team, near, pairs, thickness, found):
+    """
+    Choose and group the near pairs; return the number of those beyond the capacity.
+
+    ``found`` is True if a pruning has just set ``hits`` to these.
+    """
+    missing = found or near.regroup[0]
+    if not found:
+        missing |= find_near(team, near, POINTS, thickness)
+        missing |= find_near(team, near, TRIANGLES, thickness)
+        missing |= find_near(team, near, EDGES, thickness)
+    if any_thread(team, near, missing):
         return regroup(team, near, pairs)
     return 0
 
@@ -85,6 +93,28 @@ def find_near(team, near, kind, thickness):
 
 
 @jit(inline=True)
+def find_front(team, near, kind, thickness):
+    """
+    Mark this thread's part of a kind's pairs closer than they have to keep + FRONT travels.
+
+    ``hits`` is set to those of them that groups made now would hold.
+    """
+    end, spare = near.kind_end[kind], SPARE * thickness
+    first, last, step = packs_of(team, near.kind_begin[kind], end)
+    for pack in range(first, last, step):
+        front = found = 0
+        for q in range(pack, pack + PACK, lanes(near.start)):
+            close, square, keep, travel, weight = within(near, kind, q, thickness, FRONT, 0.0)
+            if any_lane(close):
+                reach = (keep + spare) + travel
+                front |= bits(close) << (q - pack)
+                close = both(close, square <= reach * reach)
+                found |= bits(may_touch(kind, close, square, travel, weight)) << (q - pack)
+        listed = (1 << min(PACK, end - pack)) - 1
+        near.marks[pack // PACK], near.hits[pack // PACK] = front & listed, found & listed
+
+
+@jit(inline=True)
 def packs_of(team, begin, end):
     """Return the first of this thread's packs of some pairs, their end, and the stride."""
     first, last, step = turns(team, (end - begin + PACK - 1) // PACK)
@@ -94,43 +124,49 @@ def packs_of(team, begin, end):
 @jit(inline=True)
 def hits_of(near, kind, q, thickness):
     """
-    Return bits of the near pairs of a vector of listed pairs, and of those within SPARE more.
-
-    Returns
-    -------
-    near pairs; those within SPARE more; the latter with edges whose closest points include an end
-
+    Return bits of a vector of listed pairs: those that are near, those for groups made now, and
+    the latter with all pairs of edges.
     """
     spare = SPARE * thickness
-    close, square, reach, travel, weight = within(near, kind, q, thickness, spare)
+    close, square, keep, travel, weight = within(near, kind, q, thickness, 1.0, spare)
     with_ends = bits(close)
     if with_ends == 0:
         return 0, 0, 0
-    reach -= spare
-    if kind == EDGES:    # others only where they may pass through each other
-        close = both(close, either(is_inside(kind, weight), square <= travel * travel))
+    close, reach = may_touch(kind, close, square, travel, weight), keep + travel
     return bits(both(close, square <= reach * reach)), bits(close), with_ends
 
 
 @jit(inline=True)
-def within(near, kind, q, thickness, spare):
+def may_touch(kind, close, square, travel, weight):
+    """Return which close pairs may touch: of edges, those inside or with room to pass through."""
+    if kind == EDGES:
+        return both(close, either(is_inside(kind, weight), square <= travel * travel))
+    return close
+
+
+@jit(inline=True)
+def within(near, kind, q, thickness, travels, spare):
     """
-    Return which of a vector of listed pairs are closer than they have to keep + travel + spare.
+    Return which of a vector of listed pairs are closer than they have to keep + travels + spare.
 
     Returns
     -------
-    mask; squares of their distances [m²], those sums and travels [m], weights of closest points
+    mask; squares of their distances [m²], distances to be kept [m] if one is so close, the two
+    sides' travels [m], weights of the closest points
 
     """
     a, b, c, d = load_corners(near.start, near.corners, q)
     v, weight = closest(kind, a, b, c, d)
     square, travel = dot(v, v), travel_of(kind, a, b, c, d)
-    reach = (thickness + spare) + travel
+    further = travels * travel + spare
+    keep = further - further + thickness
+    reach = thickness + further
     close = square <= reach * reach
     if any_lane(close):
-        reach = (kept_distance(near, kind, q, thickness) + spare) + travel
+        keep = kept_distance(near, kind, q, thickness)
+        reach = keep + further
         close = both(close, square <= reach * reach)
-    return close, square, reach, travel, weight
+    return close, square, keep, travel, weight
 
 
 @jit

@@ -129,6 +129,10 @@ class NeighbourList(NamedTuple):
     """True for particles whose pairs the last search has sought, shape (particles + 1,)"""
     hits: np.ndarray
     """scratch: bits of those found of each PACK pairs of the list, shape (capacity / PACK,)"""
+    marks: np.ndarray
+    """scratch: bits of the pairs that pruning brings to the front, shape (capacity / PACK,)"""
+    movers: np.ndarray
+    """scratch: twice the place of each of them that is behind it, plus its bit in ``hits``"""
     grouped: np.ndarray
     """bits of those of them in groups (``self_collision.near_pairs``), shape (capacity / PACK,)"""
     regroup: np.ndarray
@@ -209,6 +213,7 @@ def new_neighbour_list(cloths, room: int, surface: bool, unit: float,
         np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64),
         np.zeros((4, room + CANDIDATES), np.int32), np.zeros(room + CANDIDATES, np.float32),
         np.zeros(count + 1, np.bool_), np.zeros(room // PACK, np.int32),
+        np.zeros(room // PACK, np.int32), np.zeros(room, np.int32),
         np.zeros(room // PACK, np.int32), np.ones(1, np.bool_), np.zeros(6, np.int64),
         np.zeros(threads), np.zeros(threads, np.int64),
         np.zeros((2, -(-most // PACK)), np.int64),

@@ -99,9 +99,7 @@ def seek_some(team, near, surface, thickness):
         points, end = near.points, near.plan[POINTS]
         end = list_pairs_of(team, near, POINTS, points, points, end, RENEWED, True)
         lost = end_points(team, near, near.plan[POINTS], end, thickness)
-        if assigned(team, 0):
-            bring_new_forward(team, near, POINTS)
-        wait_uneven(team)
+        bring_new_forward(team, near, POINTS)
         return lost == 0
     else:    # Numba prunes the branch that is not taken
         triangles, edges, points = surface.triangles, surface.edges, near.points
@@ -112,10 +110,8 @@ def seek_some(team, near, surface, thickness):
         end = near.plan[EDGES]
         end = list_pairs_of(team, near, EDGES, edges, edges, end, RENEWED, True)
         lost += end_kind(team, near, EDGES, end)
-        if assigned(team, 0):
-            bring_new_forward(team, near, TRIANGLES)
-            bring_new_forward(team, near, EDGES)
-        wait_uneven(team)
+        bring_new_forward(team, near, TRIANGLES)
+        bring_new_forward(team, near, EDGES)
         return lost == 0
 
 

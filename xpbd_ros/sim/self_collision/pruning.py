@@ -8,28 +8,20 @@ the dual lists of GROMACS).
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import bits, lanes
-from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, assigned, turns, wait_uneven
+from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
 from xpbd_ros.sim.self_collision.list_order import bring_forward
-from xpbd_ros.sim.self_collision.near_pairs import packs_of, within
+from xpbd_ros.sim.self_collision.near_pairs import find_front, FRONT
 from xpbd_ros.sim.self_collision.neighbour_list import (
     any_thread,
     EDGES,
     empty_groups,
-    gone,
     gone_since,
     POINTS,
     rounding_of,
     TRAVEL,
     TRIANGLES,
-    UP,
 )
 
-SUBSTEPS = 4.0
-"""substeps of the present motion for which the pairs in front are complete"""
-LEAST = 0.25
-"""least motion for which they are, relative to the thickness"""
 MANY = 0.5
 """share of unpruned pairs in front from which on pruning pays"""
 
@@ -57,26 +49,19 @@ def has_many_new(near):
 
 
 @jit
-def prune(team, near, x, thickness):
+def prune(team, near, thickness):
     """
-    Bring the pairs closer than they have to keep + inner margins to the front of each kind.
+    Bring the pairs closer than they have to keep + FRONT travels to the front of each kind.
 
-    Parameters
-    ----------
-    team : threads that take part
-    near : neighbour list
-    x : present positions [m], shape (3, slots)
-    thickness : [m]
-
+    ``hits`` is set to the near ones.
     """
-    load_inner_margins(team, near, x, LEAST * thickness)
+    set_inner_margins(team, near)
     find_front(team, near, POINTS, thickness)
     find_front(team, near, TRIANGLES, thickness)
     find_front(team, near, EDGES, thickness)
     wait_uneven(team)
-    if assigned(team, 0):
-        for kind in range(3):
-            bring_forward(team, near, kind)
+    for kind in range(3):
+        bring_forward(team, near, kind)
     if alone(team):
         near.unpruned[0] = 0
     empty_groups(team, near)
@@ -84,29 +69,11 @@ def prune(team, near, x, thickness):
 
 
 @jit
-def load_inner_margins(team, near, x, least):
-    """Set the inner margins, and load them with the positions at the substep's start."""
+def set_inner_margins(team, near):
+    """Set the inner margins, from the positions at the substep's start on."""
+    rounding = rounding_of(near)
     first, end, step = turns(team, len(near.slot))
     for i in range(first, end, step):
-        moved = gone(x, near.x, near.step, near.slot[i], i)
-        near.inner[i] = min(near.margin[i], near.x[i, TRAVEL] + max(SUBSTEPS * moved, least))
+        near.inner[i] = min(near.margin[i], FRONT * near.x[i, TRAVEL] - rounding)
         for a in range(3):
             near.pruned[i, a] = near.x[i, a] - near.drift[a]
-            near.start[i, a] = near.x[i, a] - near.origin[a]
-    wait_uneven(team)
-    rounding = rounding_of(near)
-    for i in range(first, end, step):
-        near.start[i, TRAVEL] = UP * near.inner[i] + rounding
-    wait_uneven(team)
-
-
-@jit(inline=True)
-def find_front(team, near, kind, thickness):
-    """Set ``hits`` for this thread's part of a kind's pairs, in front or not."""
-    end = near.kind_end[kind]
-    first, last, step = packs_of(team, near.kind_begin[kind], end)
-    for pack in range(first, last, step):
-        found = 0
-        for q in range(pack, pack + PACK, lanes(near.start)):
-            found |= bits(within(near, kind, q, thickness, 0.0)[0]) << (q - pack)
-        near.hits[pack // PACK] = found & ((1 << min(PACK, end - pack)) - 1)
