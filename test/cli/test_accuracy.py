@@ -40,7 +40,7 @@ def test_view_finds_the_settings_of_the_report(done):
     numbers = json.loads((folder / 'accuracy.json').read_text())
     report = report_of(folder)
     names = [name.split('\n')[0] for name, _ in report.settings]
-    assert names in (['reference', 'chosen', 'cheapest'], ['reference', 'chosen'])
+    assert names in (['reference', 'recommended', 'cheapest'], ['reference', 'recommended'])
     solver = report.settings[1].scene.top.solver
     for key in ('method', 'integrator', 'substeps', 'iterations', 'precision'):
         assert getattr(solver, key) == numbers['recommended'][key]
