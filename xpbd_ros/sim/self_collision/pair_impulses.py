@@ -19,24 +19,13 @@ from xpbd_ros.sim.self_collision.pair_contacts import coefficients
 
 
 @jit
-def mobility_of_pair(pairs, k, near, state):
-    """Return W = Σ w b² of pair k [1/kg], w by ``inverse_mass``."""
-    total = 0.0
-    for p in range(4):
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            total += inverse_mass(near.h, state, near.slot[i]) * pairs.weight[p, k]**2
-    return total
-
-
-@jit
 def remove_depenetration_velocity(pairs, near, state, substep):
     """Remove the normal velocity that results from depenetration of earlier overlaps."""
     mark_pushed(state.team, pairs, near, pairs.overlap)
     if alone_on_device(state.team):
         k = next_marked(near.hits, 0, pairs.end[0])
         while k < pairs.end[0]:
-            calm_pair(pairs, k, near, state, substep)
+            calm_pair(pairs, k, near, state, substep.h)
             k = next_marked(near.hits, k + 1, pairs.end[0])
 
 
@@ -54,23 +43,58 @@ def mark_pushed(team, pairs, near, numbers):
 
 
 @jit(inline=True)
-def calm_pair(pairs, k, near, state, substep):
+def calm_pair(pairs, k, near, state, h):
     """Remove the normal velocity from depenetration of pair k, and the friction of that push."""
-    apart = undone(pairs, k, substep.h * parting(pairs, k, near, state.v))
+    v, n, four = state.v, normal_of(pairs, k), corners(pairs, k, near, state)
+    apart = undone(pairs, k, h * parting(four, n, v))
     if apart <= 0.0:
         return
-    excess = excess_slip(pairs.friction, k, pairs.push[k] - apart)
-    per = 1.0 / (substep.h * mobility_of_pair(pairs, k, near, state))
-    rest = 0.0
-    for p in range(3, -1, -1):
-        b = float(pairs.weight[p, k]) if p > 0 else -rest
-        rest += b
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            j = near.slot[i]
-            share = inverse_mass(near.h, state, j) * b * per
-            for a in range(3):
-                state.v[a, j] -= share * (apart * pairs.normal[a, k] + excess[a])
+    excess, per = excess_slip(pairs.friction, k, pairs.push[k] - apart), 1.0 / (h * mobility(four))
+    for j, b, w in four:
+        for a in range(3):
+            v[a, j] -= w * b * per * (apart * n[a] + excess[a])
+
+
+@jit(inline=True)
+def normal_of(pairs, k):
+    """Return n of pair k."""
+    return pairs.normal[0, k], pairs.normal[1, k], pairs.normal[2, k]
+
+
+@jit(inline=True)
+def corners(pairs, k, near, state):
+    """Return slot, b and w (``inverse_mass``) of the four particles of pair k; Σ b = 0 exactly."""
+    q, r, s = (corner(pairs, k, near, state, 1), corner(pairs, k, near, state, 2),
+               corner(pairs, k, near, state, 3))
+    j, _, w = corner(pairs, k, near, state, 0)
+    return (j, -(s[1] + r[1] + q[1]), w), q, r, s
+
+
+@jit(inline=True)
+def corner(pairs, k, near, state, p):
+    """Return those of particle p; where it is unused, b = w = 0."""
+    i = pairs.particles[p, k]
+    if i == len(near.slot):
+        return near.slot[0], 0.0, 0.0
+    return near.slot[i], float(pairs.weight[p, k]), inverse_mass(near.h, state, near.slot[i])
+
+
+@jit(inline=True)
+def mobility(four):
+    """Return W = Σ w b² [1/kg]."""
+    total = 0.0
+    for _, b, w in four:
+        total += w * b * b
+    return total
+
+
+@jit(inline=True)
+def parting(four, n, v):
+    """Return n · Σ b v, for velocities or positions v of the slots."""
+    total = 0.0
+    for j, b, _ in four:
+        total += b * (n[0] * v[0, j] + n[1] * v[1, j] + n[2] * v[2, j])
+    return total
 
 
 @jit(inline=True)
@@ -84,20 +108,6 @@ def excess_slip(friction, k, load):
         most = coefficients(friction.coefficient, friction.slides)[k] * load
         part = 1.0 - most / size if size > most else 0.0
         return part * s[0, k], part * s[1, k], part * s[2, k]
-
-
-@jit(inline=True)
-def parting(pairs, k, near, v):
-    """Return n · Σ b v of pair k, for velocities or positions v of the slots."""
-    n, total, rest = pairs.normal, 0.0, 0.0
-    for p in range(3, -1, -1):
-        b = float(pairs.weight[p, k]) if p > 0 else -rest
-        rest += b
-        i = pairs.particles[p, k]
-        if i < len(near.slot):
-            j = near.slot[i]
-            total += b * (n[0, k] * v[0, j] + n[1, k] * v[1, j] + n[2, k] * v[2, j])
-    return total
 
 
 @jit(inline=True)
@@ -121,17 +131,15 @@ def press(pairs, near, state, substep):
 @jit(inline=True)
 def press_by_pair(pairs, k, near, state, part):
     """Add those of pair k, without what leaves no velocity."""
-    scale = part / mobility_of_pair(pairs, k, near, state)
-    load = pairs.push[k] - undone(pairs, k, parting(pairs, k, near, state.x) - parting(
-        pairs, k, near, state.x_prev))
-    excess = excess_slip(pairs.friction, k, load)
-    for p in range(4):
-        i = pairs.particles[p, k]
-        if i == len(near.slot) or state.inv_mass[near.slot[i]] > 0.0:
-            continue
-        for a in range(3):
-            along = pairs.normal[a, k] * load + slip_of(pairs.friction, k, a) - excess[a]
-            state.reaction[a, near.slot[i]] += scale * pairs.weight[p, k] * along
+    n, four = normal_of(pairs, k), corners(pairs, k, near, state)
+    load = pairs.push[k] - undone(pairs, k, parting(four, n, state.x) - parting(
+        four, n, state.x_prev))
+    excess, per = excess_slip(pairs.friction, k, load), part / mobility(four)
+    for j, b, _ in four:
+        if state.inv_mass[j] == 0.0:
+            for a in range(3):
+                state.reaction[a, j] += per * b * (
+                    n[a] * load + slip_of(pairs.friction, k, a) - excess[a])
 
 
 @jit(inline=True)
