@@ -381,6 +381,8 @@ BAD = {
                     'bad.yaml: exists already'),
     'json nowhere': (['run', 'SCENE', '--json', 'none/a.json'],
                      'none/a.json: there is no folder '),
+    'picture JPEG': (['run', 'SCENE', '--picture', 'a.jpg'],
+                     '--picture a.jpg: is written as PNG; end its name in .png'),
     'picture nowhere': (['run', 'SCENE', '--picture', 'none/a.png'],
                         'none/a.png: there is no folder '),
     'long name': (['run', 'a' * 300], 'File name too long'),

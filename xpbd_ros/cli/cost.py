@@ -51,7 +51,7 @@ def run(arguments) -> int:
     from xpbd_ros.cli.run import count_frames
     from xpbd_ros.scene.load import load_scene
     overrides = overrides_of(arguments.keys, duration=arguments.duration)
-    check_outputs(arguments.json, arguments.picture)
+    check_outputs(arguments.json, picture=arguments.picture)
     scene = load_scene(arguments.scene, overrides)
     frames = count_frames(scene)
     commands = {}

@@ -42,10 +42,13 @@ def check_output(destination: str | Path | None) -> None:
             raise InputError(f'{destination}: there is no folder {folder}; create it first')
 
 
-def check_outputs(*files: str | Path | None, folder: str | Path | None = None) -> None:
+def check_outputs(*files: str | Path | None, folder: str | Path | None = None,
+                  picture: str | Path | None = None) -> None:
     """Check the output files of a verb, and that neither its folder nor two of them clash."""
+    if picture and Path(picture).suffix.lower() != '.png':
+        raise InputError(f'--picture {picture}: is written as PNG; end its name in .png')
     taken = [] if folder is None else [Path(os.path.abspath(folder))]
-    for file in files:
+    for file in (*files, picture):
         check_output(file)
         if file is not None and str(file) != STDOUT:
             path = Path(os.path.abspath(file))

@@ -49,7 +49,7 @@ def add_arguments(parser):
 def run(arguments) -> int:
     """Repeat the recorded run, compare and report."""
     need_ros('resim')
-    check_outputs(arguments.json, arguments.picture, folder=arguments.output)
+    check_outputs(arguments.json, picture=arguments.picture, folder=arguments.output)
     refuse_existing(arguments.output)
     log = LogReader(arguments.run)
     take_recorded_vectors(log)

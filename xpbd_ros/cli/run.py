@@ -134,7 +134,7 @@ def run(arguments) -> int:
 
 def check_all_outputs(arguments) -> None:
     """Raise InputError if outputs exist or clash, or the picture cannot be rendered."""
-    check_outputs(arguments.json, arguments.picture, folder=arguments.output)
+    check_outputs(arguments.json, picture=arguments.picture, folder=arguments.output)
     if arguments.picture:
         from xpbd_ros.study.picture import need_view
         need_view('--picture')
