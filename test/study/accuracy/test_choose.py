@@ -5,6 +5,7 @@ import pytest
 
 from xpbd_ros.study.accuracy.choose import judge_defaults, mark_front, on_front, recommend, Row
 from xpbd_ros.study.accuracy.errors import Errors
+from xpbd_ros.study.accuracy.report import texts_of
 from xpbd_ros.study.accuracy.solver_setting import Setting
 from xpbd_ros.study.accuracy.timing import Timing
 
@@ -78,3 +79,13 @@ def test_a_default_is_judged_by_the_best_that_is_as_fast():
     assert four.ratio == pytest.approx(3.0)
     _, four = judge_defaults(rows, 'position', chosen, floor=1e-2)
     assert four.ratio == 1.0
+
+
+def test_budgets_that_lead_to_one_setting_share_a_line():
+    cheap, dear = row(1.0, 0.1), row(5.0, 0.01, substeps=4)
+    found = judge_defaults([cheap, dear], 'position', {
+        2.0: cheap.setting, 4.0: cheap.setting, 8.0: dear.setting})
+    assert texts_of(found, 'position') == [
+        f'auto with {budgets} ms is line bdf2 {substeps}×1: {numbers}; no setting as fast is '
+        'more accurate' for budgets, substeps, numbers in (
+            ('2, 4', 1, '0.1 m, 1 ms p95'), ('8', 4, '0.01 m, 5 ms p95'))]

@@ -147,7 +147,7 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
     if max_error is not None and max_error < study.floor:
         said.append(('note', f'the uncertainty of the truth is {study.floor:.2g} m; smaller '
                      'errors cannot be verified'))
-    said += [('default', text_of(one, study.by)) for one in study.defaults]
+    said += [('default', text) for text in texts_of(study.defaults, study.by)]
     if chosen is None:
         said.append(('found', 'no setting meets this'))
         return said
@@ -163,11 +163,18 @@ def facts(study: Study, chosen: Row | None, budget: float | None, max_error: flo
     return said
 
 
+def texts_of(defaults: Sequence[Default], by: str) -> list[str]:
+    """Return a line for each setting of ``auto``, with the budgets that lead to it."""
+    budgets: dict[str, list[str]] = {}
+    for default in defaults:
+        budgets.setdefault(text_of(default, by), []).append(f'{default.budget_ms:g}')
+    return [f'auto with {", ".join(found)} ms is {text}' for text, found in budgets.items()]
+
+
 def text_of(default: Default, by: str) -> str:
-    """Return a setting of ``auto`` and the best one as fast as a line."""
+    """Return a setting of ``auto`` and the best one as fast."""
     row, best = default.row, default.best
-    text = (f'auto with {default.budget_ms:g} ms is {name_of(row.setting)}: {row.error(by):.3g} '
-            f'm, {row.timed.ms_p95:.3g} ms p95; ')
+    text = f'{name_of(row.setting)}: {row.error(by):.3g} m, {row.timed.ms_p95:.3g} ms p95; '
     if default.ratio <= 1.0:
         return text + 'no setting as fast is more accurate'
     return text + (f'as fast and {default.ratio:.3g} times as accurate is '
