@@ -135,7 +135,7 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     (OSError(28, 'No space left on device', '/a\nb'), '/a\\nb: No space left on device'),
     (TimeoutError('too late'), 'too late')])
 def test_an_error_of_the_system_is_one_line(error, said, monkeypatch, capsys):
-    """That of a write names no file."""
+    """The OSError of a failed write has no file name; the message has none either."""
     module = importlib.import_module('xpbd_ros.cli.run')
 
     def run(arguments):

@@ -196,7 +196,7 @@ def test_what_is_not_too_far_is_not_touched(effect):
 
 @pytest.mark.parametrize('mesh', [False, True])
 def test_a_limit_pulls_at_pins_with_the_momentum_that_it_gives(mesh):
-    """What it stops ends the substep with backward Euler: mass Δx / h, with any history."""
+    """Limited particles end the substep with backward Euler: the pin force is Σ m Δx / h²."""
     simulation, h = hang({'strain_limit': {'max': 0.1}}, mesh=mesh, integrator='bdf2',
                          pins={'top': {'cloth': 'c', 'at': [0, 1]}}), 0.01
     state, slots = simulation.state, simulation.slot
@@ -224,7 +224,7 @@ def limited(simulation, x, mobility):
 @pytest.mark.parametrize('seed', range(6))
 @pytest.mark.parametrize('axis, grid', [(0, (6, 1)), (1, (1, 6))])
 def test_a_straight_line_becomes_the_nearest_one_that_is_not_too_long(axis, grid, seed):
-    """In the metric of the masses, with any edges too long: of all sets of taut edges the one."""
+    """The projection in the mass metric, found by trying every set of active constraints."""
     rng = np.random.default_rng(seed)
     x, mobility = np.zeros((6, 3)), rng.uniform(0.3, 3.0, 6) * 1e-4
     mobility[rng.integers(6)] = 0.0    # pinned
@@ -241,7 +241,7 @@ def test_a_straight_line_becomes_the_nearest_one_that_is_not_too_long(axis, grid
 
 @pytest.mark.parametrize('mesh, grid', [(True, None), (False, (11, 13))])
 def test_only_edges_at_their_limit_pull(mesh, grid):
-    """By f ≤ 0 each, and they have moved the particles: x = x0 + M Jᵀ f."""
+    """The KKT conditions: multipliers f ≤ 0, zero for slack edges, and x = x0 + M Jᵀ f."""
     simulation = simulate(grid, mesh=mesh, effects={'strain_limit': {'max': 0.0}})
     rng, x = np.random.default_rng(7), simulation.frame().x
     x = x + rng.normal(0.0, 0.005 if mesh else 0.002, x.shape) * [1.0, 1.0, 0.0]
@@ -263,7 +263,7 @@ def test_only_edges_at_their_limit_pull(mesh, grid):
 
 
 def test_a_net_held_by_one_particle_is_shortened_in_one_projection():
-    """All edges are 10 % too long; without acceleration some would still be, by 23 %."""
+    """All edges start 10 % too long; without acceleration some end up to 23 % too long."""
     simulation = simulate(mesh=file_of(*disc(9)), effects={'strain_limit': {'max': 0.0}})
     x = simulation.frame().x
     mobility = np.where(x[:, 0] < x[:, 0].max(), 1e-4, 0.0)

@@ -393,7 +393,7 @@ def test_between_fingers_static_friction_of_one_holds_against_the_other(pull, sl
 
 @pytest.mark.parametrize('way, left', [(2.9, (0.0, 0.0)), (3.1, (1.1, 3.1))])
 def test_fingers_at_rest_hold_with_both_static_frictions(way, left):
-    """μ_s d of 1 m and 2 m together; beyond, μ_k d of 0.5 m and 1.5 m, or none."""
+    """Both hold up to μ_s d = 1 m + 2 m; beyond that, μ_k d is 0.5 m and 1.5 m, or zero."""
     p = (0.0, way, 0.0)
     for slides, rest in zip(((0.5, 1.5), (0.0, 0.0)), left):
         found = shared_friction(p, p, (1.0, 2.0), slides)
@@ -427,7 +427,7 @@ def test_the_pushes_of_several_pads_are_the_minimum_of_their_energy(count):
 
 
 def test_the_pushes_of_a_clamp_balance_along_its_axis():
-    """Of fingers aslant, one stiffer, with the particle displaced across the axis."""
+    """The fingers are oblique, one is stiffer, and the particle is displaced across the axis."""
     rng = np.random.default_rng(5)
     for _ in range(20):
         normals = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]) + rng.normal(0.0, 0.2, (2, 3))
@@ -559,7 +559,7 @@ def test_an_overlap_comes_apart_slowly(stiffness):
 
 
 def one_particle(depth, *, stiffness, substeps=1, density=2.0, **keys):
-    """Return a particle without weight, so deep in a pad that faces up."""
+    """Return a weightless particle at a given depth in a pad that faces upwards."""
     return simulate((1, 1), (0.03, 0.02), density=density, friction=0.0, gravity=(0, 0, 0),
                     method='line', integrator='ndf2', substeps=substeps,
                     pose={'position': [0.0, 0.0, R - depth]},
@@ -568,7 +568,7 @@ def one_particle(depth, *, stiffness, substeps=1, density=2.0, **keys):
 
 
 def test_what_meets_a_pad_that_is_resolved_bounces():
-    """In 168 substeps, half a period, with a loss of some per cent."""
+    """The rebound takes half a period, 168 substeps, and loses a few per cent of the speed."""
     simulation = one_particle(-1e-3, stiffness=1e6, substeps=2000, density=0.2)
     simulation.state.v[2, 0] = -0.3
     assert 0.27 < run(simulation, 2).v[0, 2] < 0.3
@@ -576,7 +576,7 @@ def test_what_meets_a_pad_that_is_resolved_bounces():
 
 @pytest.mark.parametrize('speed', [0.5, -0.5])
 def test_what_sinks_into_a_moving_pad_goes_on_with_it(speed):
-    """Pressed on by a force of its weight 2 kg/m² g; as deep as in one at rest."""
+    """Under a force equal to its weight it has the depth that it has in a pad at rest."""
     simulation = one_particle(0.0, stiffness=1e5, substeps=4, motion=[
         [0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 2.0 * speed]])
     simulation.state.v[2, 0] = speed
@@ -588,7 +588,7 @@ def test_what_sinks_into_a_moving_pad_goes_on_with_it(speed):
 
 @pytest.mark.parametrize('depth', [0.009, 0.02])
 def test_what_leaves_a_pad_by_itself_keeps_its_speed(depth):
-    """At 0.5 m/s: only what the pad adds is taken, whether it recovers at once or at 1 m/s."""
+    """It leaves at 0.5 m/s; only the velocity that the pad's recovery adds is removed."""
     simulation = one_particle(depth, stiffness=1e8)
     simulation.state.v[2, 0] = 0.5
     frame = simulation.step()

@@ -143,7 +143,7 @@ def test_a_body_that_internal_forces_have_turned_is_turned_back():
 
 
 def test_a_body_in_float32_is_turned_back_by_what_its_positions_lack_too():
-    """Σ (x - c) × d / m = 0 of moves below the last bit, as ``particles.rounding`` keeps them."""
+    """The torque Σ (x - c) × d / m stays 0 for moves below the last bit of float32 positions."""
     random = np.random.default_rng(2)
     before = random.normal(size=(3, 8)).astype(np.float32) + np.float32(4.0)
     x, move = before.copy(), 1e-7 * random.normal(size=(3, 8)).astype(np.float32)

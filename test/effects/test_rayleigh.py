@@ -62,7 +62,7 @@ def test_oscillator_decay_converges_at_the_integrators_order(method):
 
 
 def test_dampers_see_the_velocity_of_the_integrator():
-    """(x - x̄) / H, of a pair that flies on; H = 2 h / 3."""
+    """For two particles in free flight that is (x - x̄) / H, with H = 2 h / 3 for BDF2."""
     simulation = pair(TAU, integrator='bdf2')
     simulation.state.v[:, simulation.slot] = [[0.3], [-0.2], [0.1]]
     run(simulation, 4)

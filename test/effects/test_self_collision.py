@@ -402,7 +402,7 @@ def test_a_cloth_slides_on_cloth_as_it_would_on_a_slope(friction, solver):
 
 
 def on_loose_cloth(slope, substeps=10, layers=1):
-    """Return small cloths upon one another, the first on a large one on a rough plane."""
+    """Return a stack of small cloths on a large loose cloth, which lies on a rough plane."""
     cloths = {'a': ((13, 9), (0.6, 0.4), {'position': [0.0, 0.0, THICKNESS]})}
     for k in range(1, layers + 1):
         cloths[f'b{k}'] = ((5, 5), (0.1, 0.1), {
@@ -413,7 +413,7 @@ def on_loose_cloth(slope, substeps=10, layers=1):
 
 @pytest.mark.parametrize('substeps, layers', [(10, 1), slow(4, 1), slow(40, 1), slow(10, 3)])
 def test_cloth_slides_on_cloth_that_lies_on_a_collider_as_on_a_slope(substeps, layers):
-    """The collider takes back what pairs push the cloth below into it."""
+    """The lower cloth is loose: pair contacts push it into the plane, which pushes it back."""
     simulation, time = on_loose_cloth(30.0, substeps, layers), 24.0 / 60.0
     expected = GRAVITY * (np.sin(np.radians(30.0)) - 0.4 * np.cos(np.radians(30.0)))
     begin = run(simulation, 12).v[117:, 0].mean()
@@ -424,7 +424,7 @@ def test_cloth_slides_on_cloth_that_lies_on_a_collider_as_on_a_slope(substeps, l
 
 @pytest.mark.parametrize('substeps, layers', [(10, 1), slow(4, 1), slow(40, 1), slow(10, 3)])
 def test_cloth_below_the_angle_of_friction_creeps_by_a_substep_of_gravity(substeps, layers):
-    """By 2.5 g sin θ h a layer at most: 6 mm/s, where it would slide at 1 m/s without friction."""
+    """Each layer creeps at 2.5 g sin θ h at most, 11 mm/s; without friction it reaches 1 m/s."""
     simulation = on_loose_cloth(15.0, substeps, layers)
     fall = GRAVITY * np.sin(np.radians(15.0)) / (60.0 * substeps)
     for _ in range(3):
@@ -433,7 +433,7 @@ def test_cloth_below_the_angle_of_friction_creeps_by_a_substep_of_gravity(subste
 
 
 def test_layers_on_a_table_stay_where_they_are():
-    """The upper one overhangs, so its edges tilt the contacts."""
+    """The upper cloth overhangs the lower one, which tilts the contact normals at its edges."""
     simulation = scene({'a': square(THICKNESS), 'b': square(2.0 * THICKNESS, x=0.02, y=0.01)},
                        colliders={'table': {'box': {'size': [1.0, 1.0, 0.1]},
                                             'position': [0.1, 0.1, -0.05]}})

@@ -119,7 +119,7 @@ def test_other_bytes_are_refused(data, capfd):
 
 @pytest.mark.parametrize('missing', [1, 4, 100])
 def test_a_checkpoint_cut_short_is_refused(missing, capfd):
-    """Also if all is there but the end of its checksum."""
+    """Even one that lacks only the last bytes of its checksum is refused."""
     refused(checkpoint(with_effects())[:-missing], 'no end, and no checksum', capfd)
 
 

@@ -108,7 +108,7 @@ def test_a_history_moves_along_a_cubic_exactly():
                                                          (0.2, 0.89, 1.05, 6)])
 def test_the_estimate_is_between_those_for_first_and_second_order(strain, least, most, frames,
                                                                   order):
-    """Of errors C / N^p, in the slots of the particles alone."""
+    """The errors are C / N^p; only the slots of particles count, not the padding."""
     rng, slot = np.random.default_rng(order), np.array([0, 2, 3, 6])
     exact, error = rng.normal(size=(2, 3, 8))
     start = SimpleNamespace(substeps=5, end=lambda factor: SimpleNamespace(

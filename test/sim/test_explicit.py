@@ -362,7 +362,7 @@ def test_an_effect_elsewhere_changes_nothing_here(method, integrator, also, tmp_
 
 
 def test_what_half_a_kick_leaves_is_known_before_it():
-    """The displacement by the velocity half a substep earlier; ``stay`` keeps a velocity."""
+    """``displacement_before`` has the velocity half a substep earlier, unless ``stay`` kept it."""
     simulation, h = sheet(8), 2e-3
     state, rng = simulation.state, np.random.default_rng(2)
     state.v[:], state.apart.move[:] = rng.normal(size=(2, *state.v.shape))

@@ -36,7 +36,7 @@ def nodes(field):
 
 @pytest.mark.parametrize('half', [(0.3, 0.5, 0.2), (0.3, 0.3, 0.3)])
 def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside(half):
-    """Also where nodes lie on the diagonals of its faces."""
+    """Nodes on the diagonals of the faces, where rays hit two triangles, are included."""
     field = distance_field(*box_surface(*half), gap=0.01, spacing=0.031)
     expected, _ = exact(BOX, half, nodes(field))
     np.testing.assert_allclose(field.values.ravel(), expected, atol=1e-6)
@@ -44,7 +44,7 @@ def test_at_the_nodes_of_a_box_it_is_exact_inside_and_outside(half):
 
 
 def test_the_normal_is_along_the_gradient_between_the_nodes():
-    """Of values that belong to no surface, in each cell."""
+    """The grid holds random values, and central differences give the gradient in each cell."""
     rng, step = np.random.default_rng(5), 1e-6
     field = SimpleNamespace(values=rng.normal(size=(4, 3, 5)), origin=np.array([0.1, -0.2, 0.3]),
                             spacing=0.5, clearance=1.0)
@@ -70,7 +70,7 @@ def test_the_error_between_nodes_falls_with_the_spacing_squared():
 
 
 def test_ground_has_its_tangent_plane_and_goes_on_beyond_its_rim():
-    """A table of 4 rows along y and 6 places along x, of 3 m by 1 m."""
+    """The height field has 4 rows along y and 6 columns along x, and is 3 m by 1 m."""
     rng, half, step = np.random.default_rng(6), np.array([1.5, 0.5]), 1e-6
     table = rng.normal(size=(4, 6))
     heights = Heights(table.ravel(), np.array([0]), np.array([[6, 4]]))

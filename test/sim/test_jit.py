@@ -89,7 +89,7 @@ def test_variants_are_written_by_one_process_at_a_time(tmp_path, monkeypatch):
 
 
 def test_an_index_that_cannot_be_read_is_discarded(tmp_path, monkeypatch):
-    """Of a module that this process has not, as when tests have compiled a kernel; and torn."""
+    """It names a type whose module cannot be imported here, or a file is truncated."""
     monkeypatch.setattr(jit, 'CACHE_FOLDER', tmp_path)
     monkeypatch.setattr(locked_cache, 'CACHE_FOLDER', tmp_path)
 

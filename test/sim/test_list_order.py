@@ -58,17 +58,17 @@ def listed(random, share: float) -> Stub:
 
 
 def bits(flags: np.ndarray) -> np.ndarray:
-    """Return flags as PACK bits a number."""
+    """Return flags packed into integers, PACK bits each."""
     return (flags.reshape(-1, PACK) @ (1 << np.arange(PACK))).astype(np.int32)
 
 
 def places(marks: np.ndarray) -> np.ndarray:
-    """Return the places whose bit is set."""
+    """Return the indices of the set bits."""
     return np.flatnonzero(marks[:, None] >> np.arange(PACK) & 1)
 
 
 def copies(near: Stub) -> Stub:
-    """Return a list of its own."""
+    """Return a copy of a list; both use the same scratch memory ``moves``."""
     return Stub(*(each.copy() for each in near[:-1]), near.moves)
 
 

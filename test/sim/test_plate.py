@@ -78,7 +78,7 @@ def settles(simulation, kind):
 
 
 def stored(simulation, kind, warp, weft):
-    """Return what is stored per area over a plate's, rolled along each direction and settled."""
+    """Return energy per area over that of a plate, rolled along each direction and settled."""
     energy, (x, y, _) = settles(simulation, kind), sheet(kind)[0].T
     return np.array([energy(0.5 * (c * x + s * y)**2)
                      / (0.5 * (np.sqrt(warp) * c * c + np.sqrt(weft) * s * s)**2)
@@ -149,7 +149,7 @@ def test_a_curved_mesh_refuses_two_rigidities():
 
 
 def test_a_mesh_without_an_inside_has_the_rigidity_across_each_edge():
-    """(√B1 sin² + √B2 cos²)² for an edge at an angle to warp."""
+    """For an edge at an angle φ to warp that is (√B1 sin² φ + √B2 cos² φ)²."""
     angle = np.radians(30.0)
     edge, across = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.4, 0.0])
     vertices = np.array([0.0 * edge, edge, 0.5 * edge + across, 0.5 * edge - across])

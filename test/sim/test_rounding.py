@@ -1,4 +1,4 @@
-"""What float32 loses of moves: positions and kept errors add up to all of them."""
+"""Compensated summation in float32: a position plus its rounding error is the exact sum."""
 
 import numpy as np
 import pytest
@@ -21,14 +21,14 @@ SLOTS, TIMES = 32, 200
 
 @jit(cache_name='test')
 def by_sum(x, rounding, moves, index):
-    """Move particles along x."""
+    """Move particles along x by ``store_sum``."""
     for i in range(0, SLOTS, lanes(moves)):
         store_sum(x[0], rounding.move[0], i, load(x[0], i), load(moves, i))
 
 
 @jit(cache_name='test')
 def by_step(x, rounding, moves, index):
-    """Do so by a multiple of half of the way."""
+    """Move them by ``store_moved``, by half of twice the moves."""
     for i in range(0, SLOTS, lanes(moves)):
         store_moved(x[0], rounding.move[0], i, load(x[0], i), splat(moves, 0.5),
                     2.0 * load(moves, i))
@@ -36,14 +36,14 @@ def by_step(x, rounding, moves, index):
 
 @jit(cache_name='test')
 def one_by_one(x, rounding, moves, index):
-    """Do so for each particle."""
+    """Move them by ``add_move``, one after another."""
     for i in range(SLOTS):
         add_move(x, rounding, 0, i, moves[i])
 
 
 @jit(cache_name='test')
 def by_records(records, rounding, moves, index):
-    """Do so in records of x, y, z and mobility."""
+    """Move records of x, y, z and mobility by ``store_moved_records``."""
     for c in range(0, SLOTS, lanes(moves)):
         x, y, z, m = load_records(records, index, c)
         store_moved_records(records, rounding.records, index, c, vector3(x, y, z),
@@ -53,7 +53,7 @@ def by_records(records, rounding, moves, index):
 
 @pytest.mark.parametrize('kernel', [by_sum, by_step, one_by_one, by_records])
 def test_positions_and_errors_add_up_to_all_moves(kernel):
-    """Each far below the last bit of x, 6e-8; without errors all of them would be lost."""
+    """Each move is far below the last bit of x, 6e-8, and is lost in a plain sum."""
     rng = np.random.default_rng(1)
     rounding = new_rounding(SLOTS, np.float32)
     moves, records = zeros(SLOTS, np.float32), kernel is by_records

@@ -15,10 +15,10 @@ from xpbd_ros.study.edges import Edges
 from xpbd_ros.study.reference import limit, problem_of
 
 LINE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-"""three particles, of whose edges the first is at rest"""
+"""three particles in a line with two edges, the first at its rest length"""
 EDGES = Edges(np.array([[0, 1], [1, 2]]), np.array([1.0, 1.6]))
 EIGHT = np.zeros(9)
-"""frames 0 to 8, of which the last two are the last part of the run"""
+"""zeros for frames 0 to 8; means are taken over the last part of them (``truth.settled``)"""
 
 
 def run(x, *, kinetic=EIGHT, total=EIGHT, strain=EIGHT, heights=None, **more) -> Trajectory:
@@ -29,13 +29,13 @@ def run(x, *, kinetic=EIGHT, total=EIGHT, strain=EIGHT, heights=None, **more) ->
 
 
 def known(rungs, pushed, frames=(8,), references=None) -> truth.Truth:
-    """Return the true solution that runs give."""
+    """Return the true solution extrapolated from runs."""
     return truth.make(SimpleNamespace(frame_dt=0.1), rungs, pushed, frames, references or {}, 8,
                       None)
 
 
 def test_errors_are_those_of_a_run_that_is_off_by_known_amounts():
-    """As a whole by 5 mm; then at the end of the second edge, aslant, by 13 % of the edge."""
+    """A run that is off by a translation of 5 mm in one frame, and by one particle in another."""
     ramp = np.arange(9.0)
     exact = known([run(LINE, kinetic=EIGHT + 0.5, total=2.0 + 0.5 * (ramp > 3.0))] * 3, run(LINE),
                   (2, 4, 8))
@@ -58,7 +58,7 @@ def test_errors_are_those_of_a_run_that_is_off_by_known_amounts():
 
 
 def test_means_scatter_by_what_a_coarser_and_a_perturbed_run_differ():
-    """Whichever differs more; of the heights that is the coarser one, of the strain the other."""
+    """The larger difference counts: for heights the coarser run's, for strain the other's."""
     fine = run(LINE, strain=EIGHT + 0.3)
     coarse = run(LINE, strain=EIGHT + 0.31, heights=np.full((9, 3), 0.2))
     pushed = run(LINE, strain=EIGHT + 0.35, heights=np.full((9, 3), 0.1), total=EIGHT - 4.0)
@@ -68,7 +68,7 @@ def test_means_scatter_by_what_a_coarser_and_a_perturbed_run_differ():
 
 
 def test_only_times_at_which_positions_are_known_are_compared():
-    """Known to 1e-4 of the size, 3 m; in the last frame they differ by more."""
+    """In the last frame the runs differ by more than 1e-4 of the size, 3 m: it is left out."""
     def rung(part):
         return run({**dict.fromkeys(range(8), LINE * (1.0 + 1e-5 * part)),
                     8: LINE * (1.0 + 0.1 * part)}, strain=np.linspace(0.0, 0.8, 9))
@@ -89,7 +89,7 @@ def test_a_limit_is_extrapolated_by_no_more_than_an_order_of_two_and_a_half():
 
 @pytest.mark.parametrize('slowest', [1e-3, 0.2, 0.37, 0.51, 16])
 def test_runs_towards_the_limit_halve_the_step(slowest, monkeypatch):
-    """Also where the time of a frame bounds them; else Richardson's formula does not hold."""
+    """Richardson's formula needs that, also where the time of a frame limits the substeps."""
     monkeypatch.setattr(truth, 'SLOWEST', slowest)
     counts = [setting.substeps for setting in truth.own_rungs(load_scene('drape'))]
     assert counts[-1] == 2 * counts[-2] == 4 * counts[-3] >= 4
@@ -106,7 +106,7 @@ def swinging():
 
 
 def test_the_energy_of_the_reference_is_that_of_the_start(swinging):
-    """Kinetic, elastic and of the weight, as the simulation counts them."""
+    """The sum of kinetic, elastic and gravitational energy, as the simulation computes it."""
     start, frames = energy(swinging), 6
     x, problem = swinging.frame().x.copy(), problem_of(swinging)
     references = {frames: limit(problem, frames * swinging.frame_dt, 1e-8)}

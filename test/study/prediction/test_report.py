@@ -283,7 +283,7 @@ def test_decay_goes_with_the_integrator():
 
 
 def test_a_stretch_wave_loses_what_is_said():
-    """A strip that swings along its length, four times as long as the cloth; by its energy."""
+    """A strip oscillates along its length, a quarter of the wavelength; its energy decays."""
     chosen = scene_from_mapping({
         'gravity': [0.0, 0.0, 0.0],
         'solver': {'method': 'line', 'integrator': 'ndf2', 'substeps': 2},
@@ -303,7 +303,7 @@ def test_a_stretch_wave_loses_what_is_said():
 
 
 def test_waves_of_stretch_and_shear_are_resolved_at_second_order():
-    """A thousandth with ``substep_ratio`` times the substeps of an explicit solver."""
+    """``substep_ratio`` times an explicit solver's substeps give a relative error of 1e-3."""
     simulation = compile_scene(scene_from_mapping({
         'cloths': {'c': {'grid': {'size': [1.0, 1.0], 'resolution': [6, 6]}, 'density': 0.2,
                          'effects': {**SPRINGS, 'shear': {'stiffness': 500.0}}}},

@@ -137,7 +137,7 @@ def rectangle(columns=6, rows=4):
 
 @pytest.mark.parametrize('mesh', [False, True])
 def test_gradients_are_those_of_the_residuals(mesh):
-    """Of all effects that are linearised, at rest, by central differences."""
+    """Central differences at rest, for all effects that are linearised."""
     names = [name for name in SLOPES if not (mesh and name == 'shear')]
     simulation = simulate((5, 4), mesh=mesh and rectangle()[0],
                           effects={name: EXAMPLES[name] for name in names})
@@ -160,7 +160,7 @@ def test_gradients_are_those_of_the_residuals(mesh):
 
 
 def test_the_gas_that_a_ball_lacks_is_what_is_filled_in():
-    """V0 (amount^(1/κ) - 1), and ∇V·x = 3 V."""
+    """The excess volume is V0 (amount^(1/κ) - 1); V0 follows from ∇V·x = 3 V."""
     simulation = simulate(mesh=file_of(*ball(2, 0.5)), effects={
         'stretch': {'warp': 300.0, 'weft': 300.0},
         'pressure': {'amount': 1.1, 'outside': 1e4, 'kappa': 1.4}})

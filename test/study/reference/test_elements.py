@@ -128,7 +128,7 @@ def test_gas_is_solved_for_exactly():
 
 
 def test_a_sum_is_positive_if_all_of_its_eigenvalues_are():
-    """S + U A⁻¹ Uᵀ, also where S alone is indefinite."""
+    """The sum is S + U A⁻¹ Uᵀ; S alone may be indefinite."""
     rng, seen = np.random.default_rng(4), set()
     for _ in range(40):
         S = np.diag(rng.uniform(-1.0, 4.0, 6)) + 0.3 * np.ones((6, 6))

@@ -238,7 +238,7 @@ def test_a_pin_that_turns_is_refused():
 
 
 def test_a_pin_on_a_spring_gives_way_by_its_compliance_as_a_whole():
-    """Σ m g α, however many particles it holds."""
+    """The displacement is Σ m g α for any number of held particles."""
     simulation = compile_scene(scene_from_mapping({
         'gravity': [0.0, 0.0, -G], 'cloths': {'c': {
             'grid': {'size': [0.3, 0.2], 'resolution': [4, 3]}, 'density': 0.5,
@@ -416,14 +416,14 @@ def test_a_moving_pin_drives_the_oscillator():
 
 @pytest.mark.parametrize('method', METHODS)
 def test_a_pin_has_the_velocity_of_its_path(method):
-    """Exactly, where that accelerates evenly."""
+    """The velocity is exact for a path of constant acceleration."""
     problem = oscillator(motion=lambda t: [[3.0 * t - 2.0 * t * t, 0.0, t * t]])
     _, v = advance(method, problem, 0.025, 8)
     np.testing.assert_allclose(v[0], [3.0 - 4.0 * 0.2, 0.0, 0.4], rtol=1e-12)
 
 
 def test_a_limit_is_known_no_better_than_its_numbers_are_rounded():
-    """Free fall, which a leapfrog has exactly, far from the origin."""
+    """The leapfrog integrates free fall exactly; far from the origin only rounding remains."""
     problem = Problem(x=[[1e6, 0, 2]], v=[[1, 0, 0]], mass=[3], gravity=[0, 0, -G])
     found = limit(problem, 0.7, 1e-15)
     assert found.error(np.array([[1e6 + 0.7, 0.0, 2.0 - 0.245 * G]])) <= found.uncertainty

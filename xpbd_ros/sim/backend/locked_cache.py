@@ -18,7 +18,7 @@ class LockedCache(FunctionCache):
     """
 
     def load_overload(self, signature, target):
-        """Return a variant, or None; an index or a variant that cannot be read is discarded."""
+        """Load a variant; return None, and empty the index, if it cannot be read."""
         try:
             return super().load_overload(signature, target)
         except Exception:    # it is damaged, or names the type of a module that is not here
