@@ -21,15 +21,19 @@ class LockedCache(FunctionCache):
         """Load a variant; return None, and empty the index, if it cannot be read."""
         try:
             return super().load_overload(signature, target)
-        except Exception:    # it is damaged, or names the type of a module that is not here
+        except Exception:    # damaged, or with a type whose module cannot be imported here
             with locked():
                 self.flush()
             return None
 
     def save_overload(self, signature, data):
-        """Write one variant, under the cache's lock."""
+        """Write one variant, under the cache's lock; an unreadable index is emptied before."""
         with locked():
-            super().save_overload(signature, data)
+            try:
+                super().save_overload(signature, data)
+            except Exception:    # as for ``load_overload``: another process may have written it
+                self.flush()
+                super().save_overload(signature, data)
 
 
 @contextmanager
