@@ -27,6 +27,7 @@ from xpbd_ros.sim.backend.simd import (
     root,
     select,
     smaller,
+    splat,
     store,
 )
 from xpbd_ros.sim.backend.simd_records import PACK
@@ -159,8 +160,8 @@ def within(near, kind, q, thickness, travels, spare):
     v, weight = closest(kind, a, b, c, d)
     square, travel = dot(v, v), travel_of(kind, a, b, c, d)
     further = travels * travel + spare
-    keep = further - further + thickness
-    reach = thickness + further
+    keep = splat(near.start, thickness)
+    reach = keep + further
     close = square <= reach * reach
     if any_lane(close):
         keep = kept_distance(near, kind, q, thickness)

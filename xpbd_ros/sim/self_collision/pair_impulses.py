@@ -49,10 +49,11 @@ def calm_pair(pairs, k, near, state, h):
     apart = undone(pairs, k, h * parting(four, n, v))
     if apart <= 0.0:
         return
-    excess, per = excess_slip(pairs.friction, k, pairs.push[k] - apart), 1.0 / (h * mobility(four))
+    beyond = share_beyond(pairs.friction, k, pairs.push[k] - apart)
+    per = 1.0 / (h * mobility(four))
     for j, b, w in four:
         for a in range(3):
-            v[a, j] -= w * b * per * (apart * n[a] + excess[a])
+            v[a, j] -= w * b * per * (apart * n[a] + beyond * slip_of(pairs.friction, k, a))
 
 
 @jit(inline=True)
@@ -98,16 +99,15 @@ def parting(four, n, v):
 
 
 @jit(inline=True)
-def excess_slip(friction, k, load):
-    """Return what the displacement by friction of pair k has beyond the cone of a load [m]."""
+def share_beyond(friction, k, load):
+    """Return the share of the friction of pair k beyond the cone of a load [m]."""
     if friction is None:
-        return 0.0, 0.0, 0.0
+        return 0.0
     else:    # Numba prunes the branch that is not taken
         s = friction.slip
         size = sqrt(s[0, k] * s[0, k] + s[1, k] * s[1, k] + s[2, k] * s[2, k])
         most = coefficients(friction.coefficient, friction.slides)[k] * load
-        part = 1.0 - most / size if size > most else 0.0
-        return part * s[0, k], part * s[1, k], part * s[2, k]
+        return 1.0 - most / size if size > most else 0.0
 
 
 @jit(inline=True)
@@ -134,12 +134,12 @@ def press_by_pair(pairs, k, near, state, part):
     n, four = normal_of(pairs, k), corners(pairs, k, near, state)
     load = pairs.push[k] - undone(pairs, k, parting(four, n, state.x) - parting(
         four, n, state.x_prev))
-    excess, per = excess_slip(pairs.friction, k, load), part / mobility(four)
+    within, per = 1.0 - share_beyond(pairs.friction, k, load), part / mobility(four)
     for j, b, _ in four:
         if state.inv_mass[j] == 0.0:
             for a in range(3):
                 state.reaction[a, j] += per * b * (
-                    n[a] * load + slip_of(pairs.friction, k, a) - excess[a])
+                    load * n[a] + within * slip_of(pairs.friction, k, a))
 
 
 @jit(inline=True)
