@@ -40,6 +40,14 @@ from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
+from xpbd_ros.sim.self_collision.backing import (
+    begin_turn,
+    is_further_turn,
+    load_backing,
+    new_backing,
+    store_backing,
+)
+from xpbd_ros.sim.self_collision.clamped_pairs import project_again
 from xpbd_ros.sim.self_collision.inverse_mass import note_length
 from xpbd_ros.sim.self_collision.motion_limit import (
     go_share,
@@ -76,14 +84,6 @@ from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetratio
 from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes
-from xpbd_ros.sim.self_collision.squeeze import (
-    begin_squeeze,
-    expect_squeeze,
-    is_squeezed,
-    new_squeeze,
-    solve_squeeze,
-)
-from xpbd_ros.sim.self_collision.squeeze_friction import ColliderFriction
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -158,13 +158,12 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team = effect.near, effect.pairs, state.team
-    if is_squeezed(pairs.squeeze):
-        if alone(team):
-            solve_squeeze(pairs.squeeze, near, pairs, state, substep.h)
+    if is_further_turn(pairs.backing):
+        if in_first_block(team):
+            project_again(pairs.backing, near, pairs, state)
         wait_uneven(team)
         return
-    if alone(team):
-        expect_squeeze(pairs.squeeze)
+    load_backing(team, pairs.backing, near.slot)
     if any_thread(team, near, pairs.count[0] == NOT_SOUGHT or strays(near, state)):
         common_step(near, state)
         find_pairs(effect, state, substep)
@@ -175,14 +174,15 @@ def keep_apart(effect, state, substep):
         project_pairs(team, near, pairs)
     wait_uneven(team)
     store_moves(near, state)
+    store_backing(team, pairs.backing, near)
     wait_uneven(team)
 
 
 @stage(are_inequalities_unmet, SelfCollision)
 @jit
 def are_layers_unmet(effect, state, turn):
-    """Tell whether pads press, so that layers between them must be solved."""
-    return alone_on_device(state.team) and begin_squeeze(effect.pairs.squeeze, turn)
+    """Tell whether pads press, so that pairs in front of them must be projected again."""
+    return alone_on_device(state.team) and begin_turn(effect.pairs.backing, turn)
 
 
 @jit
@@ -393,21 +393,13 @@ class BuiltSelfCollision(Built):
         """Take the contacts with colliders into account."""
         pairs, near = self.data.pairs, self.data.near
         self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
-            squeeze=new_squeeze(contacts, len(near.slot), len(pairs.push))))
+            backing=new_backing(contacts, len(near.slot), len(pairs.push))))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray | None) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""
         pairs = self.data.pairs
         self.data = self.data._replace(pairs=pairs._replace(
             friction=new_pair_friction(pairs, kinetic, static)))
-
-    def let_rub_on_colliders(self, cloth: np.ndarray, kinetic: np.ndarray,
-                             static: np.ndarray | None) -> None:
-        """Take the friction with colliders into account, μ_k and μ_s by cloth and collider."""
-        pairs, squeeze = self.data.pairs, self.data.pairs.squeeze
-        if squeeze is not None:
-            self.data = self.data._replace(pairs=pairs._replace(squeeze=squeeze._replace(
-                friction=ColliderFriction(cloth, kinetic, static))))
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT

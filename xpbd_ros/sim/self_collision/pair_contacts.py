@@ -39,8 +39,15 @@ from xpbd_ros.sim.backend.threads import (
     wait_in_block,
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
+from xpbd_ros.sim.self_collision.backing import (
+    Backing,
+    by_backing,
+    in_turn,
+    is_group_in_turn,
+    prevented,
+    take_part,
+)
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
-from xpbd_ros.sim.self_collision.squeeze import Squeeze
 
 NEVER = -1e30
 """-C of pairs that are no contacts in a substep [m]"""
@@ -103,7 +110,7 @@ class PairContacts(NamedTuple):
     """scratch: impulse of a vector of pairs, of one pair for each thread of a GPU; (3, PACK)"""
     friction: PairFriction | None
     """None in a scene without friction"""
-    squeeze: Squeeze | None
+    backing: Backing | None
     """None in a scene without pads"""
 
 
@@ -145,6 +152,15 @@ def load_corners(records, particles, q):
 
 
 @jit(inline=True)
+def load_axes(backing, particles, q):
+    """Return the records of the colliders behind the particles of a vector of pairs, or None."""
+    if backing is None:
+        return None
+    else:    # Numba prunes the branch that is not taken
+        return load_corners(backing.axis, particles, q)
+
+
+@jit(inline=True)
 def load_weights(pairs, q):
     """Return b of a vector of pairs."""
     return (load(pairs.weight[0], q), load(pairs.weight[1], q), load(pairs.weight[2], q),
@@ -175,7 +191,7 @@ def mobility_of(b, p, q, r, s):
 @jit(inline=True)
 def displace(near, pairs, q, active, me):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
-    move, v = near.precise_move, pairs.impulse
+    move, v, backing = near.precise_move, pairs.impulse, pairs.backing
     while active:
         lane = lowest_bit(active)
         active &= active - 1
@@ -187,8 +203,10 @@ def displace(near, pairs, q, active, me):
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
+            held = prevented(backing, pairs.normal, k, i, share, v[0, me + lane], v[1, me + lane],
+                             v[2, me + lane])
             for a in range(3):
-                move[i, a] += share * v[a, me + lane]
+                move[i, a] += share * v[a, me + lane] - held[a]
                 near.move[i, a] = move[i, a]
 
 
@@ -211,24 +229,26 @@ def project_pairs(team, near, pairs):
     me, threads = in_block(team)
     width = lanes(near.move)
     for group in range(0, pairs.end[0], PACK):
-        for turn in range(pairs.rounds[group // PACK]):
-            for q in range(group + me * width, group + PACK, threads * width):
-                project_round(near, pairs, q, float(turn), me)
-            wait_in_block(team)
+        if is_group_in_turn(pairs.backing, group // PACK):
+            for turn in range(pairs.rounds[group // PACK]):
+                for q in range(group + me * width, group + PACK, threads * width):
+                    project_round(near, pairs, q, float(turn), me)
+                wait_in_block(team)
 
 
 @jit(inline=True)
 def project_round(near, pairs, q, turn, me):
     """Project those of a vector of pairs that are contacts, and that belong to a round."""
     now, deficit = load(pairs.turn, q), load(pairs.deficit, q)
-    mine = both(deficit > NEVER, both(now >= turn, now <= turn))
+    mine = in_turn(pairs.backing, q, both(deficit > NEVER, both(now >= turn, now <= turn)))
     if any_lane(mine):
         project_some(near, pairs, q, mine, load_corners(near.move, pairs.particles, q),
+                     load_axes(pairs.backing, pairs.particles, q),
                      load_vector(pairs.normal, q), load_weights(pairs, q), deficit, me)
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, mine, moves, n, weight, deficit, me):
+def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit, me):
     """
     Project a vector of pairs.
 
@@ -237,6 +257,7 @@ def project_some(near, pairs, q, mine, moves, n, weight, deficit, me):
     near : neighbour list, with the records of the displacements in this substep
     pairs, q, mine : the pairs are those of the mask ``mine`` in q to q + lanes
     moves : records of the displacements of their particles
+    axes : records of the colliders behind them (``self_collision.backing``)
     n, weight, deficit : normals, weights and -C at the substep's start [m]
     me : number of the thread in its block
 
@@ -246,8 +267,10 @@ def project_some(near, pairs, q, mine, moves, n, weight, deficit, me):
     way = weighted(weight, p, r, s, t)
     total = mobility_of(weight, p, r, s, t)
     along, before = dot(n, way), load(pairs.push, q)
-    there = both(mine, total > 0.0)
-    push = select(there, larger(deficit - along, -before), 0.0)
+    push = larger(by_backing(pairs.backing, deficit - along, axes, n, weight, moves, total),
+                  -before)
+    there = take_part(pairs.backing, axes, n, weight, both(mine, total > 0.0))
+    push = select(there, push, 0.0)
     slip = load_slip(friction, q, push)
     active = bits(both(mine, either(absolute(push) > 0.0,
                                     either(before > 0.0, dot(slip, slip) > 0.0))))
