@@ -316,6 +316,8 @@ class BuiltFriction(Built):
         shape = len(world.cloths), len(contact.colliders.shape)
         self.data = Friction(contact.contacts, cloth_of, np.zeros(shape),
                              np.zeros(shape) if sticks(surfaces) else None)
+        if 'self_collision' in world.built:
+            world.built['self_collision'].let_rub_on_colliders(*self.data[1:])
         self.changes = None
         """``changes`` of the contact effect when the coefficients were written"""
 

@@ -29,8 +29,6 @@ from math import ceil
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
@@ -49,6 +47,7 @@ from xpbd_ros.sim.self_collision.backing import (
 )
 from xpbd_ros.sim.self_collision.clamped_pairs import project_again
 from xpbd_ros.sim.self_collision.inverse_mass import note_length
+from xpbd_ros.sim.self_collision.kin import kin
 from xpbd_ros.sim.self_collision.motion_limit import (
     go_share,
     hold_back,
@@ -84,6 +83,13 @@ from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetratio
 from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes
+from xpbd_ros.sim.self_collision.squeeze import (
+    begin_squeeze,
+    is_squeezed,
+    new_squeeze,
+    solve_squeeze,
+)
+from xpbd_ros.sim.self_collision.squeeze_friction import ColliderFriction
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -158,6 +164,11 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team = effect.near, effect.pairs, state.team
+    if is_squeezed(pairs.squeeze):
+        if alone(team):
+            solve_squeeze(pairs.squeeze, near, pairs, state, substep.h)
+        wait_uneven(team)
+        return
     if is_further_turn(pairs.backing):
         if in_first_block(team):
             project_again(pairs.backing, near, pairs, state)
@@ -181,8 +192,11 @@ def keep_apart(effect, state, substep):
 @stage(are_inequalities_unmet, SelfCollision)
 @jit
 def are_layers_unmet(effect, state, turn):
-    """Tell whether pads press, so that pairs in front of them must be projected again."""
-    return alone_on_device(state.team) and begin_turn(effect.pairs.backing, turn)
+    """Tell whether pads press, so that layers between them must be solved again."""
+    pairs = effect.pairs
+    return alone_on_device(state.team) and (
+        begin_turn(pairs.backing, turn)
+        or begin_squeeze(pairs.squeeze, effect.near, pairs, effect.thickness[0], turn))
 
 
 @jit
@@ -378,7 +392,8 @@ class BuiltSelfCollision(Built):
         room = (parameters.room or usual_room(parameters.thickness, world.cloths)) * count
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
-                                  world.state.mass[slots].mean(), kin(world), world.threads,
+                                  world.state.mass[slots].mean(),
+                                  kin(slots, world.built.get('seam')), world.threads,
                                   world.on_device, springs='pin' in world.built
                                   and bool(world.built['pin'].also))
         self.data = SelfCollision(
@@ -393,13 +408,22 @@ class BuiltSelfCollision(Built):
         """Take the contacts with colliders into account."""
         pairs, near = self.data.pairs, self.data.near
         self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
-            backing=new_backing(contacts, len(near.slot), len(pairs.push))))
+            backing=new_backing(contacts, len(near.slot), len(pairs.push)),
+            squeeze=new_squeeze(contacts, len(near.slot), len(pairs.push))))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray | None) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""
         pairs = self.data.pairs
         self.data = self.data._replace(pairs=pairs._replace(
             friction=new_pair_friction(pairs, kinetic, static)))
+
+    def let_rub_on_colliders(self, cloth: np.ndarray, kinetic: np.ndarray,
+                             static: np.ndarray | None) -> None:
+        """Take the friction with colliders into account, μ_k and μ_s by cloth and collider."""
+        pairs, squeeze = self.data.pairs, self.data.pairs.squeeze
+        if squeeze is not None:
+            self.data = self.data._replace(pairs=pairs._replace(squeeze=squeeze._replace(
+                friction=ColliderFriction(cloth, kinetic, static))))
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT
@@ -421,19 +445,6 @@ class BuiltSelfCollision(Built):
                 'self_without_room': int(near.count[1] + pairs.count[1]),
                 'self_stopped': int(near.count[2]),
                 'self_squeezed': int(near.count[3])}
-
-
-def kin(world) -> np.ndarray | None:
-    """Return a number for each particle in natural order, equal for those sewn together."""
-    seam = world.built.get('seam')
-    if seam is None or seam.data is None:
-        return None
-    slot = np.concatenate([cloth.slots for cloth in world.cloths])
-    number = np.zeros(world.slots, np.int64)
-    number[slot] = np.arange(len(slot))
-    pairs = number[seam.data.first], number[seam.data.second]
-    joined = coo_array((np.ones(len(pairs[0])), pairs), (len(slot), len(slot)))
-    return connected_components(joined, directed=False)[1].astype(np.int64)
 
 
 EFFECT = Effect('self_collision', Parameters, BuiltSelfCollision)

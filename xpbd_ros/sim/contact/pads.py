@@ -30,8 +30,8 @@ of the speed that it gives them: all of it where the substep resolves the pad, a
 not as little as from a rigid collider.
 
 Limits: a foundation has no thickness, so a soft one lets particles through. Layers of cloth
-between pads are solved in turns with ``self_collision`` (``self_collision.backing``). κ counts as
-at most RIGID. A particle without area, inside a body, does not feel a pad.
+between pads are solved in turns with ``self_collision`` (``self_collision.backing``, ``squeeze``).
+κ counts as at most RIGID. A particle without area, inside a body, does not feel a pad.
 """
 
 from math import sqrt

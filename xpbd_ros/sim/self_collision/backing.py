@@ -21,7 +21,7 @@ pull: without others κ is 0, or overlapping layers on one rigid collider would 
 
 Limits: κ counts as at most STIFFEST, that of rigid colliders too. Colliders whose normals are not
 parallel take part with what acts along that of the stiffest. The inner ones of three and more
-layers have no collider behind them, so there the force falls short.
+layers have no collider behind them; between two pads, ``squeeze`` solves these.
 """
 
 from math import sqrt
