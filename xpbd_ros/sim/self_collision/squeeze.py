@@ -72,7 +72,7 @@ STIFFER = 40.0
 """stiffness of a pair, relative to that of the stiffest pad that backs it"""
 STIFFEST = 1e5
 """largest κ, that of rigid colliders too: the contacts themselves are solved again"""
-STEPS, FULL = 20, 10
+STEPS, FULL = 60, 30
 """most steps of Newton's method, and those before it halves a step that raises E"""
 SMALL = 1e-8
 """sum of the squares of the missing forces, relative to that of the colliders' forces"""
