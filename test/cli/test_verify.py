@@ -2,6 +2,8 @@
 
 import json
 
+import pytest
+
 from xpbd_ros.cli.main import main
 from xpbd_ros.study.verify import case
 
@@ -52,6 +54,7 @@ def test_a_case_that_fails_is_said_and_fails(capsys):
     assert 'FAIL' in capsys.readouterr().out
 
 
-def test_an_unknown_case_is_refused(capsys):
-    assert main(['verify', '--case', 'V999']) == 2
-    assert '--case V999: unknown case (known: V1, V2, ' in capsys.readouterr().err
+@pytest.mark.parametrize('case, hint', [('x', ''), ('6', "; did you mean 'V6'?")])
+def test_an_unknown_case_is_refused(case, hint, capsys):
+    assert main(['verify', '--case', case]) == 2
+    assert f'--case {case}: unknown case{hint} (known: V1, V2, ' in capsys.readouterr().err

@@ -421,4 +421,11 @@ def test_cloth_without_pins_has_no_tethers():
     simulation = hang({'tether': {}}, pins={})
     run(simulation, 2)
     assert simulation.stats()['tethers'] == 0
-    assert simulate((7, 3), effects={**SOFT, 'tether': {}}).stats()['tethers'] == 0
+
+
+def test_tethers_that_nothing_can_pin_are_told():
+    simulation = simulate((7, 3), effects={**SOFT, 'tether': {}})
+    assert simulation.stats()['tethers'] == 0
+    assert 'effects.tether: does nothing, for the scene has no pins' in simulation.notes[0]
+    assert not simulate((7, 3), effects={**SOFT, 'tether': {}},
+                        pins={'p': {'cloth': 'c', 'at': 'corner_00'}}).notes

@@ -236,6 +236,10 @@ class BuiltTether(Built):
 
     def __init__(self, parameters, world):
         super().__init__()
+        if not world.pins:
+            self.notes = [f'cloths.{cloth.name}.effects.tether: does nothing, for the scene has '
+                          'no pins; add pins or effects.pin, or leave tether out'
+                          for cloth in parameters]
         self._ways = [Ways.of(cloth, chosen.slack) for cloth, chosen in parameters.items()]
         room = GROUPS * sum(len(ways.slots) for ways in self._ways) if world.pins else 0
         self.data = Tether(np.zeros(1, np.int64), np.zeros(room, np.int64),

@@ -6,6 +6,7 @@ from pathlib import Path
 import time
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.read import unknown
 from xpbd_ros.study.chart import INK, page, save
 from xpbd_ros.study.parallel import run_tasks
 from xpbd_ros.study.stress import all_hard
@@ -53,7 +54,7 @@ def stress(chosen: str | None = None, *, quick: bool = False, scheduler: str | N
     tasks = [(k, quick) for k, one in enumerate(all_hard()) if chosen in (None, one.id)]
     if not tasks:
         known = sorted([*known_ids(), *NODE_CASES], key=lambda one: int(one[1:]))
-        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
+        raise InputError(f"--case {chosen}: {unknown(chosen, known, 'case')}")
     found = dict(run_tasks(_result, tasks, processes=1, scheduler=scheduler, what='cases',
                            progress=progress))
     return [found[k] for k in sorted(found)]

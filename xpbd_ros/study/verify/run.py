@@ -6,6 +6,7 @@ from pathlib import Path
 import time
 
 from xpbd_ros.errors import InputError
+from xpbd_ros.scene.read import unknown
 from xpbd_ros.study.chart import COLOURS, INK, page, save
 from xpbd_ros.study.parallel import run_tasks
 from xpbd_ros.study.verify import all_cases, Case, Row
@@ -40,7 +41,7 @@ def verify(chosen: str | None = None, *, slow: bool = True, scheduler: str | Non
              if (slow or not one.slow) and chosen in (None, one.id)}
     if not cases:
         known = sorted({one.id for one in _cases()}, key=number)
-        raise InputError(f"--case {chosen}: unknown case (known: {', '.join(known)})")
+        raise InputError(f"--case {chosen}: {unknown(chosen, known, 'case')}")
     tasks = [(k,) for k in sorted(cases, key=lambda k: number(cases[k].id))]
     found = dict(run_tasks(_answer, tasks, processes=1, scheduler=scheduler, what='cases',
                            progress=progress))
