@@ -69,6 +69,17 @@ def test_a_stack_is_squeezed_by_the_indentation(count, setting, substeps, stiffn
     assert np.abs(frame.v).max() < 0.02
 
 
+@pytest.mark.parametrize('count, stiffness', [
+    (3, 1e7), *(slow(*case) for case in ((3, 5e7), (4, 5e7), (6, 1e7)))])
+def test_a_stack_in_fingers_narrower_than_itself_rests(count, stiffness):
+    """They press on 9 particles of 1 cm² in each layer; the cloth about them is free."""
+    simulation, _ = stack(count, stiffness=stiffness, substeps=15, pad=0.035)
+    run(simulation, 20)
+    frames = [run(simulation, 1) for _ in range(20)]
+    np.testing.assert_allclose(forces(simulation), stiffness * 9e-4 * OVERLAP, rtol=0.03)
+    assert max(np.abs(frame.v).max() for frame in frames) < 0.25
+
+
 def slide(simulation, count, pull, frames=6):
     """Return the speed along x of each layer after some frames of a pull along x [m/s²]."""
     simulation.step([SetKey('gravity', (pull, 0.0, 0.0))])

@@ -86,6 +86,8 @@ class Pads(NamedTuple):
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
     """1 if the friction of two candidates has been solved at once, likewise"""
+    solved: np.ndarray
+    """1 at a particle's last candidate if ``self_collision.squeeze`` has just solved it"""
     again: np.ndarray
     """True while the inequalities are projected again in this iteration, shape (1,)"""
 
@@ -94,7 +96,8 @@ def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room, np.int32), np.zeros(room), np.zeros(room), np.zeros(room),
                 np.zeros(room), np.zeros(room, np.int32), np.zeros(room), np.zeros((room, 3)),
-                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros(1, np.bool_))
+                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros(room, np.int32),
+                np.zeros(1, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -141,11 +144,13 @@ def begin_pad(pads, contacts, k, start, limit):
 
 @jit
 def press_pads(pads, contacts, state):
-    """Solve all particles that have a candidate with a pad."""
+    """Solve all particles that have a candidate with a pad, and are not solved yet."""
     if pads is not None:
         for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             i = contacts.particle[k]
-            if contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
+            if pads.solved[k]:
+                pads.solved[k] = 0
+            elif contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
                 press(pads, contacts, k, i, state)
 
 

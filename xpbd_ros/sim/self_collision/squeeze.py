@@ -19,11 +19,11 @@ particles from the substep's start, with the pairs that touch there.
 Friction (``squeeze_friction``) follows with these pushes.
 
 What pushes do not balance moves no particle: pads bear it as an impulse. That is what Newton's
-method leaves, and the part of pushes across the axis, at the edges of fingers.
+method leaves, and the part of pushes across the axis, at the edges of fingers. In the same turn,
+pads do not press these particles again: alone, without the pushes of pairs, it would move them.
 
 Limits: normals that differ by more than 25° are not of one stack. Layers between a pad and a rigid
-collider are not solved so. Triangles at the edges of fingers have forces on corners that are free,
-which flutter, the more so the larger κ.
+collider are not solved so.
 """
 
 import copy
@@ -390,7 +390,19 @@ def store_moves(squeeze, near, state, h):
             book(stack, contacts, i, per * (u * a[0] - given[0]), per * (u * a[1] - given[1]),
                  per * (u * a[2] - given[2]))
             store_move(near, state, i)
+            keep_pushes(contacts, last_candidate(contacts, j), state.mobility[j])
     contacts.count[5] = 1
+
+
+@jit(inline=True)
+def keep_pushes(contacts, last, m):
+    """Let the pads of a particle of mobility m keep their pushes: they are solved."""
+    pads, k = contacts.pads, last
+    while k >= 0:
+        pads.force[k], pads.lost[k] = contacts.push[k] / m, pads.ratio[k] / (1.0 + pads.ratio[k])
+        k = contacts.earlier[k]
+    if last >= 0 and meets_pad(pads, contacts, last):
+        pads.solved[last] = 1
 
 
 @jit(inline=True)
