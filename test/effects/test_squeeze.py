@@ -15,7 +15,7 @@ USUAL = 'line', 'ndf2'
 
 
 def stack(count, setting=USUAL, *, stiffness=1e5, substeps=8, pad=10.0, mu=MU, spread=0.001,
-          middle=DENSITY):
+          middle=DENSITY, overlap=OVERLAP):
     """
     Return sheets on one another, which pads close about in 0.1 s, and F by K A δ [N].
 
@@ -23,7 +23,7 @@ def stack(count, setting=USUAL, *, stiffness=1e5, substeps=8, pad=10.0, mu=MU, s
     """
     apart = np.random.default_rng(count).uniform(-0.5 * SIZE - spread, -0.5 * SIZE + spread,
                                                  (count, 2))
-    high = 0.5 * (count + 1) * R - OVERLAP + 0.01
+    high = 0.5 * (count + 1) * R - overlap + 0.01
     bodies = {name: {
         'box': {'size': [pad, pad, 0.02]}, 'friction': mu, 'pad': {'stiffness': stiffness},
         'motion': [[0.0, 0.0, 0.0, side * (high + R)], [0.1, 0.0, 0.0, side * high]]}
@@ -41,7 +41,7 @@ def stack(count, setting=USUAL, *, stiffness=1e5, substeps=8, pad=10.0, mu=MU, s
         'colliders': bodies,
         'effects': {'contact': {'thickness': R}, 'self_collision': {'thickness': R},
                     'friction': {}},
-    }), stiffness * area * OVERLAP
+    }), stiffness * area * overlap
 
 
 def forces(simulation) -> np.ndarray:
@@ -78,6 +78,19 @@ def test_a_stack_in_fingers_narrower_than_itself_rests(count, stiffness):
     frames = [run(simulation, 1) for _ in range(20)]
     np.testing.assert_allclose(forces(simulation), stiffness * 9e-4 * OVERLAP, rtol=0.03)
     assert max(np.abs(frame.v).max() for frame in frames) < 0.25
+
+
+def test_crushed_layers_meet_the_pads_as_rigid():
+    """Pads close by 6 mm each, where a quarter of their thickness is 5 mm: forces stay bounded."""
+    simulation, force = stack(4, stiffness=1e7, substeps=15, pad=0.035, overlap=0.006)
+    most = []
+    for _ in range(20):
+        frame = run(simulation, 1)
+        most.append(forces(simulation).max())
+    assert np.isfinite(frame.x).all() and np.isfinite(frame.v).all()
+    assert np.abs(frame.x).max() < 0.2
+    assert 0.0 < max(most) < 3.0 * force
+    assert simulation.effects['self_collision'].data.pairs.squeeze.stack.count[0] == 0
 
 
 def slide(simulation, count, pull, frames=6):

@@ -23,7 +23,7 @@ method leaves, and the part of pushes across the axis, at the edges of fingers. 
 pads do not press these particles again: alone, without the pushes of pairs, it would move them.
 
 Limits: normals that differ by more than 25° are not of one stack. Layers between a pad and a rigid
-collider are not solved so.
+collider are not solved so, and none while cloth is so deep in a pad that it meets it as rigid.
 """
 
 import copy
@@ -139,9 +139,19 @@ def begin_squeeze(squeeze, near, pairs, thickness, turn):
     if squeeze is None:
         return False
     else:    # Numba prunes the branch that is not taken
-        squeeze.again[0] = turn == TURNS + 1 and list_stack(
-            squeeze.stack, squeeze.contacts, near, pairs, thickness)
+        squeeze.again[0] = (turn == TURNS + 1 and not is_crushed(squeeze.contacts) and list_stack(
+            squeeze.stack, squeeze.contacts, near, pairs, thickness))
         return squeeze.again[0]
+
+
+@jit
+def is_crushed(contacts):
+    """Return True if a particle is so deep in a pad that it meets it as a rigid collider."""
+    for k in range(contacts.count[0]):
+        if (contacts.push[k] > 0.0 and not contacts.pads.soft[k]
+                and contacts.colliders.stiffness[contacts.collider[k]] > 0.0):
+            return True
+    return False
 
 
 @jit(inline=True)
@@ -399,7 +409,8 @@ def keep_pushes(contacts, last, m):
     """Let the pads of a particle of mobility m keep their pushes: they are solved."""
     pads, k = contacts.pads, last
     while k >= 0:
-        pads.force[k], pads.lost[k] = contacts.push[k] / m, pads.ratio[k] / (1.0 + pads.ratio[k])
+        pads.force[k] = contacts.push[k] / m
+        pads.lost[k] = pads.ratio[k] / (1.0 + pads.ratio[k])
         k = contacts.earlier[k]
     if last >= 0 and meets_pad(pads, contacts, last):
         pads.solved[last] = 1
