@@ -20,10 +20,11 @@ Friction (``squeeze_friction``) follows with these pushes.
 
 What pushes do not balance moves no particle: pads bear it as an impulse. That is what Newton's
 method leaves, and the part of pushes across the axis, at the edges of fingers. In the same turn,
-pads do not press these particles again: alone, without the pushes of pairs, it would move them.
+pads do not press these particles again: alone, without the pushes of pairs, that would move them.
 
 Limits: normals that differ by more than 25° are not of one stack. Layers between a pad and a rigid
-collider are not solved so, and none while cloth is so deep in a pad that it meets it as rigid.
+collider are not solved so, nor stacks near one, since the solve has only contacts along its axis,
+and none while cloth is so deep in a pad that it meets it as rigid.
 """
 
 import copy
@@ -140,8 +141,22 @@ def begin_squeeze(squeeze, near, pairs, thickness, turn):
         return False
     else:    # Numba prunes the branch that is not taken
         squeeze.again[0] = (turn == TURNS + 1 and not is_crushed(squeeze.contacts) and list_stack(
-            squeeze.stack, squeeze.contacts, near, pairs, thickness))
+            squeeze.stack, squeeze.contacts, near, pairs, thickness)
+            and not is_beside_rigid(squeeze, near))
         return squeeze.again[0]
+
+
+@jit
+def is_beside_rigid(squeeze, near):
+    """Return True if a rigid collider is near a particle of a stack."""
+    contacts, stack = squeeze.contacts, squeeze.stack
+    for q in range(stack.count[1]):
+        k = last_candidate(contacts, near.slot[stack.particles[q]])
+        while k >= 0:
+            if not contacts.pads.soft[k]:
+                return True
+            k = contacts.earlier[k]
+    return False
 
 
 @jit
