@@ -7,7 +7,7 @@ from support.scenes import run, SETTINGS
 from support.tiers import slow
 import xpbd_ros
 from xpbd_ros.sim.commands import Release, SetKey
-from xpbd_ros.sim.self_collision.springs import new_springs, step_towards_balance
+from xpbd_ros.sim.self_collision.springs import conjugate_gradients, new_springs
 
 R, MU, OVERLAP, SIZE, DENSITY = 0.002, 0.5, 0.001, 0.06, 0.2
 """thickness, friction, indentation of each pad [m], side of a sheet [m], [kg/m²]"""
@@ -15,11 +15,12 @@ USUAL = 'line', 'ndf2'
 
 
 def stack(count, setting=USUAL, *, stiffness=1e5, substeps=8, pad=10.0, mu=MU, spread=0.001,
-          middle=DENSITY, overlap=OVERLAP):
+          middle=DENSITY, overlap=OVERLAP, wall=False):
     """
     Return sheets on one another, which pads close about in 0.1 s, and F by K A δ [N].
 
-    The sheets are apart sideways, by up to ``spread`` from the middle [m].
+    The sheets are apart sideways, by up to ``spread`` from the middle [m]. ``wall`` is a rigid
+    collider beside them.
     """
     apart = np.random.default_rng(count).uniform(-0.5 * SIZE - spread, -0.5 * SIZE + spread,
                                                  (count, 2))
@@ -28,6 +29,9 @@ def stack(count, setting=USUAL, *, stiffness=1e5, substeps=8, pad=10.0, mu=MU, s
         'box': {'size': [pad, pad, 0.02]}, 'friction': mu, 'pad': {'stiffness': stiffness},
         'motion': [[0.0, 0.0, 0.0, side * (high + R)], [0.1, 0.0, 0.0, side * high]]}
         for name, side in (('above', 1), ('below', -1))}
+    if wall:
+        bodies['wall'] = {'box': {'size': [0.02, 1.0, 0.02]},
+                          'position': [0.5 * SIZE + spread + R + 0.01, 0.0, 0.0]}
     area = min(SIZE, pad)**2
     return xpbd_ros.load({
         'frame_rate': 60, 'gravity': [0.0, 0.0, 0.0],
@@ -69,15 +73,15 @@ def test_a_stack_is_squeezed_by_the_indentation(count, setting, substeps, stiffn
     assert np.abs(frame.v).max() < 0.02
 
 
-@pytest.mark.parametrize('count, stiffness', [
-    (3, 1e7), *(slow(*case) for case in ((3, 5e7), (4, 5e7), (6, 1e7)))])
-def test_a_stack_in_fingers_narrower_than_itself_rests(count, stiffness):
+@pytest.mark.parametrize('count, stiffness, fastest', [
+    (3, 1e7, 0.1), *(slow(*case) for case in ((3, 5e7, 0.1), (4, 5e7, 0.25), (6, 1e7, 0.25)))])
+def test_a_stack_in_fingers_narrower_than_itself_rests(count, stiffness, fastest):
     """They press on 9 particles of 1 cm² in each layer; the cloth about them is free."""
     simulation, _ = stack(count, stiffness=stiffness, substeps=15, pad=0.035)
     run(simulation, 20)
     frames = [run(simulation, 1) for _ in range(20)]
     np.testing.assert_allclose(forces(simulation), stiffness * 9e-4 * OVERLAP, rtol=0.03)
-    assert max(np.abs(frame.v).max() for frame in frames) < 0.25
+    assert max(np.abs(frame.v).max() for frame in frames) < fastest
 
 
 def test_crushed_layers_meet_the_pads_as_rigid():
@@ -90,7 +94,14 @@ def test_crushed_layers_meet_the_pads_as_rigid():
     assert np.isfinite(frame.x).all() and np.isfinite(frame.v).all()
     assert np.abs(frame.x).max() < 0.2
     assert 0.0 < max(most) < 3.0 * force
-    assert simulation.effects['self_collision'].data.pairs.squeeze.stack.count[0] == 0
+
+
+def test_a_stack_near_a_rigid_collider_is_not_solved():
+    """The wall is across the axis of the stack, so its contacts have no part in the solve."""
+    for wall in (True, False):
+        simulation, _ = stack(3, stiffness=1e6, wall=wall)
+        run(simulation, 10)
+        assert simulation.effects['self_collision'].data.squeeze.u.any() != wall
 
 
 def slide(simulation, count, pull, frames=6):
@@ -103,18 +114,16 @@ def slide(simulation, count, pull, frames=6):
     (3, USUAL, 8), *(slow(*case) for case in (
         (4, USUAL, 16), (5, USUAL, 8), *((3, setting, 32) for setting in SETTINGS)))])
 def test_a_stack_slips_at_twice_mu_times_the_force(count, setting, substeps):
-    """The pads hold all layers by the friction on the outer ones; those hold the inner ones."""
+    """The pads hold all layers by the friction on the outer ones, and these move as one body."""
     for load in (0.85, 1.3):
-        simulation, _ = stack(count, setting, stiffness=1e4, substeps=substeps, spread=0.003)
+        simulation, _ = stack(count, setting, stiffness=1e4, substeps=substeps)
         run(simulation, 12)
         limit = 2.0 * MU * forces(simulation).mean() / (count * DENSITY * SIZE**2)
         speed, time = slide(simulation, count, load * limit)
         if load < 1.0:
-            assert np.abs(speed).max() < 2e-3 * limit * time
+            assert np.abs(speed).max() < 1e-3 * limit * time
         else:
-            expected = (load - 1.0) * limit * time
-            assert speed.mean() == pytest.approx(expected, rel=0.03)
-            np.testing.assert_allclose(speed, expected, rtol=0.08)    # of single layers
+            np.testing.assert_allclose(speed, (load - 1.0) * limit * time, rtol=0.01)
 
 
 @pytest.mark.parametrize('load, holds', [(0.9, True), (1.3, False)])
@@ -144,7 +153,7 @@ def test_the_pairs_of_a_stack_are_those_of_all_layers_about_the_pads():
     """Every interface takes part, and no particle far from the pads."""
     simulation, _ = stack(4, stiffness=1e6, pad=0.025)
     frame = run(simulation, 20)
-    squeeze = simulation.effects['self_collision'].data.pairs.squeeze
+    squeeze = simulation.effects['self_collision'].data.squeeze
     pairs, listing = simulation.effects['self_collision'].data.pairs, squeeze.stack
     listed = listing.particles[:listing.count[1]]
     interfaces = {tuple(sorted({int(i) // 49 for i in pairs.particles[:, k] if i < len(frame.x)}))
@@ -162,7 +171,7 @@ def test_a_saved_state_goes_on_with_the_same_bits():
     simulation, _ = stack(3, stiffness=1e6)
     run(simulation, 10)
     other = simulation.save().simulation()
-    assert not np.shares_memory(*(each.effects['self_collision'].data.pairs.squeeze.y
+    assert not np.shares_memory(*(each.effects['self_collision'].data.squeeze.y
                                   for each in (simulation, other)))
     run(simulation, 3)
     run(other, 3)
@@ -171,10 +180,10 @@ def test_a_saved_state_goes_on_with_the_same_bits():
 
 @pytest.mark.parametrize('count, frames', [(2, 20), (3, 1)])
 def test_two_layers_and_those_that_no_pad_squeezes_are_no_stack(count, frames):
-    """Two layers have the Schur complement of the pads, which needs no further solve."""
+    """Two layers have the Schur complement of the pads."""
     simulation, _ = stack(count, stiffness=1e6)
     run(simulation, frames)
-    squeeze = simulation.effects['self_collision'].data.pairs.squeeze
+    squeeze = simulation.effects['self_collision'].data.squeeze
     assert not squeeze.again[0] and squeeze.stack.count[0] == 0
 
 
@@ -186,15 +195,15 @@ def test_steps_of_springs_solve_the_linear_system(components):
     found.ends[:] = np.array([rng.permutation(count)[:4] for _ in range(springs)])
     found.weight[:] = rng.normal(size=(springs, 4))
     found.stiffness[:] = rng.uniform(0.0, 30.0, springs)
-    acting = np.flatnonzero(np.arange(springs) % 4)
-    found.count[1] = len(acting)
-    found.acting[:len(acting)] = acting
+    active = np.flatnonzero(np.arange(springs) % 4)
+    found.count[1] = len(active)
+    found.active[:len(active)] = active
     found.mass[:] = rng.uniform(0.5, 2.0, count)
     found.mass[4] = 0.0
     axis = rng.normal(size=(count, 3))
     found.axis[:] = axis / np.linalg.norm(axis, axis=1)[:, None]
     matrix = np.diag(found.mass)
-    for t in acting:
+    for t in active:
         w = np.zeros(count)
         w[found.ends[t]] = found.weight[t]
         matrix += found.stiffness[t] * np.outer(w, w)
@@ -212,9 +221,9 @@ def test_steps_of_springs_solve_the_linear_system(components):
         basis = basis[:, np.repeat(2 * free, 2) + np.tile([0, 1], len(free))]
         whole = basis.T @ np.kron(matrix, np.eye(3)) @ basis
         expected = (basis @ np.linalg.solve(whole, basis.T @ r.ravel())).reshape(-1, 3)[free]
-    found.missing[:components] = r.T
-    found.missing[:, 4] = 0.0
-    step_towards_balance(found, count, components, 1e-24)
+    found.residual[:components] = r.T
+    found.residual[:, 4] = 0.0
+    conjugate_gradients(found, count, components, 1e-24)
     np.testing.assert_allclose(found.x[:components, free].T, expected, rtol=1e-6, atol=1e-9)
     assert (found.x[:, 4] == 0.0).all()
 

@@ -22,7 +22,6 @@ each: the collider takes back what friction moves the layer below by.
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,8 +43,9 @@ from xpbd_ros.sim.contact.clamp_friction import (
     shared_friction,
 )
 from xpbd_ros.sim.contact.collider_motion import surface_motion, surface_motions
-from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, wait_for_others
+from xpbd_ros.sim.contact.contacts import push_once, shortened, wait_for_others
 from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.contact.friction_limits import Friction, holds, limits
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.contact.particle_lanes import place, positions
 from xpbd_ros.sim.contact.pieces import candidate, rounds
@@ -75,27 +75,6 @@ class Parameters:
         {}, minimum=0.0, doc='cloth: {collider: coefficient μ, or both of them}')
 
 
-class Friction(NamedTuple):
-    """Data of the kernels."""
-
-    contacts: Contacts
-    cloth: np.ndarray
-    """index of each particle's cloth, shape (slots,)"""
-    coefficient: np.ndarray
-    """μ_k by cloth and collider, shape (cloths, capacity)"""
-    static: np.ndarray | None
-    """μ_s likewise; None where it is μ_k everywhere"""
-
-
-@jit(inline=True)
-def holds(static, a, c, kinetic):
-    """Return μ_s of cloth a and collider c."""
-    if static is None:
-        return kinetic
-    else:    # Numba prunes the branch that is not taken
-        return static[a, c]
-
-
 @jit(inline=True)
 def tangential(contacts, k, state):
     """Return Δp_t of contact k [m]."""
@@ -107,16 +86,6 @@ def tangential(contacts, k, state):
     pz = np.float64(x[2, i]) - before[2, i] - uz
     pn = px * n[k, 0] + py * n[k, 1] + pz * n[k, 2]
     return px - pn * n[k, 0], py - pn * n[k, 1], pz - pn * n[k, 2]
-
-
-@jit(inline=True)
-def limits(friction, k):
-    """Return μ_s d and μ_k d of contact k [m]."""
-    contacts = friction.contacts
-    load = contacts.push[k] - min(contacts.overlap[k], contacts.push[k])
-    a, c = friction.cloth[contacts.particle[k]], contacts.collider[k]
-    mu = friction.coefficient[a, c]
-    return holds(friction.static, a, c, mu) * load, mu * load
 
 
 @jit
@@ -317,7 +286,7 @@ class BuiltFriction(Built):
         self.data = Friction(contact.contacts, cloth_of, np.zeros(shape),
                              np.zeros(shape) if sticks(surfaces) else None)
         if 'self_collision' in world.built:
-            world.built['self_collision'].let_rub_on_colliders(*self.data[1:])
+            world.built['self_collision'].let_rub_on_colliders(self.data)
         self.changes = None
         """``changes`` of the contact effect when the coefficients were written"""
 

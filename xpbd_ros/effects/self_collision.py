@@ -35,6 +35,7 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, alone_on_device, in_first_block, turns, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
+from xpbd_ros.sim.contact.friction_limits import Friction
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
@@ -88,8 +89,8 @@ from xpbd_ros.sim.self_collision.squeeze import (
     is_squeezed,
     new_squeeze,
     solve_squeeze,
+    Squeeze,
 )
-from xpbd_ros.sim.self_collision.squeeze_friction import ColliderFriction
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -141,6 +142,8 @@ class SelfCollision(NamedTuple):
     """None with ``mode: particles``"""
     contacts: Contacts | None
     """those with colliders; None in a scene without colliders"""
+    squeeze: Squeeze | None
+    """None in a scene without pads"""
 
     @property
     def most_threads(self) -> int:
@@ -164,9 +167,9 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team = effect.near, effect.pairs, state.team
-    if is_squeezed(pairs.squeeze):
+    if is_squeezed(effect.squeeze):
         if alone(team):
-            solve_squeeze(pairs.squeeze, near, pairs, state, substep.h)
+            solve_squeeze(effect.squeeze, near, pairs, state, substep.h)
         wait_uneven(team)
         return
     if is_further_turn(pairs.backing):
@@ -193,10 +196,9 @@ def keep_apart(effect, state, substep):
 @jit
 def are_layers_unmet(effect, state, turn):
     """Tell whether pads press, so that layers between them must be solved again."""
-    pairs = effect.pairs
     return alone_on_device(state.team) and (
-        begin_turn(pairs.backing, turn)
-        or begin_squeeze(pairs.squeeze, effect.near, pairs, effect.thickness[0], turn))
+        begin_turn(effect.pairs.backing, turn) or begin_squeeze(
+            effect.squeeze, effect.near, effect.pairs, effect.thickness[0], turn))
 
 
 @jit
@@ -400,16 +402,17 @@ class BuiltSelfCollision(Built):
             np.array([parameters.thickness]), near,
             new_pair_contacts(NEAR * room, count, 0 if world.on_device else world.threads),
             new_planes(near.corners.shape[1], count, world.slots, world.threads)
-            if surface else None, None)
+            if surface else None, None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""
         pairs, near = self.data.pairs, self.data.near
-        self.data = self.data._replace(contacts=contacts, pairs=pairs._replace(
-            backing=new_backing(contacts, len(near.slot), len(pairs.push)),
-            squeeze=new_squeeze(contacts, len(near.slot), len(pairs.push))))
+        room = len(near.slot), len(pairs.push)
+        self.data = self.data._replace(
+            contacts=contacts, pairs=pairs._replace(backing=new_backing(contacts, *room)),
+            squeeze=new_squeeze(contacts, *room))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray | None) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""
@@ -417,13 +420,10 @@ class BuiltSelfCollision(Built):
         self.data = self.data._replace(pairs=pairs._replace(
             friction=new_pair_friction(pairs, kinetic, static)))
 
-    def let_rub_on_colliders(self, cloth: np.ndarray, kinetic: np.ndarray,
-                             static: np.ndarray | None) -> None:
-        """Take the friction with colliders into account, μ_k and μ_s by cloth and collider."""
-        pairs, squeeze = self.data.pairs, self.data.pairs.squeeze
-        if squeeze is not None:
-            self.data = self.data._replace(pairs=pairs._replace(squeeze=squeeze._replace(
-                friction=ColliderFriction(cloth, kinetic, static))))
+    def let_rub_on_colliders(self, friction: Friction) -> None:
+        """Take the friction with colliders into account."""
+        if self.data.squeeze is not None:
+            self.data = self.data._replace(squeeze=self.data.squeeze._replace(friction=friction))
 
     def again(self):
         self.data.pairs.count[0] = NOT_SOUGHT

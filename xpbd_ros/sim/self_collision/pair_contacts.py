@@ -48,7 +48,6 @@ from xpbd_ros.sim.self_collision.backing import (
     take_part,
 )
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
-from xpbd_ros.sim.self_collision.squeeze import Squeeze
 
 NEVER = -1e30
 """-C of pairs that are no contacts in a substep [m]"""
@@ -113,8 +112,6 @@ class PairContacts(NamedTuple):
     """None in a scene without friction"""
     backing: Backing | None
     """None in a scene without pads"""
-    squeeze: Squeeze | None
-    """likewise"""
 
 
 def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
@@ -127,8 +124,7 @@ def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
         np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
         rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
         rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
-        np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None, None,
-        None)
+        np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None, None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,

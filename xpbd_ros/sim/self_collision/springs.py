@@ -1,14 +1,14 @@
 """
-Springs between particles, and the displacements at which their forces balance inertia.
+Linear springs between particles with inertia, and their equilibrium by conjugate gradients.
 
-Spring t pulls at Σ w x, with up to four particles and weights w, with the stiffness k. Newton's
-method asks for the step of the particles' displacements x that closes what forces lack, r:
+Spring t has the elongation Σ w x, with up to four particles and weights w, and the stiffness k.
+With the residual r of the forces at the displacements x, a step of Newton's method solves
 
     (M + Σ k w wᵀ) Δx = r
 
-Conjugate gradients with the diagonal for a preconditioner solve it, for one component or for the
-two across an axis of each particle (Hestenes and Stiefel 1952). One thread does this: clamped
-particles are few.
+by conjugate gradients with the diagonal as the preconditioner (Hestenes and Stiefel 1952), for one
+component, or for the two across an axis of each particle. One thread does this: particles between
+pads are few.
 """
 
 from typing import NamedTuple
@@ -25,30 +25,30 @@ class Springs(NamedTuple):
     """Springs, particles in an order of their own, and the vectors of the solver."""
 
     count: np.ndarray
-    """number of springs, and of those that act; shape (2,)"""
+    """number of springs, and of active ones; shape (2,)"""
     ends: np.ndarray
     """particles of each spring, uint32, shape (springs, 4)"""
     weight: np.ndarray
     """w, 0 for ends that are not used, shape (springs, 4)"""
     stiffness: np.ndarray
-    """k where it acts [1 / mobility], shape (springs,)"""
-    acting: np.ndarray
-    """springs that act at present, uint32, shape (springs,)"""
+    """k [1 / mobility], shape (springs,)"""
+    active: np.ndarray
+    """indices of the springs that act at x, uint32, shape (springs,)"""
     mass: np.ndarray
     """inverse of the mobility, 0 for fixed particles, shape (particles,)"""
     axis: np.ndarray
     """axis of each particle, shape (particles, 3)"""
     x: np.ndarray
     """displacements [m], shape (3, particles); one component is the first"""
-    missing: np.ndarray
+    residual: np.ndarray
     """r, shape (3, particles)"""
     diagonal: np.ndarray
     """that of M + Σ k w wᵀ, shape (particles,)"""
     step: np.ndarray
     """Δx [m], shape (3, particles)"""
-    along: np.ndarray
+    direction: np.ndarray
     """search direction, likewise"""
-    scaled: np.ndarray
+    preconditioned: np.ndarray
     """r over the diagonal, likewise"""
     product: np.ndarray
     """the matrix times the search direction, likewise"""
@@ -65,20 +65,20 @@ def new_springs(springs: int, particles: int) -> Springs:
 
 
 @jit
-def step_towards_balance(springs, count, components, small):
+def conjugate_gradients(springs, count, components, small):
     """
     Solve for Δx and add it to x.
 
     Parameters
     ----------
-    springs : the springs; ``acting``, ``missing`` and ``diagonal`` belong to x
+    springs : the springs, with the residual, the diagonal and the active springs at x
     count : number of particles
     components : 1, or 3: those across the axis
-    small : sum of the squares of r at which to stop
+    small : squared norm of r at which to stop
 
     """
-    r, p, z, product, step = (springs.missing, springs.along, springs.scaled, springs.product,
-                              springs.step)
+    r, p, z, product, step = (springs.residual, springs.direction, springs.preconditioned,
+                              springs.product, springs.step)
     precondition(springs, count, components)
     for a in range(components):
         for i in range(count):
@@ -110,27 +110,27 @@ def step_towards_balance(springs, count, components, small):
 @jit
 def precondition(springs, count, components):
     """Divide r by the diagonal; fixed particles stay."""
+    r, z = springs.residual, springs.preconditioned
     for a in range(components):
         for i in range(count):
-            moves = springs.mass[i] > 0.0
-            springs.scaled[a, i] = springs.missing[a, i] / springs.diagonal[i] if moves else 0.0
+            z[a, i] = r[a, i] / springs.diagonal[i] if springs.mass[i] > 0.0 else 0.0
 
 
 @jit
 def multiply(springs, count, components):
     """Write the product of the matrix and the search direction."""
     for a in range(components):
-        p, product = springs.along[a], springs.product[a]
+        p, product = springs.direction[a], springs.product[a]
         for i in range(count):
             product[i] = springs.mass[i] * p[i]
         for m in range(springs.count[1]):
-            t = springs.acting[m]
-            add_force(springs, t, springs.stiffness[t] * stretch(springs, t, p), product)
-    free(springs, springs.product, count, components)
+            t = springs.active[m]
+            add_force(springs, t, springs.stiffness[t] * elongation(springs, t, p), product)
+    constrain(springs, springs.product, count, components)
 
 
 @jit(inline=True)
-def stretch(springs, t, x):
+def elongation(springs, t, x):
     """Return Σ w x of spring t, of one component."""
     i, w = springs.ends[t], springs.weight[t]
     return w[0] * x[i[0]] + w[1] * x[i[1]] + w[2] * x[i[2]] + w[3] * x[i[3]]
@@ -147,8 +147,8 @@ def add_force(springs, t, force, forces):
 
 
 @jit
-def free(springs, forces, count, components):
-    """Leave what moves particles: nothing moves fixed ones, and three components lack the axis."""
+def constrain(springs, forces, count, components):
+    """Remove forces on fixed particles, and of three components the part along the axis."""
     for i in range(count):
         along, n = 0.0, springs.axis[i]
         if components == 3:
@@ -168,29 +168,29 @@ def dot(u, v, count, components):
 
 
 @jit
-def begin_balance(springs, count, components):
-    """Begin the sums of forces and of the diagonal with 0 and the mass; no spring acts."""
+def begin_residual(springs, count, components):
+    """Set r to 0 and the diagonal to the mass, without active springs."""
     springs.count[1] = 0
     for i in range(count):
         springs.diagonal[i] = springs.mass[i]
     for a in range(components):
         for i in range(count):
-            springs.missing[a, i] = 0.0
+            springs.residual[a, i] = 0.0
 
 
 @jit(inline=True)
-def let_act(springs, t):
-    """Let spring t act."""
+def activate(springs, t):
+    """Add spring t to the active ones and to the diagonal."""
     i, w, k = springs.ends[t], springs.weight[t], springs.stiffness[t]
-    springs.acting[springs.count[1]] = t
+    springs.active[springs.count[1]] = t
     springs.count[1] += 1
     for e in range(4):
         springs.diagonal[i[e]] += k * w[e] * w[e]
 
 
 @jit
-def take_back_half(springs, count):
-    """Halve the last step of one component."""
+def halve_step(springs, count):
+    """Take back half of the last step of one component."""
     for i in range(count):
         springs.step[0, i] *= 0.5
         springs.x[0, i] -= springs.step[0, i]

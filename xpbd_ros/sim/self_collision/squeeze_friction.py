@@ -1,14 +1,14 @@
 """
-Friction of layers between pads (``squeeze``), with the pushes d of pairs and colliders.
+Friction of layers between pads (``squeeze``), with the pushes d of pairs and contacts.
 
 With v the displacements in a substep across the axis of the stack, y those without friction, and
-Δ the tangential motion Σ b v of a pair, or v less that of the collider's surface, all contacts
-stick at first: v minimises
+Δ the tangential motion Σ b v of a pair, or v less that of the pad's surface, all contacts stick at
+first: v minimises
 
-    Σ |v - y|² / (2 m) + Σ STICK |Δ|² / (2 W)        (for a collider W is m)
+    Σ |v - y|² / (2 m) + Σ STICK |Δ|² / (2 W)        (W = m for a contact with a pad)
 
-and s = -STICK Δ. Then s is shortened to the friction cone, and the contacts are projected one
-after the other until they hold, or slide with what they bear:
+and s = -STICK Δ. Then s is shortened to the friction cone, and Gauss-Seidel sweeps project the
+contacts until they stick, or slide at the limit of friction:
 
     s <- s - Δ, shortened to μ d,   x += w b (change of s) / W
 
@@ -22,83 +22,75 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.contacts import shortened
+from xpbd_ros.sim.contact.friction_limits import limits
 from xpbd_ros.sim.self_collision.backing import last_candidate
+from xpbd_ros.sim.self_collision.pair_contacts import coefficients
 from xpbd_ros.sim.self_collision.springs import (
+    activate,
     add_force,
-    begin_balance,
-    free,
-    let_act,
-    step_towards_balance,
+    begin_residual,
+    conjugate_gradients,
+    constrain,
 )
 from xpbd_ros.sim.self_collision.stacks import mobility_of_pair
 
 STICK = 1e5
-"""displacement by friction, relative to the motion of a contact that sticks"""
+"""displacement by friction of a contact that sticks, relative to its tangential motion"""
 SMALL = 1e-6
-"""sum of the squares of the missing forces, relative to that of the forces without friction"""
+"""squared norm of the residual of the linear solve, relative to that of the inertia forces"""
 SWEEPS = 40
-"""most projections of all contacts"""
+"""most Gauss-Seidel sweeps"""
 SETTLED = 1e-9
-"""sum of the squares of changes of s at which they end, relative to that of s"""
+"""squared norm of the change of s at convergence, relative to that of s"""
 TINY = 1e-14
-"""both, relative to the most that the contacts hold"""
+"""both, relative to the squared norm of the limits of friction"""
 
 
-class ColliderFriction(NamedTuple):
-    """Coefficients of contacts with colliders (``effects.friction``)."""
-
-    cloth: np.ndarray
-    """index of each particle's cloth, shape (slots,)"""
-    kinetic: np.ndarray
-    """μ_k by cloth and collider, shape (cloths, capacity)"""
-    static: np.ndarray | None
-    """μ_s likewise; None where it is μ_k everywhere"""
-
-
-class Sticks(NamedTuple):
-    """What holds at contacts, by spring."""
+class FrictionalContacts(NamedTuple):
+    """Limits and state of the friction of contacts, by spring."""
 
     holds: np.ndarray
-    """largest s at which it sticks [m], shape (springs,)"""
+    """μ_s d, the largest s at which a contact sticks [m], shape (springs,)"""
     slides: np.ndarray
-    """s at which it slides [m], shape (springs,)"""
+    """μ_k d, s at which it slides [m], shape (springs,)"""
     normal: np.ndarray
     """n, shape (springs, 3)"""
     carried: np.ndarray
-    """motion of the collider's surface [m], shape (springs, 3)"""
+    """motion of the pad's surface [m], shape (springs, 3)"""
     slip: np.ndarray
-    """s [m], shape (springs, 3)"""
+    """s, displacement by friction [m], shape (springs, 3)"""
 
 
-def new_sticks(springs: int) -> Sticks:
+def new_frictional_contacts(springs: int) -> FrictionalContacts:
     """Return storage for so many springs."""
     def vectors():
         return np.zeros((springs, 3))
-    return Sticks(np.zeros(springs), np.zeros(springs), vectors(), vectors(), vectors())
+    return FrictionalContacts(np.zeros(springs), np.zeros(springs), vectors(), vectors(),
+                              vectors())
 
 
 @jit
-def rub(squeeze, near, pairs, state):
-    """Add the displacements by friction to ``moved``, and write them."""
-    springs, sticks, count = squeeze.springs, squeeze.sticks, squeeze.stack.count[1]
+def add_friction(squeeze, near, pairs, state):
+    """Solve friction; add the displacements by it to ``moved``, and store them."""
+    springs, frictional, count = squeeze.springs, squeeze.frictional, squeeze.stack.count[1]
     load_sticks(squeeze, near, pairs, state)
-    size, most = stick(squeeze, count)
-    step_towards_balance(springs, count, 3, SMALL * size + TINY * most)
+    size, most = begin_sticking(squeeze, count)
+    conjugate_gradients(springs, count, 3, SMALL * size + TINY * most)
     for a in range(3):
         for q in range(count):
             squeeze.start[q, a] = springs.x[a, q]
     for t in range(springs.count[0]):
-        x, y, z = slipped(springs, sticks, squeeze.start, t)
-        sticks.slip[t, 0], sticks.slip[t, 1], sticks.slip[t, 2] = shortened(
-            -STICK * x, -STICK * y, -STICK * z, sticks.holds[t], sticks.slides[t])
+        x, y, z = tangential_motion(springs, frictional, squeeze.start, t)
+        frictional.slip[t, 0], frictional.slip[t, 1], frictional.slip[t, 2] = shortened(
+            -STICK * x, -STICK * y, -STICK * z, frictional.holds[t], frictional.slides[t])
     for t in range(springs.count[0]):
-        s = sticks.slip[t]
-        slide(springs, squeeze.moved, t, (s[0], s[1], s[2]))
+        s = frictional.slip[t]
+        add_slip(springs, squeeze.moved, t, (s[0], s[1], s[2]))
     for sweep in range(SWEEPS):
         changed = total = 0.0
         for n in range(springs.count[0]):
             t = n if sweep % 2 else springs.count[0] - 1 - n
-            change, size = project(springs, sticks, squeeze.moved, t)
+            change, size = project(springs, frictional, squeeze.moved, t)
             changed, total = changed + change, total + size
         if changed <= SETTLED * total + TINY * most:
             break
@@ -106,20 +98,20 @@ def rub(squeeze, near, pairs, state):
 
 
 @jit(inline=True)
-def project(springs, sticks, v, t):
-    """Project one contact of displacements v; return the squares of the change of s and of s."""
-    if sticks.holds[t] <= 0.0:
+def project(springs, frictional, v, t):
+    """Project a contact at displacements v; return the squared norms of the change of s, of s."""
+    if frictional.holds[t] <= 0.0:
         return 0.0, 0.0
-    s, (x, y, z) = sticks.slip[t], slipped(springs, sticks, v, t)
-    x, y, z = shortened(s[0] - x, s[1] - y, s[2] - z, sticks.holds[t], sticks.slides[t])
+    s, (x, y, z) = frictional.slip[t], tangential_motion(springs, frictional, v, t)
+    x, y, z = shortened(s[0] - x, s[1] - y, s[2] - z, frictional.holds[t], frictional.slides[t])
     dx, dy, dz = x - s[0], y - s[1], z - s[2]
     s[0], s[1], s[2] = x, y, z
-    slide(springs, v, t, (dx, dy, dz))
+    add_slip(springs, v, t, (dx, dy, dz))
     return dx * dx + dy * dy + dz * dz, x * x + y * y + z * z
 
 
 @jit(inline=True)
-def slide(springs, v, t, s):
+def add_slip(springs, v, t, s):
     """Add w b s / W to the displacements v of the particles of a contact."""
     i, w, per = springs.ends[t], springs.weight[t], springs.stiffness[t] / STICK
     for e in range(4):
@@ -131,7 +123,7 @@ def slide(springs, v, t, s):
 
 @jit
 def load_sticks(squeeze, near, pairs, state):
-    """Replace the springs by the contacts that push, in order; others have no friction."""
+    """Replace the springs by those of the contacts and pairs that push."""
     contacts, stack, springs = squeeze.contacts, squeeze.stack, squeeze.springs
     springs.count[0] = 0
     for q in range(stack.count[1]):
@@ -143,8 +135,7 @@ def load_sticks(squeeze, near, pairs, state):
                 for p in range(4):
                     springs.ends[t, p], springs.weight[t, p] = q, 0.0
                 springs.weight[t, 0] = 1.0
-                holds, slides = of_collider(squeeze.friction, contacts, k)
-                add_stick(squeeze, springs.mass[q], contacts.push[k], holds, slides,
+                add_contact(squeeze, springs.mass[q], limits_of(squeeze.friction, k),
                           (n[0], n[1], n[2]), (way[0] - near.step[0], way[1] - near.step[1],
                                                way[2] - near.step[2]))
             k = contacts.earlier[k]
@@ -156,39 +147,29 @@ def load_sticks(squeeze, near, pairs, state):
                 used = i < len(near.slot) and pairs.weight[p, k] != 0.0
                 springs.ends[t, p] = stack.place[i] if used else 0
                 springs.weight[t, p] = pairs.weight[p, k] if used else 0.0
-            mu = of_pair(pairs.friction, k)
-            add_stick(squeeze, 1.0 / mobility_of_pair(near, pairs, k), pairs.push[k], mu, mu,
+            most = of_pair(pairs.friction, k) * pairs.push[k]
+            add_contact(squeeze, 1.0 / mobility_of_pair(near, pairs, k), (most, most),
                       (n[0, k], n[1, k], n[2, k]), (0.0, 0.0, 0.0))
 
 
 @jit(inline=True)
-def add_stick(squeeze, per, push, holds, slides, n, carried):
-    """Add that of one contact; ``per`` is 1 / W."""
-    springs, sticks, t = squeeze.springs, squeeze.sticks, squeeze.springs.count[0]
+def add_contact(squeeze, per, most, n, carried):
+    """Add the spring of one contact; ``per`` is 1 / W, and ``most`` are μ_s d and μ_k d."""
+    springs, frictional, t = squeeze.springs, squeeze.frictional, squeeze.springs.count[0]
     springs.count[0] += 1
     springs.stiffness[t] = STICK * per
-    sticks.holds[t], sticks.slides[t] = holds * push, slides * push
+    frictional.holds[t], frictional.slides[t] = most
     for a in range(3):
-        sticks.normal[t, a], sticks.carried[t, a] = n[a], carried[a]
+        frictional.normal[t, a], frictional.carried[t, a] = n[a], carried[a]
 
 
 @jit(inline=True)
-def of_collider(friction, contacts, k):
-    """Return μ_s and μ_k of candidate k; 0 without friction."""
+def limits_of(friction, k):
+    """Return μ_s d and μ_k d of candidate k [m]; 0 without friction."""
     if friction is None:
         return 0.0, 0.0
     else:    # Numba prunes the branch that is not taken
-        a, c = friction.cloth[contacts.particle[k]], contacts.collider[k]
-        return static_of(friction.static, friction.kinetic, a, c), friction.kinetic[a, c]
-
-
-@jit(inline=True)
-def static_of(static, kinetic, a, c):
-    """Return μ_s of cloth a and collider c."""
-    if static is None:
-        return kinetic[a, c]
-    else:    # Numba prunes the branch that is not taken
-        return static[a, c]
+        return limits(friction, k)
 
 
 @jit(inline=True)
@@ -197,49 +178,41 @@ def of_pair(friction, k):
     if friction is None:
         return 0.0
     else:    # Numba prunes the branch that is not taken
-        return chosen_of(friction.coefficient, friction.slides, k)
-
-
-@jit(inline=True)
-def chosen_of(chosen, kinetic, k):
-    """Return μ_s or μ_k of pair k."""
-    if chosen is None:
-        return float(kinetic[k])
-    else:    # Numba prunes the branch that is not taken
-        return float(chosen[k])
+        return float(coefficients(friction.coefficient, friction.slides)[k])
 
 
 @jit
-def stick(squeeze, count):
+def begin_sticking(squeeze, count):
     """
-    Let all contacts stick, and write the missing forces.
+    Write the residual with springs in all contacts that have friction.
 
-    Return the sums of squares of the forces without friction, and of what the contacts hold.
+    Return the squared norms of the inertia forces, and of the limits of friction.
     """
-    springs, sticks, size, most = squeeze.springs, squeeze.sticks, 0.0, 0.0
-    begin_balance(springs, count, 3)
+    springs, frictional, size, most = squeeze.springs, squeeze.frictional, 0.0, 0.0
+    begin_residual(springs, count, 3)
     for q in range(count):
         for a in range(3):
             springs.x[a, q] = squeeze.start[q, a]
             force = springs.mass[q] * (squeeze.moved[q, a] - springs.x[a, q])
-            springs.missing[a, q] = force
+            springs.residual[a, q] = force
             size += force * force
     for t in range(springs.count[0]):
-        if sticks.holds[t] > 0.0:
-            let_act(springs, t)
-            k, (x, y, z) = springs.stiffness[t], slipped(springs, sticks, squeeze.start, t)
-            add_force(springs, t, -k * x, springs.missing[0])
-            add_force(springs, t, -k * y, springs.missing[1])
-            add_force(springs, t, -k * z, springs.missing[2])
-            most += sticks.holds[t]**2
-    free(springs, springs.missing, count, 3)
+        if frictional.holds[t] > 0.0:
+            activate(springs, t)
+            k = springs.stiffness[t]
+            x, y, z = tangential_motion(springs, frictional, squeeze.start, t)
+            add_force(springs, t, -k * x, springs.residual[0])
+            add_force(springs, t, -k * y, springs.residual[1])
+            add_force(springs, t, -k * z, springs.residual[2])
+            most += frictional.holds[t]**2
+    constrain(springs, springs.residual, count, 3)
     return size, most
 
 
 @jit(inline=True)
-def slipped(springs, sticks, v, t):
+def tangential_motion(springs, frictional, v, t):
     """Return Δ of a contact at displacements v [m]."""
-    n, way, i, w = sticks.normal[t], sticks.carried[t], springs.ends[t], springs.weight[t]
+    n, way, i, w = frictional.normal[t], frictional.carried[t], springs.ends[t], springs.weight[t]
     p, q, r, s = v[i[0]], v[i[1]], v[i[2]], v[i[3]]
     x = w[0] * p[0] + w[1] * q[0] + w[2] * r[0] + w[3] * s[0] - way[0]
     y = w[0] * p[1] + w[1] * q[1] + w[2] * r[1] + w[3] * s[1] - way[1]
@@ -251,7 +224,7 @@ def slipped(springs, sticks, v, t):
 @jit
 def store_slips(squeeze, near, pairs):
     """Write the displacements by friction."""
-    contacts, stack, slip, t = squeeze.contacts, squeeze.stack, squeeze.sticks.slip, 0
+    contacts, stack, slip, t = squeeze.contacts, squeeze.stack, squeeze.frictional.slip, 0
     for q in range(stack.count[1]):
         k = last_candidate(contacts, near.slot[stack.particles[q]])
         while k >= 0:
