@@ -22,6 +22,7 @@ each: the collider takes back what friction moves the layer below by.
 
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,9 +44,9 @@ from xpbd_ros.sim.contact.clamp_friction import (
     shared_friction,
 )
 from xpbd_ros.sim.contact.collider_motion import surface_motion, surface_motions
-from xpbd_ros.sim.contact.contacts import push_once, shortened, wait_for_others
+from xpbd_ros.sim.contact.contacts import Contacts, push_once, shortened, wait_for_others
 from xpbd_ros.sim.contact.corners import leave_corners
-from xpbd_ros.sim.contact.friction_limits import Friction, holds, limits
+from xpbd_ros.sim.contact.friction_limits import holds, limits
 from xpbd_ros.sim.contact.pads import is_clamped, meets_pad, partner, without_pushes
 from xpbd_ros.sim.contact.particle_lanes import place, positions
 from xpbd_ros.sim.contact.pieces import candidate, rounds
@@ -73,6 +74,18 @@ class Parameters:
 
     pairs: dict[str, dict[str, float | Pair]] = quantity(
         {}, minimum=0.0, doc='cloth: {collider: coefficient μ, or both of them}')
+
+
+class Friction(NamedTuple):
+    """Data of the kernels."""
+
+    contacts: Contacts
+    cloth: np.ndarray
+    """index of each particle's cloth, shape (slots,)"""
+    coefficient: np.ndarray
+    """μ_k by cloth and collider, shape (cloths, capacity)"""
+    static: np.ndarray | None
+    """μ_s likewise; None where it is μ_k everywhere"""
 
 
 @jit(inline=True)

@@ -35,7 +35,6 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, alone_on_device, in_first_block, turns, wait_uneven
 from xpbd_ros.sim.contact.contacts import Contacts, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
-from xpbd_ros.sim.contact.friction_limits import Friction
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
@@ -420,8 +419,8 @@ class BuiltSelfCollision(Built):
         self.data = self.data._replace(pairs=pairs._replace(
             friction=new_pair_friction(pairs, kinetic, static)))
 
-    def let_rub_on_colliders(self, friction: Friction) -> None:
-        """Take the friction with colliders into account."""
+    def let_rub_on_colliders(self, friction: tuple) -> None:
+        """Take the friction with colliders, data of that effect, into account."""
         if self.data.squeeze is not None:
             self.data = self.data._replace(squeeze=self.data.squeeze._replace(friction=friction))
 

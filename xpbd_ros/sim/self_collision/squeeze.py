@@ -37,7 +37,6 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.contact.corners import add_later, contact_distance
-from xpbd_ros.sim.contact.friction_limits import Friction
 from xpbd_ros.sim.contact.pads import without_pushes
 from xpbd_ros.sim.particles.history import weights_before
 from xpbd_ros.sim.self_collision.backing import last_candidate, TURNS
@@ -104,8 +103,8 @@ class Squeeze(NamedTuple):
     moved: np.ndarray
     """y + a u, with friction in the end [m], likewise"""
     frictional: FrictionalContacts
-    friction: Friction | None
-    """None in a scene without friction"""
+    friction: tuple | None
+    """data of ``effects.friction``; None in a scene without friction"""
     again: np.ndarray
     """True while stacks are solved, shape (1,)"""
 
