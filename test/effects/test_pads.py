@@ -14,15 +14,12 @@ from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene
 from xpbd_ros.scene.grip import carried_tension
 from xpbd_ros.scene.load import scene_from_mapping
-from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import _pushes, shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.contact.pads import solve, surface_area
 from xpbd_ros.sim.geometry.mesh import grid_mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh
-from xpbd_ros.sim.self_collision.neighbour_list import EDGES
-from xpbd_ros.sim.self_collision.pair_contacts import NEVER
 
 R, MU, OVERLAP = 0.002, 0.8, 0.001
 """thickness, friction, indentation of each finger into the cloth [m]"""
@@ -243,44 +240,6 @@ def test_a_table_does_not_pull_overlapping_layers_that_touch_it():
     fastest = max(np.abs(simulation.step().v).max() for _ in range(30))
     assert simulation.stats()['pad_force_finger_n'] > 1.0
     assert fastest < 2.0 * DEPENETRATION
-
-
-def test_further_turns_take_the_pairs_with_a_pad_on_one_side_and_a_collider_on_the_other():
-    simulation = sheets((R, 2.0 * R), {
-        'table': {'box': {'size': [0.2, 0.2, 0.02]}, 'position': [0.0, 0.0, -0.01]},
-        'finger': {'box': {'size': [0.03, 0.1, 0.02]}, 'position': [-0.03, 0.0, 2.5 * R + 0.01],
-                   'pad': {'stiffness': 1e6}},
-        'lid': {'box': {'size': [0.03, 0.1, 0.02]}, 'position': [0.03, 0.0, 2.9 * R + 0.01]}})
-    simulation.step()
-    pairs, near = (getattr(simulation.effects['self_collision'].data, name)
-                   for name in ('pairs', 'near'))
-    contacts, clamped = pairs.backing.contacts, pairs.backing.clamped
-    names, found = list(simulation.effects['contact'].placed), range(contacts.count[0])
-    beside = [{names[contacts.collider[k]] for k in found if contacts.particle[k] == slot}
-              for slot in near.slot] + [set()]
-    taken, rigid = set(), 0
-    for k in range(pairs.end[0]):
-        first = 2 if pairs.kind[k // PACK] == EDGES else 1
-        one, other = (set().union(*(beside[i] for i in side)) for side in (
-            pairs.particles[:first, k], pairs.particles[first:, k]))
-        if one and other and pairs.deficit[k] > NEVER:
-            rigid += 'finger' not in one | other
-            if 'finger' in one | other:
-                taken.add(k)
-    assert len(taken) > 10 and rigid > 10
-    assert taken == {k for k in range(pairs.end[0])
-                     if clamped.groups[k // PACK] and clamped.part[k]}
-    assert set(clamped.particles[:clamped.count[0]]) == {
-        i for k in taken for i in pairs.particles[:, k] if i < len(near.slot)}
-
-
-@pytest.mark.slow
-def test_more_layers_stay_apart_and_slow():
-    """Their force falls short (``self_collision.backing``); nothing is thrown out."""
-    simulation, force = layers(4)
-    frame = run(simulation, 60)
-    assert (forces(simulation) < force).all()
-    assert np.abs(frame.v).max() < 0.5
 
 
 @pytest.mark.parametrize('method, integrator', EVERY)

@@ -38,14 +38,12 @@ from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
-from xpbd_ros.sim.self_collision.backing import (
+from xpbd_ros.sim.self_collision.further_turn import (
+    begin_first_turn,
     begin_turn,
     is_further_turn,
-    load_backing,
-    new_backing,
-    store_backing,
+    squeeze_layers,
 )
-from xpbd_ros.sim.self_collision.clamped_pairs import project_again
 from xpbd_ros.sim.self_collision.inverse_mass import note_length
 from xpbd_ros.sim.self_collision.kin import kin
 from xpbd_ros.sim.self_collision.motion_limit import (
@@ -83,13 +81,7 @@ from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetratio
 from xpbd_ros.sim.self_collision.pair_search import seek
 from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes
-from xpbd_ros.sim.self_collision.squeeze import (
-    begin_squeeze,
-    is_squeezed,
-    new_squeeze,
-    solve_squeeze,
-    Squeeze,
-)
+from xpbd_ros.sim.self_collision.squeeze import new_squeeze, Squeeze
 from xpbd_ros.sim.stepping.stages import (
     accumulate_reactions,
     add_explicit_forces,
@@ -166,17 +158,10 @@ def forget_pairs(effect, state, substep):
 def keep_apart(effect, state, substep):
     """Push pairs apart that are too near, and apply their friction."""
     near, pairs, team = effect.near, effect.pairs, state.team
-    if is_squeezed(effect.squeeze):
-        if alone(team):
-            solve_squeeze(effect.squeeze, near, pairs, state, substep.h)
-        wait_uneven(team)
+    if is_further_turn(effect.squeeze):
+        squeeze_layers(effect.squeeze, near, pairs, state, effect.thickness[0], substep.h)
         return
-    if is_further_turn(pairs.backing):
-        if in_first_block(team):
-            project_again(pairs.backing, near, pairs, state)
-        wait_uneven(team)
-        return
-    load_backing(team, pairs.backing, near.slot)
+    begin_first_turn(team, effect.squeeze)
     if any_thread(team, near, pairs.count[0] == NOT_SOUGHT or strays(near, state)):
         common_step(near, state)
         find_pairs(effect, state, substep)
@@ -187,7 +172,6 @@ def keep_apart(effect, state, substep):
         project_pairs(team, near, pairs)
     wait_uneven(team)
     store_moves(near, state)
-    store_backing(team, pairs.backing, near)
     wait_uneven(team)
 
 
@@ -195,9 +179,7 @@ def keep_apart(effect, state, substep):
 @jit
 def are_layers_unmet(effect, state, turn):
     """Tell whether pads press, so that layers between them must be solved again."""
-    return alone_on_device(state.team) and (
-        begin_turn(effect.pairs.backing, turn) or begin_squeeze(
-            effect.squeeze, effect.near, effect.pairs, effect.thickness[0], turn))
+    return alone_on_device(state.team) and begin_turn(effect.squeeze, turn)
 
 
 @jit
@@ -407,11 +389,8 @@ class BuiltSelfCollision(Built):
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""
-        pairs, near = self.data.pairs, self.data.near
-        room = len(near.slot), len(pairs.push)
-        self.data = self.data._replace(
-            contacts=contacts, pairs=pairs._replace(backing=new_backing(contacts, *room)),
-            squeeze=new_squeeze(contacts, *room))
+        self.data = self.data._replace(contacts=contacts, squeeze=new_squeeze(
+            contacts, len(self.data.near.slot), len(self.data.pairs.push)))
 
     def let_rub(self, kinetic: np.ndarray, static: np.ndarray | None) -> None:
         """Add friction, with μ_k and μ_s by pair of cloths."""

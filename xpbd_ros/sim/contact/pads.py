@@ -24,13 +24,13 @@ cloth is caught and torn along. So all colliders of such a particle act as rigid
 substep, which let it out on the same side as its neighbours.
 
 A pad recovers at no more than DEPENETRATION, so particles that a collider was put over come out
-slowly, and keep no speed. Before the last turn with ``self_collision`` it recovers as it would
+slowly, and keep no speed. Before a further turn with ``self_collision`` it recovers as it would
 freely, which is what layers that press on it are solved with. Otherwise particles keep 1 / (1 + κ)
 of the speed that it gives them: all of it where the substep resolves the pad, and where it does
 not as little as from a rigid collider.
 
 Limits: a foundation has no thickness, so a soft one lets particles through. Layers of cloth
-between pads are solved in turns with ``self_collision`` (``self_collision.backing``, ``squeeze``).
+that pads press on are solved together with these in a further turn (``self_collision.squeeze``).
 κ counts as at most RIGID. A particle without area, inside a body, does not feel a pad.
 """
 

@@ -39,14 +39,6 @@ from xpbd_ros.sim.backend.threads import (
     wait_in_block,
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
-from xpbd_ros.sim.self_collision.backing import (
-    Backing,
-    by_backing,
-    in_turn,
-    is_group_in_turn,
-    prevented,
-    take_part,
-)
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
 
 NEVER = -1e30
@@ -110,8 +102,6 @@ class PairContacts(NamedTuple):
     """scratch: impulse of a vector of pairs, of one pair for each thread of a GPU; (3, PACK)"""
     friction: PairFriction | None
     """None in a scene without friction"""
-    backing: Backing | None
-    """None in a scene without pads"""
 
 
 def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
@@ -124,7 +114,7 @@ def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
         np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
         rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
         rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
-        np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None, None)
+        np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None)
 
 
 def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
@@ -149,15 +139,6 @@ def load_corners(records, particles, q):
     """Return the records of the four particles of a vector of pairs."""
     return (load_records(records, particles[0], q), load_records(records, particles[1], q),
             load_records(records, particles[2], q), load_records(records, particles[3], q))
-
-
-@jit(inline=True)
-def load_axes(backing, particles, q):
-    """Return the records of the colliders behind the particles of a vector of pairs, or None."""
-    if backing is None:
-        return None
-    else:    # Numba prunes the branch that is not taken
-        return load_corners(backing.axis, particles, q)
 
 
 @jit(inline=True)
@@ -191,7 +172,7 @@ def mobility_of(b, p, q, r, s):
 @jit(inline=True)
 def displace(near, pairs, q, active, me):
     """Add w b v to the displacements of the pairs q + k of all bits k; v is ``pairs.impulse``."""
-    move, v, backing = near.precise_move, pairs.impulse, pairs.backing
+    move, v = near.precise_move, pairs.impulse
     while active:
         lane = lowest_bit(active)
         active &= active - 1
@@ -203,10 +184,8 @@ def displace(near, pairs, q, active, me):
             b = float(pairs.weight[p, k]) if p > 0 else -rest    # Σ b = 0
             rest += b
             share = move[i, INV_MASS] * b
-            held = prevented(backing, pairs.normal, k, i, share, v[0, me + lane], v[1, me + lane],
-                             v[2, me + lane])
             for a in range(3):
-                move[i, a] += share * v[a, me + lane] - held[a]
+                move[i, a] += share * v[a, me + lane]
                 near.move[i, a] = move[i, a]
 
 
@@ -229,26 +208,24 @@ def project_pairs(team, near, pairs):
     me, threads = in_block(team)
     width = lanes(near.move)
     for group in range(0, pairs.end[0], PACK):
-        if is_group_in_turn(pairs.backing, group // PACK):
-            for turn in range(pairs.rounds[group // PACK]):
-                for q in range(group + me * width, group + PACK, threads * width):
-                    project_round(near, pairs, q, float(turn), me)
-                wait_in_block(team)
+        for turn in range(pairs.rounds[group // PACK]):
+            for q in range(group + me * width, group + PACK, threads * width):
+                project_round(near, pairs, q, float(turn), me)
+            wait_in_block(team)
 
 
 @jit(inline=True)
 def project_round(near, pairs, q, turn, me):
     """Project those of a vector of pairs that are contacts, and that belong to a round."""
     now, deficit = load(pairs.turn, q), load(pairs.deficit, q)
-    mine = in_turn(pairs.backing, q, both(deficit > NEVER, both(now >= turn, now <= turn)))
+    mine = both(deficit > NEVER, both(now >= turn, now <= turn))
     if any_lane(mine):
         project_some(near, pairs, q, mine, load_corners(near.move, pairs.particles, q),
-                     load_axes(pairs.backing, pairs.particles, q),
                      load_vector(pairs.normal, q), load_weights(pairs, q), deficit, me)
 
 
 @jit(inline=True)
-def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit, me):
+def project_some(near, pairs, q, mine, moves, n, weight, deficit, me):
     """
     Project a vector of pairs.
 
@@ -257,7 +234,6 @@ def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit, me):
     near : neighbour list, with the records of the displacements in this substep
     pairs, q, mine : the pairs are those of the mask ``mine`` in q to q + lanes
     moves : records of the displacements of their particles
-    axes : records of the colliders behind them (``self_collision.backing``)
     n, weight, deficit : normals, weights and -C at the substep's start [m]
     me : number of the thread in its block
 
@@ -267,9 +243,8 @@ def project_some(near, pairs, q, mine, moves, axes, n, weight, deficit, me):
     way = weighted(weight, p, r, s, t)
     total = mobility_of(weight, p, r, s, t)
     along, before = dot(n, way), load(pairs.push, q)
-    push = larger(by_backing(pairs.backing, deficit - along, axes, n, weight, moves, total),
-                  -before)
-    there = take_part(pairs.backing, axes, n, weight, both(mine, total > 0.0))
+    push = larger(deficit - along, -before)
+    there = both(mine, total > 0.0)
     push = select(there, push, 0.0)
     slip = load_slip(friction, q, push)
     active = bits(both(mine, either(absolute(push) > 0.0,

@@ -1,30 +1,31 @@
 """
-Squeeze: normal forces and friction of three and more layers of cloth between two pads.
+Squeeze: normal forces and friction of layers of cloth between a pad and another collider.
 
 Pair contacts and contacts alternate, and one turn transmits only about 1 / κ of the force between
-pads (κ: ``contact.pads``). Two layers have the Schur complement of the pads
-(``self_collision.backing``); the inner ones of more have no pad behind them. So where there are
-such, the pairs between two pads (``self_collision.stacks``) and the contacts with the pads are
-solved together, with inertia, after these turns. With y where a particle would be without their
-pushes and friction, m its mobility and a the axis of the stack, the mean of the normals of the
-pads that back it from both sides, x = y + a u minimises
+pads (κ: ``contact.pads``). So the pairs between them (``self_collision.stacks``) and the contacts
+of their particles with colliders are solved together, with inertia. With y where a particle would
+be without these pushes and their friction, m its mobility and a the axis of the stack, the mean of
+the normals of the colliders that back it from both sides, x = y + a u minimises
 
     E(u) = Σ u² / (2 m) + Σ κ / (2 m) max(0, r - φ(x))² + Σ k / (2 W) max(0, -C)²
 
 over particles, their contacts, and pairs. d = κ max(0, r - φ) and d = -k C are the pushes. The
 stiffness of pairs, k = STIFFER (1 + κ), is that of the cloth's thickness; n layers so yield up to
-about n / (4 STIFFER) more than the pads alone. Newton's method starts where the pads carried the
-particles from the substep's start, with the pairs that touch there.
+about n / (4 STIFFER) more than two pads alone, n / (2 STIFFER) more than one. Rigid colliders have
+RIGID (1 + κ) for κ, that of the pad behind; more would take many steps. Newton's method starts
+where the colliders carried the particles from the substep's start, with the pairs that touch
+there. φ and C are linearised there too, and see no motion across the axis: elastic forces may
+displace particles out of the grip in a sweep, but the pads hold them.
 
 Friction (``squeeze_friction``) follows with these pushes.
 
 The residual of Newton's method, and the components of pushes across the axis, as at the edges of
-fingers, move no particle: the pads take them as an impulse. Pads do not press these particles
-again in this turn: without the pushes of pairs, that would move them.
+fingers, move no particle: the colliders take them as an impulse. Pads do not press these particles
+again in this turn: without the pushes of pairs, that would move them. Rigid colliders off the axis
+keep their pushes, and are projected after this.
 
-Limits: normals that differ by more than 25° are not of one stack. Layers between a pad and a rigid
-collider are not solved so, nor is any while a stack is near one, or so deep in a pad that it acts
-as one: the solve has only contacts along its axis.
+Limits: normals that differ by more than 25° are not of one stack. Layers that are crushed so deep
+into a pad that it acts as rigid are not solved so.
 """
 
 import copy
@@ -34,12 +35,10 @@ from typing import NamedTuple
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.contacts import Contacts
-from xpbd_ros.sim.contact.corners import add_later, contact_distance
+from xpbd_ros.sim.contact.corners import add_later
 from xpbd_ros.sim.contact.pads import without_pushes
 from xpbd_ros.sim.particles.history import weights_before
-from xpbd_ros.sim.self_collision.backing import last_candidate, TURNS
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, load_move, store_move
 from xpbd_ros.sim.self_collision.springs import (
     activate,
@@ -61,7 +60,8 @@ from xpbd_ros.sim.self_collision.squeeze_friction import (
     slip_of,
 )
 from xpbd_ros.sim.self_collision.stacks import (
-    list_stack,
+    carried,
+    last_candidate,
     mobility_of_pair,
     new_stack,
     PARALLEL,
@@ -70,7 +70,9 @@ from xpbd_ros.sim.self_collision.stacks import (
 
 STIFFER = 40.0
 """stiffness of a pair, relative to that of the stiffest pad that backs it"""
-STIFFEST = 1e5
+RIGID = 400.0
+"""κ of a rigid collider, relative to that of the pad behind"""
+STIFFEST = 1e7
 """largest κ that counts"""
 STEPS, FULL = 60, 30
 """most steps of Newton's method, and those before it halves a step that raises E"""
@@ -83,7 +85,7 @@ TOUCH = 0.02
 
 
 class Squeeze(NamedTuple):
-    """Layers between pads."""
+    """Layers between a pad and another collider."""
 
     contacts: Contacts
     """contacts with colliders, with pads"""
@@ -97,16 +99,18 @@ class Squeeze(NamedTuple):
     u: np.ndarray
     """displacement along the axis due to all pushes [m], shape (particles,)"""
     start: np.ndarray
-    """displacement if the particle moves with the pads [m], shape (particles, 3)"""
+    """displacement if the particle moves with the colliders [m], shape (particles, 3)"""
     given: np.ndarray
     """sum of the displacements by pushes, Σ d n and Σ w b n d / W [m], likewise"""
     moved: np.ndarray
     """y + a u, with friction in the end [m], likewise"""
+    aside: np.ndarray
+    """True for candidates that take no part: rigid, and not along the axis; (candidates,)"""
     frictional: FrictionalContacts
     friction: tuple | None
     """data of ``effects.friction``; None in a scene without friction"""
     again: np.ndarray
-    """True while stacks are solved, shape (1,)"""
+    """True in the further turn of an iteration, shape (1,)"""
 
     def in_use(self, other: 'Squeeze') -> tuple:
         """Return ``other`` without its working memory, which no substep leaves to the next."""
@@ -130,83 +134,74 @@ def new_squeeze(contacts: Contacts, particles: int, pairs: int) -> Squeeze | Non
         return np.zeros((particles, 3))
     return Squeeze(contacts, new_stack(particles, pairs), new_springs(springs, particles),
                    np.zeros(springs), vectors(), np.zeros(particles), vectors(), vectors(),
-                   vectors(), new_frictional_contacts(springs), None, np.zeros(1, np.bool_))
-
-
-@jit
-def begin_squeeze(squeeze, near, pairs, thickness, turn):
-    """List the stacks after the last turn of ``backing``; return True if there are any."""
-    if squeeze is None:
-        return False
-    else:    # Numba prunes the branch that is not taken
-        squeeze.again[0] = turn == TURNS + 1 and list_stack(
-            squeeze.stack, squeeze.contacts, near, pairs, thickness
-        ) and not is_beside_rigid(squeeze, near)
-        return squeeze.again[0]
-
-
-@jit
-def is_beside_rigid(squeeze, near):
-    """Return True if a rigid collider, or a pad that acts as one, is near a stack's particle."""
-    contacts, stack = squeeze.contacts, squeeze.stack
-    for q in range(stack.count[1]):
-        k = last_candidate(contacts, near.slot[stack.particles[q]])
-        while k >= 0:
-            if not contacts.pads.soft[k]:
-                return True
-            k = contacts.earlier[k]
-    return False
-
-
-@jit(inline=True)
-def is_squeezed(squeeze):
-    """Return True while stacks are solved."""
-    if squeeze is None:
-        return False
-    else:    # Numba prunes the branch that is not taken
-        return squeeze.again[0]
+                   vectors(), np.zeros(len(contacts.push), np.bool_),
+                   new_frictional_contacts(springs), None, np.zeros(1, np.bool_))
 
 
 @jit
 def solve_squeeze(squeeze, near, pairs, state, h):
-    """Solve the stacks and their contacts; by one thread."""
-    if squeeze is not None:
-        stack, springs = squeeze.stack, squeeze.springs
-        springs.count[0] = 0
-        for q in range(stack.count[1]):
-            load_move(near, state, stack.particles[q])
-            remove_pushes(squeeze, near, q)
-        for m in range(stack.count[0]):
-            add_pair_pushes(squeeze.y, stack, near, pairs, stack.pairs[m], -1.0)
-        for q in range(stack.count[1]):
-            add_colliders(squeeze, near, state, q)
-        for m in range(stack.count[0]):
-            add_pair_spring(squeeze, near, pairs, stack.pairs[m])
-        minimise(squeeze, stack.count[1])
-        store_pushes(squeeze, near, pairs)
-        add_friction(squeeze, near, pairs, state)
-        store_moves(squeeze, near, state, h)
+    """Solve the stack and its contacts; by one thread."""
+    stack, springs = squeeze.stack, squeeze.springs
+    springs.count[0] = 0
+    for q in range(stack.count[1]):
+        load_move(near, state, stack.particles[q])
+        set_axis(squeeze, near, state, q)
+        remove_pushes(squeeze, near, state, q)
+    for m in range(stack.count[0]):
+        replace_pair(squeeze, near, pairs, stack.pairs[m])
+    for q in range(stack.count[1]):
+        begin_particle(squeeze, q)
+        add_colliders(squeeze, near, state, q)
+    for m in range(stack.count[0]):
+        add_pair_spring(squeeze, near, pairs, stack.pairs[m])
+    minimise(squeeze, stack.count[1])
+    store_pushes(squeeze, near, pairs)
+    add_friction(squeeze, near, pairs, state)
+    store_moves(squeeze, near, state, h)
 
 
 @jit(inline=True)
-def remove_pushes(squeeze, near, q):
-    """Write y of a particle, still with the pushes and the friction of pairs."""
+def remove_pushes(squeeze, near, state, q):
+    """
+    Write y of a particle, still with the pushes and the friction of pairs.
+
+    Rigid colliders that are not along the axis are left to ``contact``.
+    """
     contacts, i = squeeze.contacts, squeeze.stack.particles[q]
     move, last = near.precise_move[i], last_candidate(contacts, near.slot[i])
-    squeeze.springs.mass[q] = 1.0 / move[INV_MASS] if move[INV_MASS] > 0.0 else 0.0
     x, y, z = move[0], move[1], move[2]
     if last >= 0:
         x, y, z = without_pushes(contacts.pads, contacts, last, (x, y, z))
     k = last
     while k >= 0:
-        s = contacts.slip[k]
-        x, y, z = x - s[0], y - s[1], z - s[2]
+        s, (_, _, n) = contacts.slip[k], carried(contacts, k, state)
+        squeeze.aside[k] = not contacts.pads.soft[k] and abs(
+            along_axis(squeeze.springs, q, n)) <= PARALLEL
+        if squeeze.aside[k]:
+            n, d = contacts.normal[k], contacts.push[k]
+            x, y, z = x + d * n[0], y + d * n[1], z + d * n[2]
+        else:
+            x, y, z = x - s[0], y - s[1], z - s[2]
         k = contacts.earlier[k]
     squeeze.y[q, 0], squeeze.y[q, 1], squeeze.y[q, 2] = x, y, z
 
 
 @jit(inline=True)
-def add_pair_pushes(displacement, stack, near, pairs, k, sign):
+def replace_pair(squeeze, near, pairs, k):
+    """Remove the push and the friction of pair k from y; place it at the substep's start."""
+    stack = squeeze.stack
+    if pairs.push[k] > 0.0:
+        add_pair_pushes(squeeze.y, near, pairs, stack.place, k, -1.0)
+    for a in range(3):
+        pairs.normal[a, k] = stack.normal[a, k]
+    for p in range(4):
+        pairs.weight[p, k] = stack.weight[p, k]
+    pairs.deficit[k] = stack.deficit[k]
+    pairs.overlap[k] = max(0.0, stack.deficit[k])
+
+
+@jit(inline=True)
+def add_pair_pushes(displacement, near, pairs, place, k, sign):
     """Add ± w b (n d + s) / W of pair k to displacements of its particles, by place."""
     d, n, (x, y, z) = pairs.push[k], pairs.normal, slip_of(pairs.friction, k)
     per = sign / mobility_of_pair(near, pairs, k)
@@ -214,7 +209,7 @@ def add_pair_pushes(displacement, stack, near, pairs, k, sign):
     for p in range(4):
         i = pairs.particles[p, k]
         if i < len(near.slot) and pairs.weight[p, k] != 0.0:
-            q, share = stack.place[i], near.precise_move[i, INV_MASS] * pairs.weight[p, k]
+            q, share = place[i], near.precise_move[i, INV_MASS] * pairs.weight[p, k]
             displacement[q, 0] += share * x
             displacement[q, 1] += share * y
             displacement[q, 2] += share * z
@@ -222,58 +217,72 @@ def add_pair_pushes(displacement, stack, near, pairs, k, sign):
 
 @jit
 def add_colliders(squeeze, near, state, q):
-    """Write axis and start of a particle, and add the springs of its contacts."""
+    """Add the springs of a particle's contacts, linearised where the colliders carried it."""
     contacts, springs, i = squeeze.contacts, squeeze.springs, squeeze.stack.particles[q]
-    y, axis = squeeze.y[q], springs.axis[q]
-    u = begin_particle(squeeze, near, state, q, i)
-    at = (near.x[i, 0] + near.step[0] + y[0] + u * axis[0],
-          near.x[i, 1] + near.step[1] + y[1] + u * axis[1],
-          near.x[i, 2] + near.step[2] + y[2] + u * axis[2])
-    k = last_candidate(contacts, near.slot[i])
+    start, k = squeeze.start[q], last_candidate(contacts, near.slot[i])
     while k >= 0:
-        phi, n = contact_distance(contacts, k, at[0], at[1], at[2])
-        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
-        t, along = springs.count[0], n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2]
+        (wx, wy, wz), phi, n = carried(contacts, k, state)
+        phi += (n[0] * (start[0] + near.step[0] - wx) + n[1] * (start[1] + near.step[1] - wy)
+                + n[2] * (start[2] + near.step[2] - wz))
+        if not squeeze.aside[k]:
+            contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
+        t, along = springs.count[0], along_axis(springs, q, n)
         springs.count[0] += 1
         for p in range(4):
             springs.ends[t, p], springs.weight[t, p] = q, 0.0
         springs.weight[t, 0] = along
         springs.stiffness[t] = 0.0
-        if abs(along) > PARALLEL:    # others push in the first turns of a substep alone
-            springs.stiffness[t] = springs.mass[q] * ratio_of(contacts, k)
-        squeeze.deficit[t] = contacts.gap[k] - phi + along * u
+        if abs(along) > PARALLEL:    # others push in the first turn alone
+            springs.stiffness[t] = springs.mass[q] * ratio_of(squeeze, k, i)
+        squeeze.deficit[t] = contacts.gap[k] - phi + along * springs.x[0, q]
         k = contacts.earlier[k]
 
 
 @jit(inline=True)
-def begin_particle(squeeze, near, state, q, i):
-    """Write axis and start of a particle; return u at the start."""
+def along_axis(springs, q, n):
+    """Return n · a of a particle."""
+    return n[0] * springs.axis[q, 0] + n[1] * springs.axis[q, 1] + n[2] * springs.axis[q, 2]
+
+
+@jit(inline=True)
+def set_axis(squeeze, near, state, q):
+    """Write mass, axis and start of a particle."""
     contacts, stack, springs = squeeze.contacts, squeeze.stack, squeeze.springs
+    i = stack.particles[q]
+    move = near.precise_move[i]
+    springs.mass[q] = 1.0 / move[INV_MASS] if move[INV_MASS] > 0.0 else 0.0
     ax = ay = az = x = y = z = 0.0
     sides = 0
     for side in range(2):
         k, sign = stack.behind[i, side], 1.0 - 2.0 * side
         if k >= 0:
-            n, way = contacts.normal[k], surface_motion(contacts, k, state)
+            way, _, n = carried(contacts, k, state)
             ax, ay, az = ax + sign * n[0], ay + sign * n[1], az + sign * n[2]
             x, y, z, sides = x + way[0], y + way[1], z + way[2], sides + 1
     size, share = sqrt(ax * ax + ay * ay + az * az), 1.0 / max(1, sides)
     if size > 0.0:
         ax, ay, az = ax / size, ay / size, az / size
     x, y, z = share * x - near.step[0], share * y - near.step[1], share * z - near.step[2]
-    if springs.mass[q] == 0.0:
-        x, y, z = squeeze.y[q, 0], squeeze.y[q, 1], squeeze.y[q, 2]
+    if springs.mass[q] == 0.0 or sides == 0:
+        x, y, z = move[0], move[1], move[2]
     springs.axis[q, 0], springs.axis[q, 1], springs.axis[q, 2] = ax, ay, az
     squeeze.start[q, 0], squeeze.start[q, 1], squeeze.start[q, 2] = x, y, z
-    free_y = squeeze.y[q]
-    springs.x[0, q] = ax * (x - free_y[0]) + ay * (y - free_y[1]) + az * (z - free_y[2])
-    return springs.x[0, q]
 
 
 @jit(inline=True)
-def ratio_of(contacts, k):
-    """Return κ of candidate k."""
-    return min(contacts.pads.ratio[k], STIFFEST)
+def begin_particle(squeeze, q):
+    """Write u of a particle at the start."""
+    y, start = squeeze.y[q], squeeze.start[q]
+    squeeze.springs.x[0, q] = along_axis(
+        squeeze.springs, q, (start[0] - y[0], start[1] - y[1], start[2] - y[2]))
+
+
+@jit(inline=True)
+def ratio_of(squeeze, k, i):
+    """Return κ of candidate k of particle i."""
+    pads = squeeze.contacts.pads
+    return min(pads.ratio[k], STIFFEST) if pads.soft[k] else RIGID * (
+        1.0 + stiffest_behind(squeeze, i))
 
 
 @jit(inline=True)
@@ -287,10 +296,12 @@ def add_pair_spring(squeeze, near, pairs, k):
         springs.ends[t, p], springs.weight[t, p] = 0, 0.0
         if i < len(near.slot) and b != 0.0:
             q = stack.place[i]
-            y, axis = squeeze.y[q], springs.axis[q]
-            deficit -= b * (n[0, k] * y[0] + n[1, k] * y[1] + n[2, k] * y[2])
+            start, axis = squeeze.start[q], springs.axis[q]
+            along = b * (n[0, k] * axis[0] + n[1, k] * axis[1] + n[2, k] * axis[2])
+            deficit += along * springs.x[0, q] - b * (
+                n[0, k] * start[0] + n[1, k] * start[1] + n[2, k] * start[2])
             springs.ends[t, p] = q
-            springs.weight[t, p] = b * (n[0, k] * axis[0] + n[1, k] * axis[1] + n[2, k] * axis[2])
+            springs.weight[t, p] = along
             ratio = max(ratio, stiffest_behind(squeeze, i))
     springs.stiffness[t] = STIFFER * (1.0 + ratio) / mobility_of_pair(near, pairs, k)
     squeeze.deficit[t] = deficit
@@ -302,8 +313,8 @@ def stiffest_behind(squeeze, i):
     contacts, stack, most = squeeze.contacts, squeeze.stack, 0.0
     for side in range(2):
         k = stack.behind[i, side]
-        if k >= 0:
-            most = max(most, ratio_of(contacts, k))
+        if k >= 0 and contacts.pads.soft[k]:
+            most = max(most, min(contacts.pads.ratio[k], STIFFEST))
     return most
 
 
@@ -356,15 +367,20 @@ def store_pushes(squeeze, near, pairs):
     for q in range(stack.count[1]):
         last = last_candidate(contacts, near.slot[stack.particles[q]])
         k, x, y, z = last, 0.0, 0.0, 0.0
+        sx = sy = sz = 0.0
         while k >= 0:
             n, d = contacts.normal[k], 0.0
-            if springs.mass[q] > 0.0:
+            if squeeze.aside[k]:
+                d = contacts.push[k]
+                sx, sy, sz = sx + d * n[0], sy + d * n[1], sz + d * n[2]
+            elif springs.mass[q] > 0.0:
                 d = push_of(squeeze, t) / springs.mass[q]
+                x, y, z = x + d * n[0], y + d * n[1], z + d * n[2]
             contacts.push[k] = pads.given[k] = d
-            x, y, z, t = x + d * n[0], y + d * n[1], z + d * n[2], t + 1
+            t += 1
             k = contacts.earlier[k]
         if last >= 0:
-            pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2] = x, y, z
+            pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2] = x + sx, y + sy, z + sz
         given[q, 0], given[q, 1], given[q, 2] = x, y, z
         for a in range(3):
             squeeze.moved[q, a] = squeeze.y[q, a] + springs.x[0, q] * springs.axis[q, a]
@@ -373,7 +389,7 @@ def store_pushes(squeeze, near, pairs):
         k = stack.pairs[m]
         pairs.push[k] = push_of(squeeze, t + m) * mobility_of_pair(near, pairs, k)
         set_slip(pairs.friction, k, (0.0, 0.0, 0.0))
-        add_pair_pushes(given, stack, near, pairs, k, 1.0)
+        add_pair_pushes(given, near, pairs, stack.place, k, 1.0)
 
 
 @jit(inline=True)
@@ -385,7 +401,7 @@ def push_of(squeeze, t):
 
 @jit
 def store_moves(squeeze, near, state, h):
-    """Write the displacements; pads take a u less the displacements by pushes as an impulse."""
+    """Write displacements; colliders take a u less what pushes displaced as an impulse."""
     stack, contacts, axis = squeeze.stack, squeeze.contacts, squeeze.springs.axis
     for q in range(stack.count[1]):
         i, moved, given = stack.particles[q], squeeze.moved[q], squeeze.given[q]
@@ -397,17 +413,17 @@ def store_moves(squeeze, near, state, h):
             add_reactions(stack, contacts, i, per * (u * a[0] - given[0]),
                           per * (u * a[1] - given[1]), per * (u * a[2] - given[2]))
             store_move(near, state, i)
-            keep_pushes(contacts, last_candidate(contacts, j), state.mobility[j])
+            keep_pushes(squeeze, i, last_candidate(contacts, j), state.mobility[j])
     contacts.count[5] = 1
 
 
 @jit(inline=True)
-def keep_pushes(contacts, last, m):
-    """Store the forces of the pads on a particle of mobility m, which are solved in this turn."""
-    pads, k = contacts.pads, last
+def keep_pushes(squeeze, i, last, m):
+    """Store the forces on particle i of mobility m, which is solved in this turn."""
+    contacts, pads, k = squeeze.contacts, squeeze.contacts.pads, last
     while k >= 0:
         pads.force[k] = contacts.push[k] / m
-        pads.lost[k] = pads.ratio[k] / (1.0 + pads.ratio[k])
+        pads.lost[k] = ratio_of(squeeze, k, i) / (1.0 + ratio_of(squeeze, k, i))
         k = contacts.earlier[k]
     if last >= 0:
         pads.solved[last] = 1
@@ -415,7 +431,7 @@ def keep_pushes(contacts, last, m):
 
 @jit(inline=True)
 def add_reactions(stack, contacts, i, x, y, z):
-    """Add an impulse on particle i to the reactions of the pads that back it [N s]."""
+    """Add an impulse on particle i to the reactions of the colliders that back it [N s]."""
     behind = stack.behind[i]
     share = 0.5 if behind[0] >= 0 and behind[1] >= 0 else 1.0
     for side in range(2):

@@ -1,9 +1,9 @@
 """
-Friction of layers between pads (``squeeze``), with the pushes d of pairs and contacts.
+Friction of squeezed layers (``squeeze``), with the pushes d of pairs and contacts.
 
 With v the displacements in a substep across the axis of the stack, y those without friction, and
-Δ the tangential motion Σ b v of a pair, or v less that of the pad's surface, all contacts stick at
-first: v minimises
+Δ the motion Σ b v of a pair across the axis, or v less that of a collider's surface, all contacts
+stick at first: v minimises
 
     Σ |v - y|² / (2 m) + Σ STICK |Δ|² / (2 W)        (W = m for a contact with a pad)
 
@@ -12,7 +12,8 @@ contacts until they stick, or slide at the limit of friction:
 
     s <- s - Δ, shortened to μ d,   x += w b (change of s) / W
 
-So layers that stick need one linear solve, however many they are.
+So layers that stick need one linear solve, however many they are. Friction does not act along the
+axis: that of tilted contacts would move particles into the pads there, unopposed.
 """
 
 from typing import NamedTuple
@@ -23,7 +24,6 @@ from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.collider_motion import surface_motion
 from xpbd_ros.sim.contact.contacts import shortened
 from xpbd_ros.sim.contact.friction_limits import limits
-from xpbd_ros.sim.self_collision.backing import last_candidate
 from xpbd_ros.sim.self_collision.pair_contacts import coefficients
 from xpbd_ros.sim.self_collision.springs import (
     activate,
@@ -32,7 +32,7 @@ from xpbd_ros.sim.self_collision.springs import (
     conjugate_gradients,
     constrain,
 )
-from xpbd_ros.sim.self_collision.stacks import mobility_of_pair
+from xpbd_ros.sim.self_collision.stacks import last_candidate, mobility_of_pair
 
 STICK = 1e5
 """displacement by friction of a contact that sticks, relative to its tangential motion"""
@@ -53,8 +53,8 @@ class FrictionalContacts(NamedTuple):
     """μ_s d, the largest s at which a contact sticks [m], shape (springs,)"""
     slides: np.ndarray
     """μ_k d, s at which it slides [m], shape (springs,)"""
-    normal: np.ndarray
-    """n, shape (springs, 3)"""
+    axis: np.ndarray
+    """axis of the stack at the contact, shape (springs, 3)"""
     carried: np.ndarray
     """motion of the pad's surface [m], shape (springs, 3)"""
     slip: np.ndarray
@@ -112,13 +112,14 @@ def project(springs, frictional, v, t):
 
 @jit(inline=True)
 def add_slip(springs, v, t, s):
-    """Add w b s / W to the displacements v of the particles of a contact."""
+    """Add w b s / W, across their axes, to the displacements v of the particles of a contact."""
     i, w, per = springs.ends[t], springs.weight[t], springs.stiffness[t] / STICK
     for e in range(4):
-        mass = springs.mass[i[e]]
+        mass, axis = springs.mass[i[e]], springs.axis[i[e]]
         share = per * w[e] / mass if mass > 0.0 else 0.0
+        along = s[0] * axis[0] + s[1] * axis[1] + s[2] * axis[2]
         for a in range(3):
-            v[i[e], a] += share * s[a]
+            v[i[e], a] += share * (s[a] - along * axis[a])
 
 
 @jit
@@ -129,38 +130,45 @@ def load_sticks(squeeze, near, pairs, state):
     for q in range(stack.count[1]):
         k = last_candidate(contacts, near.slot[stack.particles[q]])
         while k >= 0:
-            n, way, t = contacts.normal[k], surface_motion(contacts, k, state), springs.count[0]
-            contacts.slip[k, 0] = contacts.slip[k, 1] = contacts.slip[k, 2] = 0.0
-            if contacts.push[k] > 0.0:
+            way, t = surface_motion(contacts, k, state), springs.count[0]
+            if not squeeze.aside[k]:
+                contacts.slip[k, 0] = contacts.slip[k, 1] = contacts.slip[k, 2] = 0.0
+            if contacts.push[k] > 0.0 and not squeeze.aside[k]:
                 for p in range(4):
                     springs.ends[t, p], springs.weight[t, p] = q, 0.0
                 springs.weight[t, 0] = 1.0
-                add_contact(squeeze, springs.mass[q], limits_of(squeeze.friction, k),
-                          (n[0], n[1], n[2]), (way[0] - near.step[0], way[1] - near.step[1],
-                                               way[2] - near.step[2]))
+                add_contact(squeeze, springs.mass[q], limits_of(squeeze.friction, k), q,
+                            (way[0] - near.step[0], way[1] - near.step[1],
+                             way[2] - near.step[2]))
             k = contacts.earlier[k]
     for m in range(stack.count[0]):
-        k, n, t = stack.pairs[m], pairs.normal, springs.count[0]
+        k, t, first = stack.pairs[m], springs.count[0], 0
         if pairs.push[k] > 0.0:
             for p in range(4):
                 i = pairs.particles[p, k]
                 used = i < len(near.slot) and pairs.weight[p, k] != 0.0
                 springs.ends[t, p] = stack.place[i] if used else 0
                 springs.weight[t, p] = pairs.weight[p, k] if used else 0.0
+                if abs(springs.weight[t, p]) > abs(springs.weight[t, first]):
+                    first = p
             most = of_pair(pairs.friction, k) * pairs.push[k]
             add_contact(squeeze, 1.0 / mobility_of_pair(near, pairs, k), (most, most),
-                      (n[0, k], n[1, k], n[2, k]), (0.0, 0.0, 0.0))
+                        springs.ends[t, first], (0.0, 0.0, 0.0))
 
 
 @jit(inline=True)
-def add_contact(squeeze, per, most, n, carried):
-    """Add the spring of one contact; ``per`` is 1 / W, and ``most`` are μ_s d and μ_k d."""
+def add_contact(squeeze, per, most, q, carried):
+    """
+    Add the spring of one contact, across the axis of the particle in place q.
+
+    ``per`` is 1 / W, and ``most`` are μ_s d and μ_k d.
+    """
     springs, frictional, t = squeeze.springs, squeeze.frictional, squeeze.springs.count[0]
     springs.count[0] += 1
     springs.stiffness[t] = STICK * per
     frictional.holds[t], frictional.slides[t] = most
     for a in range(3):
-        frictional.normal[t, a], frictional.carried[t, a] = n[a], carried[a]
+        frictional.axis[t, a], frictional.carried[t, a] = springs.axis[q, a], carried[a]
 
 
 @jit(inline=True)
@@ -212,13 +220,13 @@ def begin_sticking(squeeze, count):
 @jit(inline=True)
 def tangential_motion(springs, frictional, v, t):
     """Return Δ of a contact at displacements v [m]."""
-    n, way, i, w = frictional.normal[t], frictional.carried[t], springs.ends[t], springs.weight[t]
+    a, way, i, w = frictional.axis[t], frictional.carried[t], springs.ends[t], springs.weight[t]
     p, q, r, s = v[i[0]], v[i[1]], v[i[2]], v[i[3]]
     x = w[0] * p[0] + w[1] * q[0] + w[2] * r[0] + w[3] * s[0] - way[0]
     y = w[0] * p[1] + w[1] * q[1] + w[2] * r[1] + w[3] * s[1] - way[1]
     z = w[0] * p[2] + w[1] * q[2] + w[2] * r[2] + w[3] * s[2] - way[2]
-    along = n[0] * x + n[1] * y + n[2] * z
-    return x - along * n[0], y - along * n[1], z - along * n[2]
+    along = a[0] * x + a[1] * y + a[2] * z
+    return x - along * a[0], y - along * a[1], z - along * a[2]
 
 
 @jit
@@ -228,7 +236,7 @@ def store_slips(squeeze, near, pairs):
     for q in range(stack.count[1]):
         k = last_candidate(contacts, near.slot[stack.particles[q]])
         while k >= 0:
-            if contacts.push[k] > 0.0:
+            if contacts.push[k] > 0.0 and not squeeze.aside[k]:
                 for a in range(3):
                     contacts.slip[k, a] = slip[t, a]
                 t += 1
