@@ -132,7 +132,8 @@ def new_squeeze(contacts: Contacts, particles: int, pairs: int) -> Squeeze | Non
 
     def vectors():
         return np.zeros((particles, 3))
-    return Squeeze(contacts, new_stack(particles, pairs), new_springs(springs, particles),
+    stack = new_stack(particles, pairs, len(contacts.colliders.shape))
+    return Squeeze(contacts, stack, new_springs(springs, particles),
                    np.zeros(springs), vectors(), np.zeros(particles), vectors(), vectors(),
                    vectors(), np.zeros(len(contacts.push), np.bool_),
                    new_frictional_contacts(springs), None, np.zeros(1, np.bool_))

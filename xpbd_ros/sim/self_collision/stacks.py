@@ -70,19 +70,24 @@ class Stack(NamedTuple):
     """
     candidates of the colliders that back it along and against that, -1: none; (particles + 1, 2)
     """
+    low: np.ndarray
+    """scratch: lower corner of a box about the particles that a pad backs [m], (colliders, 3)"""
+    high: np.ndarray
+    """scratch: its upper corner [m], shape (colliders, 3)"""
     about: np.ndarray
     """scratch: True for particles about the pads, shape (particles + 1,)"""
     found: np.ndarray
     """scratch: close pairs about the pads, shape (pairs,)"""
 
 
-def new_stack(particles: int, pairs: int) -> Stack:
-    """Return storage for numbers of particles and of pairs."""
+def new_stack(particles: int, pairs: int, colliders: int) -> Stack:
+    """Return storage for these numbers."""
     return Stack(
         np.zeros(2, np.int64), np.zeros(pairs, np.int64), np.zeros((3, pairs), np.float32),
         np.zeros((4, pairs), np.float32), np.zeros(pairs, np.float32),
         np.zeros(particles, np.int64),
         np.full(particles + 1, -1), np.zeros((particles + 1, 3)), np.full((particles + 1, 2), -1),
+        np.zeros((colliders, 3)), np.zeros((colliders, 3)),
         np.zeros(particles + 1, np.bool_), np.zeros(pairs, np.int64))
 
 
@@ -92,8 +97,10 @@ def list_stack(stack, contacts, near, pairs, state, thickness, h):
     stack.count[0] = stack.count[1] = 0
     stack.behind[:] = -1
     stack.about[:] = True
-    low, high = back_by(stack, contacts, near, state, True, 0.0)
-    mark_about(stack, near, low, high, LAYERS * thickness)
+    stack.low[:] = np.inf
+    stack.high[:] = -np.inf
+    back_by(stack, contacts, near, state, True, 0.0)
+    mark_about(stack, near, LAYERS * thickness)
     found = list_close(stack, near, pairs, -CLOSE * thickness, DEPENETRATION * h)
     back_layers(stack, near, pairs, found)
     back_by(stack, contacts, near, state, False, CLOSE * thickness)    # pads chose the axes
@@ -181,12 +188,10 @@ def back_rest(stack, near, pairs, k):
 @jit
 def back_by(stack, contacts, near, state, pads, reach):
     """
-    Note which particles pads, or rigid colliders, back; return a box about them [m].
+    Note which particles pads, or rigid colliders, back, and boxes about them.
 
     They back particles nearer than the thickness and ``reach`` [m].
     """
-    lx = ly = lz = np.inf
-    hx = hy = hz = -np.inf
     for i in range(len(near.slot)):
         k = last_candidate(contacts, near.slot[i]) if stack.about[i] else -1
         while k >= 0:
@@ -194,11 +199,10 @@ def back_by(stack, contacts, near, state, pads, reach):
                 _, phi, n = carried(contacts, k, state)
                 if contacts.push[k] > 0.0 or phi < contacts.gap[k] + reach:
                     back(stack, i, n, k)
-                    x, y, z = near.x[i, 0], near.x[i, 1], near.x[i, 2]
-                    lx, ly, lz = min(lx, x), min(ly, y), min(lz, z)
-                    hx, hy, hz = max(hx, x), max(hy, y), max(hz, z)
+                    low, high = stack.low[contacts.collider[k]], stack.high[contacts.collider[k]]
+                    for a in range(3):
+                        low[a], high[a] = min(low[a], near.x[i, a]), max(high[a], near.x[i, a])
             k = contacts.earlier[k]
-    return (lx, ly, lz), (hx, hy, hz)
 
 
 @jit
@@ -217,13 +221,17 @@ def carried(contacts, k, state):
 
 
 @jit
-def mark_about(stack, near, low, high, reach):
+def mark_about(stack, near, reach):
     """Mark the particles nearer to a box than ``reach``."""
-    for i in range(len(near.slot)):
-        x, y, z = near.x[i, 0], near.x[i, 1], near.x[i, 2]
-        stack.about[i] = (low[0] - reach < x < high[0] + reach
-                          and low[1] - reach < y < high[1] + reach
-                          and low[2] - reach < z < high[2] + reach)
+    stack.about[:] = False
+    for c in range(len(stack.low)):
+        low, high = stack.low[c], stack.high[c]
+        if low[0] <= high[0]:
+            for i in range(len(near.slot)):
+                x, y, z = near.x[i, 0], near.x[i, 1], near.x[i, 2]
+                stack.about[i] |= (low[0] - reach < x < high[0] + reach
+                                   and low[1] - reach < y < high[1] + reach
+                                   and low[2] - reach < z < high[2] + reach)
 
 
 @jit
