@@ -147,44 +147,16 @@ def solve_squeeze(squeeze, near, pairs, state, h):
     for q in range(stack.count[1]):
         load_move(near, state, stack.particles[q])
         set_axis(squeeze, near, state, q)
-        remove_pushes(squeeze, near, state, q)
+        add_colliders(squeeze, near, state, q)
     for m in range(stack.count[0]):
         replace_pair(squeeze, near, pairs, stack.pairs[m])
-    for q in range(stack.count[1]):
-        begin_particle(squeeze, q)
-        add_colliders(squeeze, near, state, q)
+    begin_steps(squeeze, stack.count[1])
     for m in range(stack.count[0]):
         add_pair_spring(squeeze, near, pairs, stack.pairs[m])
     minimise(squeeze, stack.count[1])
     store_pushes(squeeze, near, pairs)
     add_friction(squeeze, near, pairs, state)
     store_moves(squeeze, near, state, h)
-
-
-@jit(inline=True)
-def remove_pushes(squeeze, near, state, q):
-    """
-    Write y of a particle, still with the pushes and the friction of pairs.
-
-    Rigid colliders that are not along the axis are left to ``contact``.
-    """
-    contacts, i = squeeze.contacts, squeeze.stack.particles[q]
-    move, last = near.precise_move[i], last_candidate(contacts, near.slot[i])
-    x, y, z = move[0], move[1], move[2]
-    if last >= 0:
-        x, y, z = without_pushes(contacts.pads, contacts, last, (x, y, z))
-    k = last
-    while k >= 0:
-        s, (_, _, n) = contacts.slip[k], carried(contacts, k, state)
-        squeeze.aside[k] = not contacts.pads.soft[k] and abs(
-            along_axis(squeeze.springs, q, n)) <= PARALLEL
-        if squeeze.aside[k]:
-            n, d = contacts.normal[k], contacts.push[k]
-            x, y, z = x + d * n[0], y + d * n[1], z + d * n[2]
-        else:
-            x, y, z = x - s[0], y - s[1], z - s[2]
-        k = contacts.earlier[k]
-    squeeze.y[q, 0], squeeze.y[q, 1], squeeze.y[q, 2] = x, y, z
 
 
 @jit(inline=True)
@@ -218,25 +190,39 @@ def add_pair_pushes(displacement, near, pairs, place, k, sign):
 
 @jit
 def add_colliders(squeeze, near, state, q):
-    """Add the springs of a particle's contacts, linearised where the colliders carried it."""
+    """
+    Write y of a particle, still with what pairs displaced it by, and add its contacts' springs.
+
+    Their deficits are those where the colliders carried it. Rigid colliders that are not along the
+    axis are left to ``contact``.
+    """
     contacts, springs, i = squeeze.contacts, squeeze.springs, squeeze.stack.particles[q]
-    start, k = squeeze.start[q], last_candidate(contacts, near.slot[i])
+    start, move, k = squeeze.start[q], near.precise_move[i], last_candidate(contacts, near.slot[i])
+    x, y, z = move[0], move[1], move[2]
+    if k >= 0:
+        x, y, z = without_pushes(contacts.pads, contacts, k, (x, y, z))
     while k >= 0:
         (wx, wy, wz), phi, n = carried(contacts, k, state)
         phi += (n[0] * (start[0] + near.step[0] - wx) + n[1] * (start[1] + near.step[1] - wy)
                 + n[2] * (start[2] + near.step[2] - wz))
-        if not squeeze.aside[k]:
-            contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
-        t, along = springs.count[0], along_axis(springs, q, n)
+        t, along, normal = springs.count[0], along_axis(springs, q, n), contacts.normal[k]
         springs.count[0] += 1
         for p in range(4):
             springs.ends[t, p], springs.weight[t, p] = q, 0.0
-        springs.weight[t, 0] = along
-        springs.stiffness[t] = 0.0
+        springs.weight[t, 0], springs.stiffness[t] = along, 0.0
         if abs(along) > PARALLEL:    # others push in the first turn alone
             springs.stiffness[t] = springs.mass[q] * ratio_of(squeeze, k, i)
-        squeeze.deficit[t] = contacts.gap[k] - phi + along * springs.x[0, q]
+        squeeze.deficit[t] = contacts.gap[k] - phi
+        squeeze.aside[k] = not contacts.pads.soft[k] and abs(along) <= PARALLEL
+        if squeeze.aside[k]:
+            d = contacts.push[k]
+            x, y, z = x + d * normal[0], y + d * normal[1], z + d * normal[2]
+        else:
+            s = contacts.slip[k]
+            x, y, z = x - s[0], y - s[1], z - s[2]
+            normal[0], normal[1], normal[2] = n
         k = contacts.earlier[k]
+    squeeze.y[q, 0], squeeze.y[q, 1], squeeze.y[q, 2] = x, y, z
 
 
 @jit(inline=True)
@@ -270,12 +256,16 @@ def set_axis(squeeze, near, state, q):
     squeeze.start[q, 0], squeeze.start[q, 1], squeeze.start[q, 2] = x, y, z
 
 
-@jit(inline=True)
-def begin_particle(squeeze, q):
-    """Write u of a particle at the start."""
-    y, start = squeeze.y[q], squeeze.start[q]
-    squeeze.springs.x[0, q] = along_axis(
-        squeeze.springs, q, (start[0] - y[0], start[1] - y[1], start[2] - y[2]))
+@jit
+def begin_steps(squeeze, count):
+    """Write u where the colliders carried the particles, and the deficits of contacts at y."""
+    springs = squeeze.springs
+    for q in range(count):
+        y, start = squeeze.y[q], squeeze.start[q]
+        springs.x[0, q] = along_axis(
+            springs, q, (start[0] - y[0], start[1] - y[1], start[2] - y[2]))
+    for t in range(springs.count[0]):
+        squeeze.deficit[t] += springs.weight[t, 0] * springs.x[0, springs.ends[t, 0]]
 
 
 @jit(inline=True)
@@ -423,8 +413,8 @@ def keep_pushes(squeeze, i, last, m):
     """Store the forces on particle i of mobility m, which is solved in this turn."""
     contacts, pads, k = squeeze.contacts, squeeze.contacts.pads, last
     while k >= 0:
-        pads.force[k] = contacts.push[k] / m
-        pads.lost[k] = ratio_of(squeeze, k, i) / (1.0 + ratio_of(squeeze, k, i))
+        ratio = ratio_of(squeeze, k, i)
+        pads.force[k], pads.lost[k] = contacts.push[k] / m, ratio / (1.0 + ratio)
         k = contacts.earlier[k]
     if last >= 0:
         pads.solved[last] = 1

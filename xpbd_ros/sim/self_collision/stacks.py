@@ -96,14 +96,13 @@ def list_stack(stack, contacts, near, pairs, state, thickness, h):
     """List the squeezed pairs of a substep and their particles."""
     stack.count[0] = stack.count[1] = 0
     stack.behind[:] = -1
-    stack.about[:] = True
     stack.low[:] = np.inf
     stack.high[:] = -np.inf
     back_by(stack, contacts, near, state, True, 0.0)
     mark_about(stack, near, LAYERS * thickness)
     found = list_close(stack, near, pairs, -CLOSE * thickness, DEPENETRATION * h)
     back_layers(stack, near, pairs, found)
-    back_by(stack, contacts, near, state, False, CLOSE * thickness)    # pads chose the axes
+    back_by(stack, contacts, near, state, False, CLOSE * thickness)    # along axes set by pads
     back_layers(stack, near, pairs, found)
     stack.place[:] = -1
     for m in range(found):
@@ -174,7 +173,7 @@ def list_pair(stack, near, pairs, k):
 
 @jit(inline=True)
 def back_rest(stack, near, pairs, k):
-    """Give particles of pair k not backed from both sides, as at edges, its normal and backing."""
+    """Copy normal and backing of pair k to its particles that are not backed from both sides."""
     below, above = backing_of(stack, near, pairs, k)
     for p in range(4):
         i = pairs.particles[p, k]
@@ -188,12 +187,12 @@ def back_rest(stack, near, pairs, k):
 @jit
 def back_by(stack, contacts, near, state, pads, reach):
     """
-    Note which particles pads, or rigid colliders, back, and boxes about them.
+    Note which particles pads back, and boxes about these; or which rigid colliders back near them.
 
     They back particles nearer than the thickness and ``reach`` [m].
     """
     for i in range(len(near.slot)):
-        k = last_candidate(contacts, near.slot[i]) if stack.about[i] else -1
+        k = last_candidate(contacts, near.slot[i]) if pads or stack.about[i] else -1
         while k >= 0:
             if (contacts.pads.soft[k] != 0) == pads:
                 _, phi, n = carried(contacts, k, state)
