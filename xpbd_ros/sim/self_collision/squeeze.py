@@ -22,7 +22,7 @@ Friction (``squeeze_friction``) follows with these pushes.
 The residual of Newton's method, and the components of pushes across the axis, as at the edges of
 fingers, move no particle: the colliders take them as an impulse. Pads do not press these particles
 again in this turn: without the pushes of pairs, that would move them. Rigid colliders off the axis
-keep their pushes, and are projected after this.
+are projected after this.
 
 Limits: normals that differ by more than 25° are not of one stack. Layers that are crushed so deep
 into a pad that it acts as rigid are not solved so.
@@ -104,8 +104,6 @@ class Squeeze(NamedTuple):
     """sum of the displacements by pushes, Σ d n and Σ w b n d / W [m], likewise"""
     moved: np.ndarray
     """y + a u, with friction in the end [m], likewise"""
-    aside: np.ndarray
-    """True for candidates that take no part: rigid, and not along the axis; (candidates,)"""
     frictional: FrictionalContacts
     friction: tuple | None
     """data of ``effects.friction``; None in a scene without friction"""
@@ -135,8 +133,7 @@ def new_squeeze(contacts: Contacts, particles: int, pairs: int) -> Squeeze | Non
     stack = new_stack(particles, pairs, len(contacts.colliders.shape))
     return Squeeze(contacts, stack, new_springs(springs, particles),
                    np.zeros(springs), vectors(), np.zeros(particles), vectors(), vectors(),
-                   vectors(), np.zeros(len(contacts.push), np.bool_),
-                   new_frictional_contacts(springs), None, np.zeros(1, np.bool_))
+                   vectors(), new_frictional_contacts(springs), None, np.zeros(1, np.bool_))
 
 
 @jit
@@ -193,8 +190,7 @@ def add_colliders(squeeze, near, state, q):
     """
     Write y of a particle, still with what pairs displaced it by, and add its contacts' springs.
 
-    Their deficits are those where the colliders carried it. Rigid colliders that are not along the
-    axis are left to ``contact``.
+    Their deficits are those where the colliders carried it.
     """
     contacts, springs, i = squeeze.contacts, squeeze.springs, squeeze.stack.particles[q]
     start, move, k = squeeze.start[q], near.precise_move[i], last_candidate(contacts, near.slot[i])
@@ -205,22 +201,16 @@ def add_colliders(squeeze, near, state, q):
         (wx, wy, wz), phi, n = carried(contacts, k, state)
         phi += (n[0] * (start[0] + near.step[0] - wx) + n[1] * (start[1] + near.step[1] - wy)
                 + n[2] * (start[2] + near.step[2] - wz))
-        t, along, normal = springs.count[0], along_axis(springs, q, n), contacts.normal[k]
+        t, along, s = springs.count[0], along_axis(springs, q, n), contacts.slip[k]
         springs.count[0] += 1
         for p in range(4):
             springs.ends[t, p], springs.weight[t, p] = q, 0.0
         springs.weight[t, 0], springs.stiffness[t] = along, 0.0
-        if abs(along) > PARALLEL:    # others push in the first turn alone
+        if abs(along) > PARALLEL:    # other pads push in the first turn alone
             springs.stiffness[t] = springs.mass[q] * ratio_of(squeeze, k, i)
         squeeze.deficit[t] = contacts.gap[k] - phi
-        squeeze.aside[k] = not contacts.pads.soft[k] and abs(along) <= PARALLEL
-        if squeeze.aside[k]:
-            d = contacts.push[k]
-            x, y, z = x + d * normal[0], y + d * normal[1], z + d * normal[2]
-        else:
-            s = contacts.slip[k]
-            x, y, z = x - s[0], y - s[1], z - s[2]
-            normal[0], normal[1], normal[2] = n
+        contacts.normal[k, 0], contacts.normal[k, 1], contacts.normal[k, 2] = n
+        x, y, z = x - s[0], y - s[1], z - s[2]
         k = contacts.earlier[k]
     squeeze.y[q, 0], squeeze.y[q, 1], squeeze.y[q, 2] = x, y, z
 
@@ -358,20 +348,15 @@ def store_pushes(squeeze, near, pairs):
     for q in range(stack.count[1]):
         last = last_candidate(contacts, near.slot[stack.particles[q]])
         k, x, y, z = last, 0.0, 0.0, 0.0
-        sx = sy = sz = 0.0
         while k >= 0:
             n, d = contacts.normal[k], 0.0
-            if squeeze.aside[k]:
-                d = contacts.push[k]
-                sx, sy, sz = sx + d * n[0], sy + d * n[1], sz + d * n[2]
-            elif springs.mass[q] > 0.0:
+            if springs.mass[q] > 0.0:
                 d = push_of(squeeze, t) / springs.mass[q]
-                x, y, z = x + d * n[0], y + d * n[1], z + d * n[2]
             contacts.push[k] = pads.given[k] = d
-            t += 1
+            x, y, z, t = x + d * n[0], y + d * n[1], z + d * n[2], t + 1
             k = contacts.earlier[k]
         if last >= 0:
-            pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2] = x + sx, y + sy, z + sz
+            pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2] = x, y, z
         given[q, 0], given[q, 1], given[q, 2] = x, y, z
         for a in range(3):
             squeeze.moved[q, a] = squeeze.y[q, a] + springs.x[0, q] * springs.axis[q, a]

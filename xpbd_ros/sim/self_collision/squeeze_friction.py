@@ -131,9 +131,8 @@ def load_sticks(squeeze, near, pairs, state):
         k = last_candidate(contacts, near.slot[stack.particles[q]])
         while k >= 0:
             way, t = surface_motion(contacts, k, state), springs.count[0]
-            if not squeeze.aside[k]:
-                contacts.slip[k, 0] = contacts.slip[k, 1] = contacts.slip[k, 2] = 0.0
-            if contacts.push[k] > 0.0 and not squeeze.aside[k]:
+            contacts.slip[k, 0] = contacts.slip[k, 1] = contacts.slip[k, 2] = 0.0
+            if contacts.push[k] > 0.0:
                 for p in range(4):
                     springs.ends[t, p], springs.weight[t, p] = q, 0.0
                 springs.weight[t, 0] = 1.0
@@ -236,7 +235,7 @@ def store_slips(squeeze, near, pairs):
     for q in range(stack.count[1]):
         k = last_candidate(contacts, near.slot[stack.particles[q]])
         while k >= 0:
-            if contacts.push[k] > 0.0 and not squeeze.aside[k]:
+            if contacts.push[k] > 0.0:
                 for a in range(3):
                     contacts.slip[k, a] = slip[t, a]
                 t += 1
