@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from xpbd_ros.view.stage import EYE, FIELD_OF_VIEW
+from xpbd_ros.view.stage import EYE, FIELD_OF_VIEW, PANEL
 
 SHEET = """
 cloths:
@@ -39,11 +39,10 @@ def pins(page) -> dict[str, tuple]:
 
 def pixel(page, point) -> tuple[float, float]:
     """Return where a point [m] is seen by the camera of the page's start."""
-    eye = CENTRE + SIZE * np.array(EYE)
-    forward = (CENTRE - eye) / np.linalg.norm(CENTRE - eye)
+    forward = -np.array(EYE) / np.linalg.norm(EYE)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    away = np.subtract(point, eye)
+    away = point - (CENTRE + SIZE * np.linalg.norm(EYE) * (PANEL * right - forward))
     width, height = json.loads(page.value('JSON.stringify([innerWidth, innerHeight])'))
     scale = 0.5 * height / np.tan(0.5 * FIELD_OF_VIEW) / (away @ forward)
     return (0.5 * width + scale * (away @ right),

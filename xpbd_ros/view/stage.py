@@ -19,7 +19,7 @@ EYE = (1.5, -3.0, 1.1)
 FIELD_OF_VIEW = 0.8
 """vertical [rad]"""
 PANEL = 0.2
-"""displacement of the camera that moves the cloths from behind the panel, over its distance"""
+"""displacement of the camera by which the panel does not hide the cloths, over its distance"""
 AMBIENT = 1.2
 """light on sides that face away from the lamps"""
 FORCE_SCALE = 0.1
@@ -89,8 +89,7 @@ class Stage:
             distance = radius / np.sin(0.5 * FIELD_OF_VIEW) / np.linalg.norm(EYE)
         self._back = distance * np.array(EYE)
         aside = np.cross([0.0, 0.0, 1.0], EYE)
-        self._aside = 0.0 * aside if seen is None else (
-            PANEL * np.linalg.norm(self._back) * aside / np.linalg.norm(aside))
+        self._aside = PANEL * np.linalg.norm(self._back) * aside / np.linalg.norm(aside)
         server.scene.set_up_direction('+z')
         server.scene.configure_default_lights(cast_shadow=True)
         server.scene.add_light_ambient('/ambient', intensity=AMBIENT)
