@@ -9,7 +9,7 @@ collider are solved together with these (``squeeze``).
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, wait_uneven
 from xpbd_ros.sim.self_collision.squeeze import solve_squeeze
-from xpbd_ros.sim.self_collision.stacks import is_crushed, list_stack
+from xpbd_ros.sim.self_collision.stacks import list_stack
 
 
 @jit
@@ -56,6 +56,6 @@ def squeeze_layers(squeeze, near, pairs, state, thickness, h):
         if alone(state.team):
             stack, contacts = squeeze.stack, squeeze.contacts
             list_stack(stack, contacts, near, pairs, state, thickness, h)
-            if stack.count[0] > 0 and not is_crushed(stack, contacts, near):
+            if stack.count[0] > 0:
                 solve_squeeze(squeeze, near, pairs, state, h)
         wait_uneven(state.team)

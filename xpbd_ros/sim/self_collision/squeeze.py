@@ -24,8 +24,7 @@ fingers, move no particle: the colliders take them as an impulse. Pads do not pr
 again in this turn: without the pushes of pairs, that would move them. Rigid colliders off the axis
 are projected after this.
 
-Limits: normals that differ by more than 25° are not of one stack. Layers that are crushed so deep
-into a pad that it acts as rigid are not solved so.
+Limit: normals that differ by more than 25° are not of one stack.
 """
 
 import copy

@@ -135,19 +135,6 @@ def last_candidate(contacts, j):
     return k if k < contacts.count[0] and contacts.particle[k] == j else -1
 
 
-@jit
-def is_crushed(stack, contacts, near):
-    """Return True if a particle of the stack is so deep in a pad that this acts as rigid."""
-    for q in range(stack.count[1]):
-        k = last_candidate(contacts, near.slot[stack.particles[q]])
-        while k >= 0:
-            if (not contacts.pads.soft[k]
-                    and contacts.colliders.stiffness[contacts.collider[k]] > 0.0):
-                return True
-            k = contacts.earlier[k]
-    return False
-
-
 @jit(inline=True)
 def is_any_backed(stack, pairs, k):
     """Return True if a collider or a pair backs a particle of pair k."""
