@@ -26,7 +26,7 @@ from xpbd_ros.sim.stepping.step import advance
 from xpbd_ros.study.cost.clock import lap_ns, new_clock, start
 
 ROUNDS = 5
-LENDERS = ('contact',)
+LENDERS = 'contact', 'friction'
 """effects whose arrays others get too; they count once, for these"""
 
 
