@@ -16,8 +16,7 @@ one. With ``self_collision`` in the scene, cloths have the same friction against
 
 Limits: a contact that slides slower than μ_s g cos(θ) h sticks at once. A collider's velocity is
 constant within a frame and jumps between frames, so cloth on an accelerating collider slips a
-little where smooth motion would carry it along. Layers of cloth on a slope creep at 1.5 g sin(θ) h
-each: the collider takes back what friction moves the layer below by.
+little where smooth motion would carry it along.
 """
 
 from dataclasses import dataclass

@@ -38,6 +38,7 @@ from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
+from xpbd_ros.sim.self_collision.creep import note_creep
 from xpbd_ros.sim.self_collision.further_turn import (
     begin_first_turn,
     begin_turn,
@@ -325,6 +326,7 @@ def settle(effect, state, substep):
     """Remove velocities from old overlaps, and advance the common motion."""
     near = effect.near
     remove_depenetration_velocity(effect.pairs, near, state, substep)
+    note_creep(effect.pairs.friction, effect.pairs, near, state, substep.h)
     if alone_on_device(state.team):
         advance(near, state)
 

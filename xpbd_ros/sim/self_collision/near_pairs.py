@@ -313,6 +313,8 @@ def set_friction(friction, place, cloth, i, j):
     if friction is not None:
         one, other = (cloth[i], cloth[j]) if len(friction.kinetic) > 1 else (0, 0)
         friction.slides[place] = friction.kinetic[one, other]
+        for a in range(3):
+            friction.creep[a, place] = 0.0
 
 
 @jit(inline=True)

@@ -2,7 +2,8 @@
 Pair contacts: two points of cloths, weighted means of particles, that keep a gap along a normal.
 
 C = n · Σ b x - r ≥ 0, with weights b > 0 on one side and b < 0 on the other, ∇C = b n; then
-Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with W = Σ w b²):
+Coulomb friction for motion perpendicular to n (as in ``effects.friction``, with W = Σ w b²), also
+for what is left of the motion in earlier substeps (``self_collision.creep``):
 
     Δd = max(-C, -d),   d += Δd,   x += w b n Δd / W        (d ≥ 0: the push so far, never a pull)
 
@@ -60,6 +61,8 @@ class PairFriction(NamedTuple):
     """part of the push that undoes a deep overlap, and loads no friction [m], (capacity,)"""
     slip: np.ndarray
     """displacement s by friction, accumulated in this substep [m], shape (3, capacity)"""
+    creep: np.ndarray
+    """slip e of earlier substeps that friction has yet to undo [m], shape (3, capacity)"""
 
 
 class PairContacts(NamedTuple):
@@ -122,7 +125,8 @@ def new_pair_friction(pairs: PairContacts, kinetic: np.ndarray,
     """Return the friction data of pair contacts, with μ_k and μ_s by pair of cloths."""
     return PairFriction(kinetic, static, np.zeros_like(pairs.push),
                         None if static is None else np.zeros_like(pairs.push),
-                        np.zeros_like(pairs.push), np.zeros_like(pairs.normal))
+                        np.zeros_like(pairs.push), np.zeros_like(pairs.normal),
+                        np.zeros_like(pairs.normal))
 
 
 @jit(inline=True)
@@ -252,6 +256,8 @@ def project_some(near, pairs, q, mine, moves, n, weight, deficit, me):
     if active == 0:
         return
     store(pairs.push, q, before + push)
+    way = slip_to_undo(friction, q, way)
+    along = dot(n, way)
     rub = rub_of(friction, pairs, q, before + push, slip, there,
                  (fma(-along, n[0], way[0]), fma(-along, n[1], way[1]),
                   fma(-along, n[2], way[2])))
@@ -270,6 +276,16 @@ def load_slip(friction, q, zero):
         return zero, zero, zero
     else:    # Numba prunes the branch that is not taken
         return load_vector(friction.slip, q)
+
+
+@jit(inline=True)
+def slip_to_undo(friction, q, way):
+    """Return the displacement in this substep and what is left of earlier slips."""
+    if friction is None:
+        return way
+    else:    # Numba prunes the branch that is not taken
+        e = load_vector(friction.creep, q)
+        return way[0] + e[0], way[1] + e[1], way[2] + e[2]
 
 
 @jit(inline=True)
