@@ -59,6 +59,18 @@ def test_a_query_finds_what_brute_force_finds(count):
     assert hits > 0
 
 
+@pytest.mark.parametrize('count', [15, 50, 300])
+def test_a_box_without_bounds_overlaps_all_others_and_no_empty_ones(count):
+    """That of a point of infinite radius: a tree has empty boxes behind the end of each level."""
+    points = np.random.default_rng(2).uniform(-1.0, 1.0, (count, 4)).astype(np.float32)
+    points[0, 3] = np.inf
+    tree = new_box_tree(np.arange(count)[:, None], points[:, :3], np.zeros(count, np.int64))
+    update_boxes(None, tree, points)
+    place = tree.corners[0].tolist().index(0)
+    found = items_in(tree, tree.low[:, place], tree.high[:, place])
+    assert sorted(found) == [(i,) for i in range(count)]
+
+
 def test_points_that_are_not_finite_hide_no_others():
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (100, 4)).astype(np.float32)
     points[:, 3] = 0.0

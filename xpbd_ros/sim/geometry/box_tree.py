@@ -26,6 +26,9 @@ from xpbd_ros.sim.backend.simd import (
 from xpbd_ros.sim.backend.simd_records import load_records, PACK
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 
+LARGEST = float(np.finfo(np.float32).max)
+"""farthest face of a box [m]: an infinite one would overlap the empty boxes too"""
+
 
 class BoxTree(NamedTuple):
     """Items and nodes."""
@@ -109,8 +112,8 @@ def update_boxes(team, tree, spheres):
             most = (larger(x + radius, most[0]), larger(y + radius, most[1]),
                     larger(z + radius, most[2]))
         for a in range(3):
-            store(low[a], c, least[a])
-            store(high[a], c, most[a])
+            store(low[a], c, larger(-LARGEST, least[a]))
+            store(high[a], c, smaller(LARGEST, most[a]))
     begin, end, turn = turns_on_device(team, corners.shape[1] - vectors)
     for c in range(vectors + begin, vectors + end, turn):
         for a in range(3):
@@ -119,7 +122,7 @@ def update_boxes(team, tree, spheres):
                 i = corners[k, c]
                 least = min(least, spheres[i, a] - spheres[i, 3])
                 most = max(most, spheres[i, a] + spheres[i, 3])
-            low[a, c], high[a, c] = least, most
+            low[a, c], high[a, c] = max(-LARGEST, least), min(LARGEST, most)
     for level in range(1, len(tree.begin) - 1):
         wait_on_device(team)
         first, below = tree.begin[level], tree.begin[level - 1]
