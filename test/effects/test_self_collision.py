@@ -19,6 +19,7 @@ from xpbd_ros.sim.commands import MovePin, Pose, SetKey
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.measure import momentum
 from xpbd_ros.sim.particles.state import places
+from xpbd_ros.sim.self_collision.creep import note_creep, STICKS
 from xpbd_ros.sim.self_collision.narrow_phase import choose_coefficient
 from xpbd_ros.sim.self_collision.near_pairs import choose_near, SPARE
 from xpbd_ros.sim.self_collision.neighbour_list import (
@@ -524,6 +525,33 @@ def test_a_pair_has_the_static_coefficient_of_its_cloths_while_it_slides_slowly(
         assert friction.coefficient[k] == (static[near.cloth[i], near.cloth[
             j if last == count else last]] if sticks else friction.slides[k])
     assert 3 < seen < 2 * lanes - 3
+
+
+def test_pairs_remember_the_slip_that_friction_did_not_prevent():
+    """Below the limit of friction they add it up, at the limit they keep it, others forget it."""
+    simulation = scene({'a': square(0.0), 'b': square(0.005, x=0.01, y=0.01)})
+    run(simulation, 4)
+    effect, state = simulation.effects['self_collision'].data, simulation.state
+    near, pairs, friction = effect.near, effect.pairs, effect.pairs.friction
+    end, random, h = pairs.end[0], np.random.default_rng(1), 1e-3
+    assert end > 30
+    pairs.push[:end] = random.choice([0.0, 1e-4], end)
+    friction.unloaded[:end] = 0.0
+    friction.slip[:, :end] = random.choice([0.0, 1.0], end) * pairs.normal[:, :end] * 1e-3
+    friction.creep[:, :end] = before = random.normal(0.0, 1e-6, (3, end)).astype(np.float32)
+    state.x[:, near.slot] = state.x_prev[:, near.slot] + random.normal(
+        0.0, random.choice([1e-6, 3e-5], len(near.slot)), (3, len(near.slot)))
+    note_creep(friction, pairs, near, state, h)
+    moved = np.append((state.x - state.x_prev)[:, near.slot], np.zeros((3, 1)), axis=1)
+    u = (pairs.weight[:, :end] * moved[:, pairs.particles[:, :end]]).sum(1)
+    n = pairs.normal[:, :end]
+    u -= (n * u).sum(0) * n
+    sticks = (pairs.push[:end] > 0.0) & (np.linalg.norm(u, axis=0) < STICKS * h * h)
+    holds = np.linalg.norm(friction.slip[:, :end], axis=0) < friction.slides[:end] * 1e-4
+    for group in (sticks & holds, sticks & ~holds, ~sticks & (pairs.push[:end] > 0.0)):
+        assert group.sum() > 3
+    np.testing.assert_allclose(friction.creep[:, :end], np.where(
+        sticks, np.where(holds, before + u, before), 0.0), rtol=0.0, atol=1e-10)
 
 
 @pytest.mark.parametrize('compliance', [0.0, slow(1e-6)])

@@ -323,7 +323,7 @@ def mark_all(planes, near, contacts, state, again):
 @stage(finish, SelfCollision, on_device=True)
 @jit
 def settle(effect, state, substep):
-    """Remove velocities from old overlaps, and advance the common motion."""
+    """Remove velocities from old overlaps, update the creep, and advance the common motion."""
     near = effect.near
     remove_depenetration_velocity(effect.pairs, near, state, substep)
     note_creep(effect.pairs.friction, effect.pairs, near, state, substep.h)

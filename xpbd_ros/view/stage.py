@@ -19,7 +19,7 @@ EYE = (1.5, -3.0, 1.1)
 FIELD_OF_VIEW = 0.8
 """vertical [rad]"""
 PANEL = 0.2
-"""displacement of the camera by which the panel does not hide the cloths, over its distance"""
+"""sideways offset of the camera, so that the panel does not cover the cloths, over its distance"""
 AMBIENT = 1.2
 """light on sides that face away from the lamps"""
 FORCE_SCALE = 0.1

@@ -27,7 +27,7 @@ from xpbd_ros.sim.backend.simd_records import load_records, PACK
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 
 LARGEST = float(np.finfo(np.float32).max)
-"""farthest face of a box [m]: an infinite one would overlap the empty boxes too"""
+"""largest coordinate of a box [m]: a box of infinite size would overlap the empty boxes too"""
 
 
 class BoxTree(NamedTuple):

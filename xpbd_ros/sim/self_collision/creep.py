@@ -8,9 +8,9 @@ numerical model for granular assemblies", 1979), what is left of earlier slips:
 
     e += u - (n · u) n,   u = Σ b (x - x_n)
 
-while the pair sticks. As several pairs share the load of a particle, those at the limit of
-friction keep e. Pairs without a push, and those that slide by more than STICKS h², have e = 0, and
-so have all pairs when these are grouped anew.
+while |s| < μ d. Pairs at that limit keep their e, since other pairs may hold the particle. e is
+reset to 0 when a pair loses contact or slips by more than STICKS h² in a substep, as where pins
+move it, and for all pairs whenever they are regrouped.
 """
 
 from xpbd_ros.sim.backend.jit import jit
@@ -30,12 +30,12 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
 STICKS = 20.0
 """relative speed below which cloth sticks to cloth, over the length of a substep [m/s²]"""
 BELOW = 0.999
-"""friction of a pair that is not at its limit, at most, relative to that"""
+"""largest |s| of a pair below the limit, relative to μ d"""
 
 
 @jit
 def note_creep(friction, pairs, near, state, h):
-    """Write e of all pairs at the end of a substep of h [s]."""
+    """Update e of all pairs at the end of a substep of h [s]."""
     if friction is not None:
         load_displacements(near, state)
         begin, end, turn = turns_on_device(state.team, pairs.end[0] // PACK)
@@ -59,7 +59,7 @@ def load_displacements(near, state):
 
 @jit(inline=True)
 def note_creep_of(friction, pairs, near, q, most):
-    """Write e of a vector of pairs that stick if they slip by less than ``most`` [m]."""
+    """Update e of a vector of pairs; it is 0 where they slip by ``most`` [m] or more."""
     push, e = load(pairs.push, q), load_vector(friction.creep, q)
     touches = push > 0.0
     if any_lane(touches):

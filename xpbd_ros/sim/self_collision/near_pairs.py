@@ -309,7 +309,7 @@ def turn_by_comparison(pairs, place, first, dummy):
 
 @jit(inline=True)
 def set_friction(friction, place, cloth, i, j):
-    """Copy the coefficients of friction of the cloths of particles i and j."""
+    """Copy μ of the cloths of particles i and j, and reset the creep."""
     if friction is not None:
         one, other = (cloth[i], cloth[j]) if len(friction.kinetic) > 1 else (0, 0)
         friction.slides[place] = friction.kinetic[one, other]
