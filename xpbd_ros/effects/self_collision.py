@@ -326,7 +326,7 @@ def settle(effect, state, substep):
     """Remove velocities from old overlaps, update the creep, and advance the common motion."""
     near = effect.near
     remove_depenetration_velocity(effect.pairs, near, state, substep)
-    note_creep(effect.pairs.friction, effect.pairs, near, state, substep.h)
+    note_creep(effect.pairs.friction, effect.pairs, near, state)
     if alone_on_device(state.team):
         advance(near, state)
 

@@ -8,13 +8,13 @@ numerical model for granular assemblies", 1979), what is left of earlier slips:
 
     e += u - (n · u) n,   u = Σ b (x - x_n)
 
-while |s| < μ d. Pairs at that limit keep their e, since other pairs may hold the particle. e is
-reset to 0 when a pair loses contact or slips by more than STICKS h² in a substep, as where pins
-move it, and for all pairs whenever they are regrouped.
+while |s| < μ d. Other pairs may hold a particle of a pair at that limit, which therefore keeps e,
+and adds u where u opposes e. But if u exceeds e, the pair slides. e is reset to 0 when a pair
+slides or loses contact, and for all pairs whenever they are regrouped.
 """
 
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.simd import any_lane, both, lanes, load, select, smaller
+from xpbd_ros.sim.backend.simd import any_lane, both, either, lanes, load, select, smaller
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import turns_on_device, wait_on_device
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
@@ -27,21 +27,19 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
     weighted,
 )
 
-STICKS = 20.0
-"""relative speed below which cloth sticks to cloth, over the length of a substep [m/s²]"""
 BELOW = 0.999
 """largest |s| of a pair below the limit, relative to μ d"""
 
 
 @jit
-def note_creep(friction, pairs, near, state, h):
-    """Update e of all pairs at the end of a substep of h [s]."""
+def note_creep(friction, pairs, near, state):
+    """Update e of all pairs at the end of a substep."""
     if friction is not None:
         load_displacements(near, state)
         begin, end, turn = turns_on_device(state.team, pairs.end[0] // PACK)
         for pack in range(begin, end, turn):
             for q in range(PACK * pack, PACK * (pack + 1), lanes(near.move)):
-                note_creep_of(friction, pairs, near, q, STICKS * h * h)
+                note_creep_of(friction, pairs, near, q)
         wait_on_device(state.team)
 
 
@@ -58,8 +56,8 @@ def load_displacements(near, state):
 
 
 @jit(inline=True)
-def note_creep_of(friction, pairs, near, q, most):
-    """Update e of a vector of pairs; it is 0 where they slip by ``most`` [m] or more."""
+def note_creep_of(friction, pairs, near, q):
+    """Update e of a vector of pairs; it is 0 of those that slide."""
     push, e = load(pairs.push, q), load_vector(friction.creep, q)
     touches = push > 0.0
     if any_lane(touches):
@@ -68,10 +66,11 @@ def note_creep_of(friction, pairs, near, q, most):
             near.move, pairs.particles, q)))
         limit = BELOW * load(coefficients(friction.coefficient, friction.slides), q) * (
             push - smaller(load(friction.unloaded, q), push))
-        holds = dot(s, s) < limit * limit
-        touches = both(touches, dot(u, u) < most * most)
-        e = (select(holds, e[0] + u[0], e[0]), select(holds, e[1] + u[1], e[1]),
-             select(holds, e[2] + u[2], e[2]))
+        below = dot(s, s) < limit * limit
+        sticks = either(below, dot(u, u) <= dot(e, e))
+        touches, adds = both(touches, sticks), either(below, dot(u, e) < 0.0)
+        e = (select(adds, e[0] + u[0], e[0]), select(adds, e[1] + u[1], e[1]),
+             select(adds, e[2] + u[2], e[2]))
     store_vector(friction.creep, q, (select(touches, e[0], 0.0), select(touches, e[1], 0.0),
                                      select(touches, e[2], 0.0)))
 

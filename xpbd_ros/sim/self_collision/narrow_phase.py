@@ -29,7 +29,6 @@ from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import alone, wait_uneven, worker
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
-from xpbd_ros.sim.self_collision.creep import STICKS
 from xpbd_ros.sim.self_collision.near_pairs import (
     closest,
     is_inside,
@@ -58,6 +57,9 @@ from xpbd_ros.sim.self_collision.separating_planes import (
     forget_planes,
     set_plane,
 )
+
+STICKS = 20.0
+"""relative speed below which μ_s holds cloth on cloth, over the length of a substep [m/s²]"""
 
 
 @jit
