@@ -8,7 +8,9 @@ different rounds, so that the pairs of a round can be projected side by side, in
 vectors, and the result does not depend on the number of lanes.
 
 The groups stay while they hold all near pairs. To that end they also hold pairs up to SPARE
-further apart, and keep pairs of edges whose closest points come to include an end.
+further apart, and keep pairs of edges whose closest points come to include an end. Other pairs are
+not read until a particle's travel and motion since exceed its margin, its travel then + SPARE / 2;
+so pairs of edges whose closest points come to be inside may join that much later.
 """
 
 import numpy as np
@@ -41,14 +43,22 @@ from xpbd_ros.sim.backend.threads import (
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, on_edges, on_triangle
 from xpbd_ros.sim.self_collision.list_order import prefix_sum
-from xpbd_ros.sim.self_collision.neighbour_list import any_thread, EDGES, POINTS, TRIANGLES
+from xpbd_ros.sim.self_collision.neighbour_list import (
+    any_thread,
+    EDGES,
+    gone_since,
+    POINTS,
+    rounding_of,
+    TRAVEL,
+    TRIANGLES,
+)
 from xpbd_ros.sim.self_collision.pair_contacts import load_corners, NEVER
 
 CLOTH = 3
 """last column of the records at rest"""
 FRONT = 2.0
 """travels within which pairs are in front, and inner margin of a particle in travels"""
-SPARE = 0.05
+SPARE = 0.15
 """further distance of pairs in groups, relative to the thickness"""
 REST_SHARE = 0.5
 """largest distance to be kept, relative to a pair's distance at rest"""
@@ -62,13 +72,40 @@ def choose_near(team, near, pairs, thickness, found):
     ``found`` is True if a pruning has just set ``hits`` to these.
     """
     missing = found or near.regroup[0]
+    if not missing and are_complete(team, near, pairs):
+        return 0
     if not found:
         missing |= find_near(team, near, POINTS, thickness)
         missing |= find_near(team, near, TRIANGLES, thickness)
         missing |= find_near(team, near, EDGES, thickness)
+    set_margins(team, near, pairs, 0.5 * SPARE * thickness)
     if any_thread(team, near, missing):
         return regroup(team, near, pairs)
     return 0
+
+
+@jit
+def are_complete(team, near, pairs):
+    """Return True unless a particle has moved so far that a pair in no group may be near."""
+    found = False
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
+        moved = gone_since(near.x, pairs.seen, near.drift, i)
+        if near.x[i, TRAVEL] + moved > pairs.margin[i]:
+            found = True
+            break
+    return not any_thread(team, near, found)
+
+
+@jit
+def set_margins(team, near, pairs, spare):
+    """Set the margins of the groups, from the positions at the substep's start on."""
+    rounding = rounding_of(near)
+    first, end, step = turns(team, len(near.slot))
+    for i in range(first, end, step):
+        pairs.margin[i] = near.x[i, TRAVEL] + spare - rounding
+        for a in range(3):
+            pairs.seen[i, a] = near.x[i, a] - near.drift[a]
 
 
 @jit(inline=True)
@@ -76,19 +113,18 @@ def find_near(team, near, kind, thickness):
     """
     Set ``hits`` for this thread's part of a kind's pairs: what groups made now would hold.
 
-    Return True if one of these near pairs is in no group.
+    Return True if one of these pairs is in no group.
     """
     end, missing = near.kind_front[kind], 0
     first, last, step = packs_of(team, near.kind_begin[kind], end)
     for pack in range(first, last, step):
-        found = wider = with_ends = 0
+        found = with_ends = 0
         for q in range(pack, pack + PACK, lanes(near.start)):
-            a, b, c = hits_of(near, kind, q, thickness)
+            a, b = hits_of(near, kind, q, thickness)
             found |= a << (q - pack)
-            wider |= b << (q - pack)
-            with_ends |= c << (q - pack)
+            with_ends |= b << (q - pack)
         listed, grouped = (1 << min(PACK, end - pack)) - 1, near.grouped[pack // PACK]
-        near.hits[pack // PACK] = (wider | with_ends & grouped) & listed
+        near.hits[pack // PACK] = (found | with_ends & grouped) & listed
         missing |= found & listed & ~grouped
     return missing != 0
 
@@ -110,7 +146,7 @@ def find_front(team, near, kind, thickness):
                 reach = (keep + spare) + travel
                 front |= bits(close) << (q - pack)
                 close = both(close, square <= reach * reach)
-                found |= bits(may_touch(kind, close, square, travel, weight)) << (q - pack)
+                found |= bits(may_touch(kind, close, square, travel + spare, weight)) << (q - pack)
         listed = (1 << min(PACK, end - pack)) - 1
         near.marks[pack // PACK], near.hits[pack // PACK] = front & listed, found & listed
 
@@ -125,16 +161,15 @@ def packs_of(team, begin, end):
 @jit(inline=True)
 def hits_of(near, kind, q, thickness):
     """
-    Return bits of a vector of listed pairs: those that are near, those for groups made now, and
-    the latter with all pairs of edges.
+    Return bits of a vector of listed pairs: those for groups made now, and these with all pairs of
+    edges.
     """
     spare = SPARE * thickness
-    close, square, keep, travel, weight = within(near, kind, q, thickness, 1.0, spare)
+    close, square, _, travel, weight = within(near, kind, q, thickness, 1.0, spare)
     with_ends = bits(close)
     if with_ends == 0:
-        return 0, 0, 0
-    close, reach = may_touch(kind, close, square, travel, weight), keep + travel
-    return bits(both(close, square <= reach * reach)), bits(close), with_ends
+        return 0, 0
+    return bits(may_touch(kind, close, square, travel + spare, weight)), with_ends
 
 
 @jit(inline=True)

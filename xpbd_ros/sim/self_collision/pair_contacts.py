@@ -92,6 +92,10 @@ class PairContacts(NamedTuple):
     """part of the push that must not become velocity [m], shape (capacity,)"""
     push: np.ndarray
     """d, accumulated in this substep [m], shape (capacity,)"""
+    seen: np.ndarray
+    """positions when the groups were last found complete, less U then [m], (particles, 3)"""
+    margin: np.ndarray
+    """motion of each particle for which they stay so [m], shape (particles,)"""
     found: np.ndarray
     """scratch: particles of near pairs of one kind, in the list's order, shape (capacity, 4)"""
     found_keep: np.ndarray
@@ -116,7 +120,8 @@ def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:
     return PairContacts(
         np.zeros(1, np.int64), np.zeros(room // PACK, np.int64), np.zeros(room // PACK, np.int64),
         rows(), np.zeros(2, np.int64), np.zeros((4, room), np.int32), rows(), rows(4), rows(3),
-        rows(), rows(), rows(), np.zeros((room, 4), np.int32), rows(),
+        rows(), rows(), rows(), np.zeros((particles, 3)), np.zeros(particles),
+        np.zeros((room, 4), np.int32), rows(),
         np.zeros((threads, particles + 1), np.int32), np.zeros((3, PACK), np.float32), None)
 
 
