@@ -56,7 +56,7 @@ from xpbd_ros.sim.self_collision.motion_limit import (
     rest_step,
 )
 from xpbd_ros.sim.self_collision.narrow_phase import find_contacts, list_planes
-from xpbd_ros.sim.self_collision.near_pairs import choose_near
+from xpbd_ros.sim.self_collision.near_pairs import choose_near, has_left_margins
 from xpbd_ros.sim.self_collision.neighbour_list import (
     advance,
     any_thread,
@@ -80,7 +80,7 @@ from xpbd_ros.sim.self_collision.pair_contacts import (
 )
 from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetration_velocity
 from xpbd_ros.sim.self_collision.pair_search import seek
-from xpbd_ros.sim.self_collision.pruning import has_many_new, is_front_incomplete, prune
+from xpbd_ros.sim.self_collision.pruning import has_many_new, prune
 from xpbd_ros.sim.self_collision.separating_planes import new_planes, part_all, Planes
 from xpbd_ros.sim.self_collision.squeeze import new_squeeze, Squeeze
 from xpbd_ros.sim.stepping.stages import (
@@ -229,7 +229,8 @@ def load_pairs(near, state, thickness):
     most, leaves = track_motion(team, near, state.x, SLACK * thickness)
     if leaves:
         seek(team, near, thickness, SUBSTEPS)
-    pruned = is_front_incomplete(team, near) or not leaves and has_many_new(near)
+    pruned = (has_left_margins(team, near, near.pruned, near.inner)
+              or not leaves and has_many_new(near))
     load_starts(team, near)
     load_moves(near, state)
     wait_uneven(team)

@@ -72,7 +72,7 @@ def choose_near(team, near, pairs, thickness, found):
     ``found`` is True if a pruning has just set ``hits`` to these.
     """
     missing = found or near.regroup[0]
-    if not missing and are_complete(team, near, pairs):
+    if not (missing or has_left_margins(team, near, pairs.seen, pairs.margin)):
         return 0
     if not found:
         missing |= find_near(team, near, POINTS, thickness)
@@ -85,16 +85,15 @@ def choose_near(team, near, pairs, thickness, found):
 
 
 @jit
-def are_complete(team, near, pairs):
-    """Return True unless a particle has moved so far that a pair in no group may be near."""
+def has_left_margins(team, near, seen, margin):
+    """Return True if a particle's travel and motion since it was seen exceed its margin."""
     found = False
     first, end, step = turns(team, len(near.slot))
     for i in range(first, end, step):
-        moved = gone_since(near.x, pairs.seen, near.drift, i)
-        if near.x[i, TRAVEL] + moved > pairs.margin[i]:
+        if near.x[i, TRAVEL] + gone_since(near.x, seen, near.drift, i) > margin[i]:
             found = True
             break
-    return not any_thread(team, near, found)
+    return any_thread(team, near, found)
 
 
 @jit

@@ -12,10 +12,8 @@ from xpbd_ros.sim.backend.threads import alone, turns, wait_uneven
 from xpbd_ros.sim.self_collision.list_order import bring_forward
 from xpbd_ros.sim.self_collision.near_pairs import find_front, FRONT
 from xpbd_ros.sim.self_collision.neighbour_list import (
-    any_thread,
     EDGES,
     empty_groups,
-    gone_since,
     POINTS,
     rounding_of,
     TRAVEL,
@@ -24,19 +22,6 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
 
 MANY = 0.5
 """share of unpruned pairs in front from which on pruning pays"""
-
-
-@jit
-def is_front_incomplete(team, near):
-    """Return True if a particle's travel and motion since the pruning exceed its inner margin."""
-    found = False
-    first, end, step = turns(team, len(near.slot))
-    for i in range(first, end, step):
-        moved = gone_since(near.x, near.pruned, near.drift, i)
-        if near.x[i, TRAVEL] + moved > near.inner[i]:
-            found = True
-            break
-    return any_thread(team, near, found)
 
 
 @jit
