@@ -153,10 +153,10 @@ def cross_or_pass(near, x, travel, pairs):
             < travel[list(pair[:2])].max() + travel[list(pair[2:])].max()]
 
 
-def near_by_brute_force(near, thickness=THICKNESS):
-    """Return the near pairs that the present positions and travels determine."""
-    x, travel = near.x[:-1, :3], near.x[:-1, TRAVEL]
-    found = brute_force(near, x, travel, thickness)
+def near_by_brute_force(near, spare=0.0):
+    """Return the near pairs of the present positions and travels, and those ``spare`` further."""
+    x, travel = near.x[:-1, :3], near.x[:-1, TRAVEL] + 0.5 * spare
+    found = brute_force(near, x, travel)
     if EDGES in found:
         found[EDGES] = cross_or_pass(near, x, travel, found[EDGES])
     return found
@@ -229,7 +229,7 @@ def test_pairs_sought_again_and_near_pairs_are_those_of_brute_force(mode):
             empty_groups(None, near)
             choose_near(None, near, pairs, THICKNESS, False)
             chosen = all_near(near, pairs)
-            for kind, found in near_by_brute_force(near, (1.0 + SPARE) * THICKNESS).items():
+            for kind, found in near_by_brute_force(near, SPARE * THICKNESS).items():
                 assert sorted(chosen[kind]) == sorted(found)
     assert touching > 30 and stayed > 0
     assert shared > 0 or mode == 'particles'
@@ -257,6 +257,25 @@ def test_near_pairs_are_complete_where_particles_leave_inner_margins_while_other
         assert set(found) <= set(chosen[kind])
 
 
+def test_pairs_join_the_groups_while_the_list_stays():
+    """Two cloths approach slowly: the groups are without pairs at first, and the list complete."""
+    simulation = scene({'a': square(0.0), 'b': square(1.46 * THICKNESS, x=0.01, y=0.02)},
+                       gravity=0.0, substeps=1, rate=1e4)
+    state, slots = simulation.state, [cloth.slots for cloth in simulation.cloths]
+    near, pairs, joined = stay(simulation), simulation.effects['self_collision'].data.pairs, 0
+    for _ in range(8):
+        before = near.pruned.copy(), pairs.end[0]
+        for some, speed in zip(slots, (200.0, -200.0)):
+            state.v[:, some] = np.array([[0.0], [0.0], [speed * THICKNESS]])
+        simulation.step()
+        chosen = all_near(near, pairs)
+        for kind, found in near_by_brute_force(near).items():
+            assert set(found) <= set(chosen[kind])
+        stays = near.count[0] == 0 and (near.pruned == before[0]).all()
+        joined += stays and before[1] == 0 < pairs.end[0]
+    assert joined == 1
+
+
 @pytest.mark.parametrize('mode', ['surface', slow('particles')])
 def test_cloths_that_meet_keep_their_momentum(mode):
     simulation = scene({'a': square(0.0), 'b': square(0.03, x=0.01, y=0.02)}, mode=mode,
@@ -268,7 +287,7 @@ def test_cloths_that_meet_keep_their_momentum(mode):
     for _ in range(20):
         simulation.step()
         touched += simulation.stats()['self_contacts']
-    assert touched > 10
+    assert touched > (20 if mode == 'surface' else 10)
     assert simulation.stats()['self_stopped'] == 0
     np.testing.assert_allclose(momentum(state), before, rtol=0.0, atol=1e-12)
     one, other = (state.v[:, cloth.slots].mean(1) for cloth in simulation.cloths)
@@ -439,7 +458,8 @@ def test_sliding_cloth_stops_without_a_rebound(slope, substeps, layers):
     """
     It slides down loose cloth, which then becomes level: the way is v² / 2 μ g - v h / 2.
 
-    It does not move back faster than friction changes its velocity in a substep.
+    It does not move back faster than friction changes its velocity in a substep; one layer does
+    so by a fifth of that at most.
     """
     simulation = on_loose_cloth(slope, substeps, layers)
     shown = run(simulation, 12)
@@ -449,7 +469,8 @@ def test_sliding_cloth_stops_without_a_rebound(slope, substeps, layers):
     h = 1.0 / 60.0 / substeps
     assert frames[-1].x[117:, 0].mean() - begin == pytest.approx(
         speed**2 / (2.0 * 0.4 * GRAVITY) - speed * h / 2.0, rel=0.02)
-    assert min(frame.v[117:, 0].mean() for frame in frames) > -0.4 * GRAVITY * h
+    assert min(frame.v[117:, 0].mean() for frame in frames) > -0.4 * GRAVITY * h * (
+        0.2 if layers == 1 else 1.0)
     assert np.abs(frames[-1].v).max() < 0.005
 
 
