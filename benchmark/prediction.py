@@ -5,8 +5,8 @@ Compare the frame times that ``auto`` predicts with those measured: the table of
 
 SCENE is a shipped scene or a file; all shipped scenes and the random ones unless given. Each runs
 with ``line`` as ``auto`` would choose it, and with ``explicit`` where its stable substeps fit the
-budget. Measured is the thread CPU time of a frame, the mean over the first second; predicted is
-that by the shipped cost table, and by the table of a file beside it.
+budget. Measured is the thread CPU time of a frame, the mean over the scene's duration; predicted
+is that by the shipped cost table, and by the table of a file beside it.
 """
 
 import argparse
@@ -24,9 +24,6 @@ from xpbd_ros.share import shipped_scenes
 from xpbd_ros.study.cost.calibrate import BY_MOTION, measure, METHODS, Run
 from xpbd_ros.study.cost.random_scenes import random_scenes
 from xpbd_ros.study.machine import describe, machine
-
-FRAMES = {'fold_towel': 540, 'shirt': 300, 'fold': 180}
-"""frames of a run, where they are not those of a second"""
 
 
 def line(run: Run, ratios: list[float]) -> str:
@@ -64,7 +61,7 @@ def main(words=None) -> int:
                 scene_from_mapping(raw, where=f'{name}.yaml', name=name)
                 for name, raw in drawn.items())):
             for method in METHODS:
-                run = measure(scene, method, FRAMES.get(scene.name, 60))
+                run = measure(scene, method, round(scene.top.duration * scene.top.frame_rate))
                 if run is not None:
                     runs.append(run)
                     ratios.append([run.predicted_ns(table) / run.measured_ns for table in tables])

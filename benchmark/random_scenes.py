@@ -17,6 +17,17 @@ def dropped(draw, folder) -> dict:
     return {'cloths': {'c': cloth}, **on_table()}
 
 
+def folded(draw, folder) -> dict:
+    """Return a sheet on a table, of which a pin folds one edge over the other."""
+    cloth = sheet(draw, spacing=(0.01, 0.015), cells=(16, 40), position=(0.0, 0.0, 0.003))
+    width, length = cloth['grid']['size']
+    high, end = 0.5 * length, float(draw.uniform(0.5, 1.0))
+    return {'cloths': {'c': cloth}, 'duration': 2.0, **on_table(), 'pins': {'hand': {
+        'cloth': 'c', 'at': 'edge_0x', 'motion': [
+            [0.0, 0.5 * width, 0.0, 0.003], [0.5 * end, 0.5 * width, 0.5 * length, 0.8 * high],
+            [end, 0.5 * width, 0.95 * length, 0.01]]}}}
+
+
 def on_table() -> dict:
     """Return a table, and effects of cloth that touches itself."""
     return {'effects': {'damping': {'rate': 0.5}, 'self_collision': {'thickness': 0.003},
@@ -30,4 +41,4 @@ def limited(draw, folder) -> dict:
     return {'cloths': {'c': cloth}, 'pins': corners(), 'effects': {'damping': {'rate': 0.5}}}
 
 
-ALL_KINDS = (*KINDS, stacked, dropped, limited)
+ALL_KINDS = (*KINDS, stacked, dropped, folded, limited)

@@ -3,11 +3,15 @@
 import pytest
 import yaml
 
+from xpbd_ros.effects.strain_limit import MOST, PER_LOAD
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.compile import compile_scene
+from xpbd_ros.scene.compile import compile_scene, FRAME_SPEED
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED, table_text
-from xpbd_ros.scene.load import load_scene
+from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import explicit
+from xpbd_ros.sim.commands import Release, SetKey
+from xpbd_ros.sim.self_collision.expected_work import OVERLAP, SEARCH
+from xpbd_ros.sim.self_collision.neighbour_list import spacing_of
 from xpbd_ros.sim.stepping.methods import direction, METHODS
 
 RIGID = {'cloths.sheet.effects.stretch': {'compliance': 0.0}, 'solver.budget_ms': 4.0}
@@ -81,6 +85,105 @@ def test_soft_constraints_are_swept_once_but_in_the_last_of_an_odd_number(subste
         0.5 * sweeps * len(simulation.effects['bend'].constraints.particles))
 
 
+def towel(*, poses=({},), **keys):
+    """Return the effect of sheets that may touch, and the simulation."""
+    simulation = compile_scene(scene_from_mapping({
+        'frame_rate': 50, 'duration': 2.0, 'cloths': {'cd'[k]: {
+            'grid': {'size': [1, 1], 'resolution': [21, 21]}, 'density': 0.2, 'pose': pose,
+            'effects': {'stretch': {'warp': 100.0, 'weft': 100.0}}}
+            for k, pose in enumerate(poses)},
+        'effects': {'self_collision': {'thickness': 0.01}, 'contact': {'thickness': 0.01}},
+        **keys}, where='x', name='x'))
+    return simulation.effects['self_collision'], simulation
+
+
+def hand(**keys):
+    """Return a pin that a scene moves back and forth."""
+    return {'hand': {'cloth': 'c', 'at': 'corner_00', **keys}}
+
+
+@pytest.mark.parametrize('keys, speed', [
+    ({}, 0.0), ({'pins': hand()}, 0.0),
+    ({'pins': hand(motion=[[0, 0, 0, 0], [0.5, 0, 0.3, 0.4], [1, 0, 0, 0]])}, 0.5),
+    ({'pins': hand(motion=[[0, 0, 0, 0], [4, 0, 0.6, 0.8]])}, 0.25),
+    ({'colliders': {'ball': {'sphere': {'radius': 0.1}, 'motion': [
+        [0, 0, 0, 1], [2, 0, 0, 3]]}}, 'pins': hand(motion=[[0, 0, 0, 0], [1, 0, 0, 1]])}, 1.0),
+    ({'colliders': {'ball': {'sphere': {'radius': 0.1}, 'frame': 'gripper'}}}, FRAME_SPEED)])
+def test_searches_take_time_as_far_as_a_scene_moves_the_cloth_in_a_frame(keys, speed):
+    """By the mean speed of its fastest pin or collider, in spacings of the particles."""
+    effect, simulation = towel(**keys)
+    for substeps in 1, 7:
+        extra = effect.cost_factor(simulation.effects, simulation.state, substeps) - 1.0
+        assert substeps * extra == pytest.approx(
+            SEARCH * speed / 50 / spacing_of(simulation.cloths))
+    assert effect.fewest_substeps == (6 if speed else 4)
+
+
+UPRIGHT = {'orientation': [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]}
+
+
+@pytest.mark.parametrize('keys, share', [
+    ({}, 0.0), ({'poses': [{}, {'position': [0.0, 0.0, 0.1]}]}, 0.5),
+    ({'poses': [{}, {'position': [2.0, 0.0, 0.0]}]}, 0.0),
+    ({'poses': [{}, {'position': [0.5, 0.0, 0.1]}]}, 0.25), ({'poses': [UPRIGHT]}, 0.95),
+    ({'poses': [UPRIGHT], 'pins': hand()}, 0.0),
+    ({'poses': [UPRIGHT], 'gravity': [0.0, 0.0, 0.0]}, 0.0),
+    ({'poses': [UPRIGHT], 'gravity': [0.0, 9.0, 0.0]}, 0.0),
+    ({'gravity': [0.0, 9.0, 0.0]}, 0.95)])
+def test_cloth_that_covers_other_cloth_takes_more_time(keys, share):
+    """As seen along gravity, at the start: live keys do not change what ``auto`` expects."""
+    effect, simulation = towel(**keys)
+    assert effect.overlap == pytest.approx(share, abs=0.1)
+    simulation.step([SetKey('effects.self_collision.thickness', 0.02)])
+    again = simulation.effects['self_collision']
+    assert again is not effect
+    for each in effect, again:
+        assert each.cost_factor(simulation.effects, simulation.state, 3) == (
+            1.0 + OVERLAP * effect.overlap)
+
+
+def test_a_budget_has_room_for_searches():
+    """With them, one more substep would exceed it; without motion, there are more."""
+    at_rest, moved = (towel(solver={'budget_ms': 3.0, 'compliance_scale': 1e-6},
+                                  pins=hand(**keys))[1] for keys in (
+        {}, {'motion': [[0, 0, 0, 0], [1, 1, 0, 0]]}))
+    cost = [n * SHIPPED.substep_ns('line', 1, moved.effects, moved.state, 0.02 / n, n)
+            for n in (moved.solver.substeps, moved.solver.substeps + 1)]
+    assert cost[0] <= 3e6 < cost[1]
+    assert moved.solver.substeps < at_rest.solver.substeps
+
+
+def curtain(*, weft=50.0, limit=0.1, pins=True, **effects):
+    """Return the cost factor of a limit on a sheet that hangs from an edge."""
+    simulation = compile_scene(scene_from_mapping({
+        'gravity': [0.0, 0.0, -10.0], 'cloths': {'c': {
+            'grid': {'size': [1, 2], 'resolution': [11, 21]}, 'density': 0.3,
+            'effects': {'stretch': {'warp': 100.0, 'weft': weft}, 'strain_limit': {'max': limit},
+                        **effects}}},
+        'pins': {'rod': {'cloth': 'c', 'at': 'edge_1x'}} if pins else {}}, where='x', name='x'))
+    return simulation.effects['strain_limit'].cost_factor(
+        simulation.effects, simulation.state, 9), simulation
+
+
+def test_a_limit_takes_time_as_far_as_the_weight_loads_the_edges_at_its_pins():
+    """They bear weft · limit for each metre of the edge."""
+    for weft, limit in (50.0, 0.1), (50.0, 0.2), (400.0, 0.1):
+        assert curtain(weft=weft, limit=limit)[0] == pytest.approx(
+            1.0 + PER_LOAD * (0.3 * 2 * 10.0) / (weft * limit))
+    assert curtain(pins=False)[0] == 1.0
+    assert curtain(limit=0.0)[0] == curtain(weft=1e-3)[0] == 1.0 + PER_LOAD * MOST
+
+
+def test_a_live_key_leaves_the_pins_that_a_limit_counts_with():
+    """Later grasps and releases do not change the number of substeps."""
+    factor, simulation = curtain()
+    simulation.step([Release('rod')])
+    simulation.step([SetKey('gravity', (0.0, 0.0, -5.0))])
+    effects = simulation.effects
+    assert effects['strain_limit'].cost_factor(effects, simulation.state, 9) - 1.0 == (
+        pytest.approx(0.5 * (factor - 1.0)))
+
+
 def broken(change):
     """Return the text of a table after a change of its mapping."""
     raw = yaml.safe_load(table_text(scaled(1.0), 'some CPU'))
@@ -89,7 +192,7 @@ def broken(change):
 
 
 @pytest.mark.parametrize('text, why', [
-    (broken(lambda raw: raw.update(version=7)), 'has version 7, and this release reads 1; write '
+    (broken(lambda raw: raw.update(version=7)), 'has version 7, and this release reads 2; write '
                                                 'it again with xpbd_ros cost --calibrate'),
     ('3', 'no version'), ('a: [', 'is no YAML file'), ('{}', 'no version'),
     (broken(lambda raw: raw['methods'].pop('line')), 'methods.line: is missing'),

@@ -156,6 +156,11 @@ class BuiltPin(Built):
         self._wrench[:] = 0.0
         self.states = self._states(np.inf)
 
+    def particles_at(self, x: np.ndarray) -> np.ndarray:
+        """Return the slots that the scene's pins hold if it starts at x [m], shape (3, slots)."""
+        return np.concatenate([np.zeros(0, int), *(
+            chosen(name, entry, self.cloths, x) for name, entry in self.entries.items())])
+
     def _taken(self, state) -> np.ndarray:
         """Return which slots hold a held particle or padding."""
         taken = state.inv_mass == 0.0

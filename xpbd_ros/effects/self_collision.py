@@ -39,6 +39,7 @@ from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.self_collision.creep import note_creep
+from xpbd_ros.sim.self_collision.expected_work import expected_work, overlap
 from xpbd_ros.sim.self_collision.further_turn import (
     begin_first_turn,
     begin_turn,
@@ -106,6 +107,8 @@ TURNS = 3
 """most repetitions of holding back"""
 ROOM, MOST_ROOM = 24, 1000
 """usual number of pairs that may touch, per particle, and the largest"""
+FEWEST, FEWEST_MOVED = 4, 6
+"""substeps of a frame below which more searches take the time saved; where cloth is moved"""
 LISTED, NEAR = 4, 2
 """room in the neighbour list and for near pairs, per pair that may touch"""
 
@@ -363,9 +366,9 @@ def usual_room(thickness: float, cloths) -> int:
 class BuiltSelfCollision(Built):
     """The pairs of all cloths of a scene."""
 
-    ns_per_particle = 450.0
+    ns_per_particle = 37.0
     particles_per_thread, threads_pay_on_meshes = 850.0, True
-    fewest_substeps = 4    # longer ones cost searches: ``fold_towel`` is slower with 3
+    fewest_substeps = FEWEST
     explicit_velocity_lags = True
 
     def __init__(self, parameters: Parameters, world):
@@ -377,6 +380,13 @@ class BuiltSelfCollision(Built):
         count = sum(len(cloth.slots) for cloth in world.cloths)
         room = (parameters.room or usual_room(parameters.thickness, world.cloths)) * count
         slots = np.concatenate([cloth.slots for cloth in world.cloths])
+        before = world.before.get('self_collision')
+        self.overlap = before.overlap if before else overlap(
+            world.cloths, world.state, bool(world.sections.get('pins')))
+        """share of the surface that overlaps at the scene's start"""
+        self._cloths, self._travel = world.cloths, world.travel
+        if world.travel:
+            self.fewest_substeps = FEWEST_MOVED
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(),
                                   kin(slots, world.built.get('seam')), world.threads,
@@ -389,6 +399,9 @@ class BuiltSelfCollision(Built):
             if surface else None, None, None)
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
+
+    def cost_factor(self, effects, state, substeps):
+        return expected_work(self.overlap, self._travel, self._cloths, substeps)
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""

@@ -70,6 +70,8 @@ TURNS = 400
 """most repetitions in an iteration"""
 PATIENCE = 20
 """repetitions in which the largest excess must halve; otherwise they end"""
+PER_LOAD, MOST = 2.0, 6.0
+"""time with the load of ``BuiltStrainLimit.cost_factor``, over that without; largest load"""
 SUBSTEPS = 8
 """least substeps with ``auto``: with fewer, passes cost more than substeps"""
 
@@ -335,7 +337,7 @@ class BuiltStrainLimit(Built):
     """The edges of all cloths with this effect, of grids and of other meshes."""
 
     incompatible_with = ('ndf2',)    # it damps too little for limits that engage abruptly
-    ns_per_particle = 60.0
+    ns_per_particle = 11.0
     explicit_velocity_lags = True
 
     def __init__(self, parameters, world):
@@ -348,6 +350,13 @@ class BuiltStrainLimit(Built):
             self._edges.append((cloth.slots[edges].T, length(x[edges[:, 0]] - x[edges[:, 1]]),
                                 chosen.max))
         self._state = world.state
+        if 'strain_limit' in world.before:
+            self.pinned = world.before['strain_limit'].pinned
+        else:
+            self.pinned = np.zeros(world.slots, bool)
+            """True for particles that the scene's pins hold at its start, shape (slots,)"""
+            if 'pin' in world.built:
+                self.pinned[world.built['pin'].particles_at(world.state.x)] = True
         self._blocks = [cloth.block for cloth in parameters if is_grid(cloth.mesh)]
 
     def hold(self, inv_mass):
@@ -361,6 +370,26 @@ class BuiltStrainLimit(Built):
     def take_turns(self) -> None:
         """Enable repetitions, because effects that follow may pull edges beyond the limit."""
         self.data, *self.also = (part._replace(trend=np.zeros(3)) for part in self.parts)
+
+    def cost_factor(self, effects, state, substeps):
+        return 1.0 + PER_LOAD * self._load(effects, state)
+
+    def _load(self, effects, state) -> float:
+        """Return the weight over the force of edges at pins at their limit, at most MOST."""
+        limit, limited = np.zeros(len(state.mass)), np.zeros(len(state.mass), bool)
+        for ends, _, most in self._edges:
+            limit[ends], limited[ends] = most, True
+        weight = np.linalg.norm(state.gravity) * state.mass[limited].sum()
+        if weight == 0.0 or not (limited & self.pinned).any():
+            return 0.0
+        bears = 0.0
+        if 'stretch' in effects:
+            edges = effects['stretch'].constraints
+            one, other = edges.particles.T
+            at = limited[one] & (self.pinned[one] != self.pinned[other])
+            with np.errstate(divide='ignore'):
+                bears = (limit[one] * edges.rest_length / edges.compliance)[at].sum()
+        return min(weight / bears, MOST) if bears else MOST
 
     def least_substeps(self, frame_dt):
         return SUBSTEPS

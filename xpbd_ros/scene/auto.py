@@ -267,12 +267,12 @@ def compensation(method: str, state, h: float, live: bool = False) -> float:
 
 def _affordable(keys: SolverKeys, method: str, effects, state, frame_dt: float,
                 live: bool) -> int:
-    """Return the most substeps that fit the budget; short ones take less time (``SOFT``)."""
-    def fitting(h: float, substeps: int = 2) -> int:
+    """Return the most substeps that fit the budget; the more there are, the less each takes."""
+    def fitting(h: float, substeps: int) -> int:
         per = table_of(keys).substep_ns(method, keys.iterations, effects, state, h, substeps)
         return _compensated(keys.budget_ms * 1e6 / per, method, state, frame_dt, live)
 
-    most, found = min(fitting(0.0), MAX_SUBSTEPS), 0
+    most, found = min(fitting(0.0, MAX_SUBSTEPS), MAX_SUBSTEPS), 0
     while found != most:    # fewer are longer, so that the number only falls
         found, most = most, min(most, fitting(frame_dt / most, most))
     return most

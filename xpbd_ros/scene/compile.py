@@ -28,6 +28,7 @@ from xpbd_ros.sim.particles.accumulators import Explicit, Jacobi
 from xpbd_ros.sim.particles.memory_layout import blocks
 from xpbd_ros.sim.particles.state import new_state, SHORT, State, with_solver_storage
 from xpbd_ros.sim.simulation import Simulation
+from xpbd_ros.sim.target_motion import path_length
 
 ONE_PASS = ('gauss_seidel', 'jacobi')
 """methods that project each constraint once per iteration"""
@@ -40,6 +41,8 @@ APART = {'jacobi': Jacobi, 'explicit': Explicit}
 CHOSEN = ('solver.substeps', 'solver.rough_substeps', 'solver.integrator',
           'solver.rough_integrator')
 """live keys that ``auto`` chooses unless they are given"""
+FRAME_SPEED = 0.3
+"""mean speed that ``auto`` expects of what follows a TF frame: that of a robot's hand [m/s]"""
 FARTHEST = 1e9
 """largest coordinate of a particle at the start [m]"""
 COARSE = 1e-3
@@ -187,7 +190,7 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
         explicit=solver.method in ('auto', 'explicit'), coloured=solver.order == 'coloured',
         iterations=solver.iterations,
         threads=solver.threads if solver.device == 'cpu' else LINES_AT_ONCE,
-        on_device=solver.device != 'cpu')
+        travel=_speed(scene) / scene.top.frame_rate, on_device=solver.device != 'cpu')
     for name in scene.effect_names:
         if EFFECTS[name] == 'scene':
             parameters = scene.effects[name]
@@ -196,6 +199,19 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
                           if name in scene.cloth_effects[cloth.name]}
         built[name] = load_effect(name).build(parameters, world)
     return built
+
+
+def _speed(scene: Scene) -> float:
+    """Return the mean speed of the pin or collider that the scene moves fastest [m/s]."""
+    speeds = [0.0]
+    for section in 'pins', 'colliders':
+        for entry in scene.sections.get(section, {}).values():
+            if entry.motion is not None:
+                speeds.append(path_length(entry.motion) / max(scene.top.duration,
+                                                              entry.motion[-1][0]))
+            elif entry.frame is not None:
+                speeds.append(FRAME_SPEED)
+    return max(speeds)
 
 
 class Retune:

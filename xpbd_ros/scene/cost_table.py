@@ -3,14 +3,15 @@ Cost of a substep by method and effect, for ``auto``: the shipped table, or one 
 
 A substep takes
 
-    substep + slot · slots + Σ (effect's own + effect · particles)
+    substep + slot · slots + Σ (effect's own + effect · particles · cost factor)
     + iterations Σ kind · constraints   [ns]
 
 on one core, with the entries of the method. A constraint's kind is the name of its effect where
 the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
 ``mesh_hinge``; one that ``line`` sweeps once counts ``SWEPT_ONCE``, but in the last of an odd
-number of substeps, where it is swept both ways. ``xpbd_ros cost --calibrate`` writes the
-table of a machine, and ``solver.cost_table`` reads it.
+number of substeps, where it is swept both ways. Cost factors of effects whose work depends on more
+than the number of particles are in their files (``Built.cost_factor``). ``xpbd_ros cost
+--calibrate`` writes the table of a machine, and ``solver.cost_table`` reads it.
 """
 
 from collections import Counter
@@ -28,7 +29,7 @@ from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.stepping.methods import is_swept_once, METHODS
 
-VERSION = 1
+VERSION = 2
 """of the file format"""
 GRID = 'grid'
 """key of ``particles_per_thread`` for the constraints of a grid"""
@@ -36,6 +37,8 @@ NEEDED = ('substep', 'slot', 'edge', 'hinge', 'mesh_edge', 'mesh_hinge')
 """entries that a table has for each method"""
 SWEPT_ONCE = 0.5
 """time of constraints that ``line`` sweeps once, over that of a sweep forth and one back"""
+MANY = 10_000
+"""substeps that share what is done once in a frame, where their number is open"""
 LEAST = {'slot': 1e-3, 'single': 1e-3}
 """smallest value of an entry, where it is not 0"""
 LARGEST_FILE = 1 << 20
@@ -66,7 +69,7 @@ class CostTable:
         return built.particles_per_thread
 
     def substep_ns(self, method: str, iterations: int, effects, state, h: float = inf,
-                   substeps: int = 2) -> float:
+                   substeps: int = MANY) -> float:
         """Return the mean time of a scene's substeps of h [s], ``substeps`` in a frame [ns]."""
         found = own_ns(effects)
         for (section, entry), count in self.counts(
@@ -76,7 +79,7 @@ class CostTable:
         return found * (self.single if state.x.dtype == np.float32 else 1.0)
 
     def counts(self, method: str, iterations: int, effects, state,
-               h: float = inf, substeps: int = 2) -> Counter[tuple[str, str]]:
+               h: float = inf, substeps: int = MANY) -> Counter[tuple[str, str]]:
         """
         Return how often entries count in a substep of h [s]: (method, entry), ('effects', name).
 
@@ -87,7 +90,8 @@ class CostTable:
         once = SWEPT_ONCE + (1.0 - SWEPT_ONCE) * (substeps % 2) / substeps
         found: Counter[Any] = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
         for name, built in effects.items():
-            found['effects', name] = int(np.count_nonzero(state.mass))
+            found['effects', name] = np.count_nonzero(state.mass) * built.cost_factor(
+                effects, state, substeps)
             if built.constraints is not None:
                 kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
                 total = len(built.constraints.particles)

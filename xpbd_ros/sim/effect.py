@@ -113,6 +113,8 @@ class BuildContext:
     """of the solver"""
     threads: int = 1
     """of the solver"""
+    travel: float = 0.0
+    """mean distance in a frame of the pin or collider that the scene moves most [m]"""
     on_device: bool = False
     """True if a GPU computes the frames"""
 
@@ -226,6 +228,19 @@ class Built:
         """The constraints of each of the parts."""
         alone = self.data is not None and self.constraints is not None
         return self.lists or ([self.constraints] if alone else [])
+
+    def cost_factor(self, effects: Mapping[str, 'Built'], state: State, substeps: int) -> float:
+        """
+        Return the time in a substep over ``ns_per_particle``, for ``auto``.
+
+        Parameters
+        ----------
+        effects : all effects by name
+        state : particles
+        substeps : of a frame, which share what is done once in it
+
+        """
+        return 1.0
 
     def least_substeps(self, frame_dt: float) -> float:
         """Return what ``auto`` gives at least, whatever the constraints want."""

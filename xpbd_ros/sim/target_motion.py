@@ -163,6 +163,12 @@ def check_motion(points) -> None:
         raise InputError(f'motion: times must rise (got {times})')
 
 
+def path_length(points) -> float:
+    """Return the length of the path along a scene's ``motion`` [m]."""
+    table = np.array(points, float)
+    return float(np.linalg.norm(np.diff(table[:, 1:], axis=0), axis=1).sum())
+
+
 class MonotoneCubic:
     """
     The monotone cubic interpolant of points (t, x, y, z) [s, m]: from time [s] to position [m].
