@@ -4,9 +4,9 @@ Compare the frame times that ``auto`` predicts with those measured: the table of
     python benchmark/prediction.py [SCENE …] [--random 40] [--seed 1] [--table FILE] [--json FILE]
 
 SCENE is a shipped scene or a file; all shipped scenes and the random ones unless given. Each runs
-with ``line`` as ``auto`` would choose it, and with ``explicit`` where its stable substeps fit the
-budget. Measured is the thread CPU time of a frame, the mean over the scene's duration; predicted
-is that by the shipped cost table, and by the table of a file beside it.
+with ``line`` as ``auto`` would choose it, and with ``explicit`` where ``auto`` may mix it and its
+stable substeps fit the budget. Measured is the thread CPU time of a frame, the mean over the
+scene's duration; predicted is that by the shipped cost table, and by the table of a file beside it.
 """
 
 import argparse
@@ -60,7 +60,7 @@ def main(words=None) -> int:
         for scene in (*map(load_scene, names), *(
                 scene_from_mapping(raw, where=f'{name}.yaml', name=name)
                 for name, raw in drawn.items())):
-            for method in METHODS:
+            for method in METHODS if not set(BY_MOTION) & set(scene.effect_names) else ('line',):
                 run = measure(scene, method, round(scene.top.duration * scene.top.frame_rate))
                 if run is not None:
                     runs.append(run)

@@ -38,9 +38,9 @@ def cost(simulation, substeps=None):
     substeps = substeps or solver.substeps
     table = SHIPPED.methods[solver.method]
     projected = besides = 0.0
-    particles = len(simulation.slot)
     for name, built in simulation.effects.items():
-        besides += built.ns_per_substep + built.ns_per_particle * particles
+        besides += built.ns_per_particle * built.particles_worth(
+            simulation.effects, simulation.state, substeps)
         if built.constraints is not None:
             count, size = built.constraints.particles.shape
             if solver.method == 'line' and is_swept_once(

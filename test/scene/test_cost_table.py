@@ -3,6 +3,7 @@
 import pytest
 import yaml
 
+from xpbd_ros.effects.contact import PER_SUBSTEP
 from xpbd_ros.effects.strain_limit import MOST, PER_LOAD
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.compile import compile_scene, FRAME_SPEED
@@ -51,7 +52,9 @@ def test_the_path_is_relative_to_the_scene_file(tmp_path):
 
 def test_an_effect_of_the_table_replaces_that_of_the_code():
     simulation = compile_scene(load_scene('drape'))
-    contact, particles = simulation.effects['contact'], len(simulation.slot)
+    contact = simulation.effects['contact']
+    particles = contact.particles_worth(simulation.effects, simulation.state, 1)
+    assert particles == len(simulation.slot) + PER_SUBSTEP
     parts = [table.substep_ns('line', 1, simulation.effects, simulation.state)
              for table in (SHIPPED, CostTable(SHIPPED.methods, SHIPPED.single, {'contact': 7.0}))]
     assert parts[0] - parts[1] == pytest.approx((contact.ns_per_particle - 7.0) * particles)
@@ -113,7 +116,7 @@ def test_searches_take_time_as_far_as_a_scene_moves_the_cloth_in_a_frame(keys, s
     """By the mean speed of its fastest pin or collider, in spacings of the particles."""
     effect, simulation = towel(**keys)
     for substeps in 1, 7:
-        extra = effect.cost_factor(simulation.effects, simulation.state, substeps) - 1.0
+        extra = effect.particles_worth(simulation.effects, simulation.state, substeps) / 441 - 1.0
         assert substeps * extra == pytest.approx(
             SEARCH * speed / 50 / spacing_of(simulation.cloths))
     assert effect.fewest_substeps == (6 if speed else 4)
@@ -138,8 +141,8 @@ def test_cloth_that_covers_other_cloth_takes_more_time(keys, share):
     again = simulation.effects['self_collision']
     assert again is not effect
     for each in effect, again:
-        assert each.cost_factor(simulation.effects, simulation.state, 3) == (
-            1.0 + OVERLAP * effect.overlap)
+        assert each.particles_worth(simulation.effects, simulation.state, 3) == (
+            simulation.frame().x.shape[0] * (1.0 + OVERLAP * effect.overlap))
 
 
 def test_a_budget_has_room_for_searches():
@@ -154,15 +157,15 @@ def test_a_budget_has_room_for_searches():
 
 
 def curtain(*, weft=50.0, limit=0.1, pins=True, **effects):
-    """Return the cost factor of a limit on a sheet that hangs from an edge."""
+    """Return how many times its particles a limit on a sheet that hangs from an edge is worth."""
     simulation = compile_scene(scene_from_mapping({
         'gravity': [0.0, 0.0, -10.0], 'cloths': {'c': {
             'grid': {'size': [1, 2], 'resolution': [11, 21]}, 'density': 0.3,
             'effects': {'stretch': {'warp': 100.0, 'weft': weft}, 'strain_limit': {'max': limit},
                         **effects}}},
         'pins': {'rod': {'cloth': 'c', 'at': 'edge_1x'}} if pins else {}}, where='x', name='x'))
-    return simulation.effects['strain_limit'].cost_factor(
-        simulation.effects, simulation.state, 9), simulation
+    return simulation.effects['strain_limit'].particles_worth(
+        simulation.effects, simulation.state, 9) / (11 * 21), simulation
 
 
 def test_a_limit_takes_time_as_far_as_the_weight_loads_the_edges_at_its_pins():
@@ -180,7 +183,7 @@ def test_a_live_key_leaves_the_pins_that_a_limit_counts_with():
     simulation.step([Release('rod')])
     simulation.step([SetKey('gravity', (0.0, 0.0, -5.0))])
     effects = simulation.effects
-    assert effects['strain_limit'].cost_factor(effects, simulation.state, 9) - 1.0 == (
+    assert effects['strain_limit'].particles_worth(effects, simulation.state, 9) / 231 - 1.0 == (
         pytest.approx(0.5 * (factor - 1.0)))
 
 

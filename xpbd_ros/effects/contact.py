@@ -88,8 +88,8 @@ from xpbd_ros.sim.target_motion import delays
 
 CANDIDATES, ON_DEVICE = 16, 4
 """room for candidates, per particle; on a GPU, where memory that is not used is taken too"""
-NS_PER_SUBSTEP, NS_PER_PAD = 3000.0, 8000.0
-"""time in a substep, and besides for each collider with a pad [ns] (``scene.cost_table``)"""
+PER_SUBSTEP, PER_PAD = 400, 1070
+"""particles that a substep is worth besides, and each collider with a pad (``particles_worth``)"""
 NOT_SOUGHT = -1
 """value of the count of candidates before the first iteration of a substep"""
 
@@ -205,8 +205,7 @@ class BuiltContact(Built):
             shape.values.size for shape in self.shapes.values() if isinstance(shape, Field))
         places = sum(shape.size for shape in self.shapes.values() if not isinstance(shape, Field))
         self.scale = world.compliance_scale
-        pads = sum(entry.pad is not None for entry in self.entries.values())
-        self.ns_per_substep = NS_PER_SUBSTEP + pads * NS_PER_PAD
+        self.pads = pads = sum(entry.pad is not None for entry in self.entries.values())
         self.colliders: Colliders = new_colliders(capacity, nodes, places, pads=pads > 0)
         self.contacts = new_contacts(self.colliders, room, parameters.thickness, world.slots,
                                      1 if world.on_device else world.threads,
@@ -225,6 +224,9 @@ class BuiltContact(Built):
         self._fields: dict[tuple, Field] = {}    # of meshes about to be placed
         self.changes = 0
         """number of changes of the set of colliders"""
+
+    def particles_worth(self, effects, state, substeps):
+        return np.count_nonzero(state.mass) + PER_SUBSTEP + self.pads * PER_PAD
 
     def again(self):
         self.contacts.count[0] = NOT_SOUGHT

@@ -400,8 +400,9 @@ class BuiltSelfCollision(Built):
         if 'strain_limit' in world.built:
             world.built['strain_limit'].take_turns()
 
-    def cost_factor(self, effects, state, substeps):
-        return expected_work(self.overlap, self._travel, self._cloths, substeps)
+    def particles_worth(self, effects, state, substeps):
+        return np.count_nonzero(state.mass) * expected_work(
+            self.overlap, self._travel, self._cloths, substeps)
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""

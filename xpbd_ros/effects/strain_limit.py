@@ -71,7 +71,7 @@ TURNS = 400
 PATIENCE = 20
 """repetitions in which the largest excess must halve; otherwise they end"""
 PER_LOAD, MOST = 2.0, 6.0
-"""time with the load of ``BuiltStrainLimit.cost_factor``, over that without; largest load"""
+"""time with a load (``BuiltStrainLimit._load``) of 1, over that without; largest load"""
 SUBSTEPS = 8
 """least substeps with ``auto``: with fewer, passes cost more than substeps"""
 
@@ -371,8 +371,8 @@ class BuiltStrainLimit(Built):
         """Enable repetitions, because effects that follow may pull edges beyond the limit."""
         self.data, *self.also = (part._replace(trend=np.zeros(3)) for part in self.parts)
 
-    def cost_factor(self, effects, state, substeps):
-        return 1.0 + PER_LOAD * self._load(effects, state)
+    def particles_worth(self, effects, state, substeps):
+        return np.count_nonzero(state.mass) * (1.0 + PER_LOAD * self._load(effects, state))
 
     def _load(self, effects, state) -> float:
         """Return the weight over the force of edges at pins at their limit, at most MOST."""

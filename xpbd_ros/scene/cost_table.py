@@ -3,14 +3,14 @@ Cost of a substep by method and effect, for ``auto``: the shipped table, or one 
 
 A substep takes
 
-    substep + slot · slots + Σ (effect's own + effect · particles · cost factor)
+    substep + slot · slots + Σ effect · particles
     + iterations Σ kind · constraints   [ns]
 
 on one core, with the entries of the method. A constraint's kind is the name of its effect where
 the table has it, else ``edge`` (two particles) or ``hinge``, on a mesh ``mesh_edge`` or
 ``mesh_hinge``; one that ``line`` sweeps once counts ``SWEPT_ONCE``, but in the last of an odd
-number of substeps, where it is swept both ways. Cost factors of effects whose work depends on more
-than the number of particles are in their files (``Built.cost_factor``). ``xpbd_ros cost
+number of substeps, where it is swept both ways. An effect whose work depends on more than the
+number of particles says how many it is worth (``Built.particles_worth``). ``xpbd_ros cost
 --calibrate`` writes the table of a machine, and ``solver.cost_table`` reads it.
 """
 
@@ -71,7 +71,7 @@ class CostTable:
     def substep_ns(self, method: str, iterations: int, effects, state, h: float = inf,
                    substeps: int = MANY) -> float:
         """Return the mean time of a scene's substeps of h [s], ``substeps`` in a frame [ns]."""
-        found = own_ns(effects)
+        found = 0.0
         for (section, entry), count in self.counts(
                 method, iterations, effects, state, h, substeps).items():
             found += count * (self.methods[method][entry] if section == method else
@@ -90,8 +90,7 @@ class CostTable:
         once = SWEPT_ONCE + (1.0 - SWEPT_ONCE) * (substeps % 2) / substeps
         found: Counter[Any] = Counter({(method, 'substep'): 1, (method, 'slot'): len(state.mass)})
         for name, built in effects.items():
-            found['effects', name] = np.count_nonzero(state.mass) * built.cost_factor(
-                effects, state, substeps)
+            found['effects', name] = built.particles_worth(effects, state, substeps)
             if built.constraints is not None:
                 kind = 'edge' if built.constraints.particles.shape[1] == 2 else 'hinge'
                 total = len(built.constraints.particles)
@@ -103,11 +102,6 @@ class CostTable:
                 found[method, own or kind] += often * (total - of_meshes)
                 found[method, own or f'mesh_{kind}'] += often * of_meshes
         return found
-
-
-def own_ns(effects) -> float:
-    """Return the time of effects in a substep whatever the particles [ns]."""
-    return sum(built.ns_per_substep for built in effects.values())
 
 
 def _batch(part):

@@ -169,9 +169,7 @@ class Built:
     """methods and integrators that do without it"""
     also: Sequence[Any] = ()
     ns_per_particle: float = 0.0
-    """time in a substep besides its constraints [ns], for ``auto`` (``scene.cost_table``)"""
-    ns_per_substep: float = 0.0
-    """time in a substep whatever the particles [ns], for ``auto``"""
+    """time in a substep besides its constraints, for each of ``particles_worth`` [ns]"""
     particles_per_thread: float = inf
     """fewest particles with which one more thread pays in a scene that has it, where threads share
     its work, for ``threads: 0``"""
@@ -229,9 +227,10 @@ class Built:
         alone = self.data is not None and self.constraints is not None
         return self.lists or ([self.constraints] if alone else [])
 
-    def cost_factor(self, effects: Mapping[str, 'Built'], state: State, substeps: int) -> float:
+    def particles_worth(self, effects: Mapping[str, 'Built'], state: State,
+                        substeps: int) -> float:
         """
-        Return the time in a substep over ``ns_per_particle``, for ``auto``.
+        Return the work in a substep in particles, for ``auto`` (``scene.cost_table``).
 
         Parameters
         ----------
@@ -240,7 +239,7 @@ class Built:
         substeps : of a frame, which share what is done once in it
 
         """
-        return 1.0
+        return float(np.count_nonzero(state.mass))
 
     def least_substeps(self, frame_dt: float) -> float:
         """Return what ``auto`` gives at least, whatever the constraints want."""

@@ -164,8 +164,8 @@ def made_up(entries, seed=3):
     """Return runs of drawn sizes whose times are those of some entries of ``line``."""
     draw = np.random.default_rng(seed)
     counts = [{entry: float(draw.integers(100, 10_000)) for entry in entries} for _ in range(20)]
-    return [calibrate.Run(f'made_{k}', 'line', 10, 100, each, 500.0,
-                          500.0 + sum(entries[entry] * n for entry, n in each.items()))
+    return [calibrate.Run(f'made_{k}', 'line', 10, 100, each,
+                          sum(entries[entry] * n for entry, n in each.items()))
             for k, each in enumerate(counts)]
 
 

@@ -28,7 +28,7 @@ from xpbd_ros.effects import EFFECTS, load
 from xpbd_ros.errors import InputError
 from xpbd_ros.scene.auto import compensation
 from xpbd_ros.scene.compile import compile_scene
-from xpbd_ros.scene.cost_table import CostTable, GRID, own_ns, SHIPPED
+from xpbd_ros.scene.cost_table import CostTable, GRID, SHIPPED
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.model import Scene
 from xpbd_ros.scene.threads import free_cores
@@ -70,14 +70,12 @@ class Run:
     particles: int
     counts: dict[tuple[str, str], float]
     """how often entries count in a frame, as ``CostTable.counts``"""
-    own_ns: float
-    """what no entry stands for"""
     measured_ns: float
     """mean thread CPU time of a frame"""
 
     def predicted_ns(self, table: CostTable) -> float:
         """Return the time of a frame by a table."""
-        return self.own_ns + sum(
+        return sum(
             count * (table.effects.get(name, shipped_ns(name))
                      if section == 'effects' else table.methods[section][name])
             for (section, name), count in self.counts.items())
@@ -135,7 +133,7 @@ def measure(scene: Scene, method: str, frames: int) -> Run | None:
                             setting.substeps)
     return Run(scene.name, method, setting.substeps, int(np.count_nonzero(state.mass)),
                {entry: often * count for entry, count in counts.items()},
-               often * own_ns(simulation.effects), float(np.mean(took)))
+               float(np.mean(took)))
 
 
 def fitted(runs: Sequence[Run],
@@ -149,10 +147,10 @@ def fitted(runs: Sequence[Run],
            if ns > 0.0 and entry in counted and entry[1] not in BY_MOTION]
     before = np.array([shipped[entry] for entry in fit])
     counts = np.array([[run.counts.get(entry, 0.0) for entry in fit] for run in runs])
-    own, measured_ns = np.array([(run.own_ns, run.measured_ns) for run in runs]).T
+    measured_ns = np.array([run.measured_ns for run in runs])
 
     def residuals(logs):
-        predicted = counts @ (before * np.exp(logs[0] + logs[1:])) + own
+        predicted = counts @ (before * np.exp(logs[0] + logs[1:]))
         return np.concatenate([np.log(predicted / measured_ns), sqrt(PRIOR) * logs[1:]])
     logs = least_squares(residuals, np.zeros(1 + len(fit)), loss='soft_l1', f_scale=OUTLIER).x
     factors = dict(zip(fit, np.exp(logs[0] + logs[1:])))
