@@ -6,7 +6,7 @@ Compare the frame times that ``auto`` predicts with those measured: the table of
 SCENE is a shipped scene or a file; all shipped scenes and the random ones unless given. Each runs
 with ``line`` as ``auto`` would choose it, and with ``explicit`` where ``auto`` may mix it and its
 stable substeps fit the budget. Measured is the thread CPU time of a frame, the mean over the
-scene's duration; predicted is that by the shipped cost table, and by the table of a file beside it.
+scene's duration; predicted is that by the shipped cost table, and by that of a file beside it.
 """
 
 import argparse

@@ -82,7 +82,7 @@ BAD = {
     ],
     'pin_targets': [
         (targets(left=(0, 0, 0)), "pin 'left' holds nothing (holding: none)"),
-        (uneven(), '2 names but 1 transforms and 0 twists'),
+        (uneven(), '2 names but 1 transform and 0 twists'),
         (targets(**{'no good!': (0, 0, 0)}), "joint_names: bad name 'no good!'"),
         (b'\0\1\0\0' + b'\xff' * 40, 'cannot be unpacked'),
     ],

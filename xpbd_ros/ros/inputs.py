@@ -19,7 +19,7 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import String, UInt64
 from visualization_msgs.msg import Marker, MarkerArray
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.ros.clouds import points_of
 from xpbd_ros.scene.read import NAME
 from xpbd_ros.sim.command_check import (
@@ -176,8 +176,9 @@ def read_targets(message: MultiDOFJointState, frame_id: str, kind: type) -> list
     count = len(message.joint_names)
     stamp_ns = check_frame(message.header, frame_id, 'header')
     if len(message.transforms) != count or len(message.twist) not in (0, count):
-        raise InputError(f'{count} names but {len(message.transforms)} transforms and '
-                         f'{len(message.twist)} twists')
+        raise InputError(f'{counted(count, "name")} but '
+                         f'{counted(len(message.transforms), "transform")} and '
+                         f'{counted(len(message.twist), "twist")}')
     commands: list[Command] = []
     seen: set[str] = set()
     for k, name in enumerate(message.joint_names):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import struct
 from typing import Any, NamedTuple
 
-from xpbd_ros.errors import InputError
+from xpbd_ros.errors import counted, InputError
 from xpbd_ros.ros.inputs import nanoseconds, pose
 from xpbd_ros.sim.commands import Pose
 
@@ -74,14 +74,15 @@ def _of_transform(message) -> list[Sample]:
 
 def _of_joints(message) -> list[Sample]:
     stamp_ns, frame = _stamp(message)
-    _check_count('transforms', message.transforms, message.joint_names)
+    _check_count(message.transforms, message.joint_names)
     return [Sample(name, stamp_ns, frame, pose(each.translation, each.rotation, name))
             for name, each in zip(message.joint_names, message.transforms)]
 
 
-def _check_count(what: str, found, names) -> None:
+def _check_count(found, names, of: str = '') -> None:
     if len(found) != len(names):
-        raise InputError(f'{len(names)} names but {len(found)} {what}')
+        raise InputError(f'{counted(len(names), "name")} but '
+                         f'{counted(len(found), "transform")}{of}')
 
 
 SAMPLES: dict[str, Callable[[Any], list[Sample]]] = {
@@ -104,7 +105,7 @@ def read_trajectory(message) -> Trajectory:
         time_ns = nanoseconds(point.time_from_start, 'time_from_start')
         if times and time_ns <= times[-1]:
             raise InputError('time_from_start does not rise from point to point')
-        _check_count('transforms of a point', point.transforms, message.joint_names)
+        _check_count(point.transforms, message.joint_names, ' of a point')
         times.append(time_ns)
         poses.append(tuple(pose(each.translation, each.rotation, name)
                            for name, each in zip(message.joint_names, point.transforms)))
