@@ -39,7 +39,7 @@ from xpbd_ros.sim.effect import Built, Effect
 from xpbd_ros.sim.parameters import quantity
 from xpbd_ros.sim.particles.explicit_updates import stay
 from xpbd_ros.sim.self_collision.creep import note_creep
-from xpbd_ros.sim.self_collision.expected_work import expected_work, overlap
+from xpbd_ros.sim.self_collision.expected_work import expected_work, moved, overlap
 from xpbd_ros.sim.self_collision.further_turn import (
     begin_first_turn,
     begin_turn,
@@ -384,8 +384,8 @@ class BuiltSelfCollision(Built):
         self.overlap = before.overlap if before else overlap(
             world.cloths, world.state, bool(world.sections.get('pins')))
         """share of the surface that overlaps at the scene's start"""
-        self._cloths, self._travel = world.cloths, world.travel
-        if world.travel:
+        self._moved = moved(world.cloths, world.travel)
+        if self._moved:
             self.fewest_substeps = FEWEST_MOVED
         near = new_neighbour_list(world.cloths, LISTED * room, surface,
                                   world.state.mass[slots].mean(),
@@ -402,7 +402,7 @@ class BuiltSelfCollision(Built):
 
     def particles_worth(self, effects, state, substeps):
         return np.count_nonzero(state.mass) * expected_work(
-            self.overlap, self._travel, self._cloths, substeps)
+            self.overlap, self._moved, substeps)
 
     def heed(self, contacts: Contacts) -> None:
         """Take the contacts with colliders into account."""

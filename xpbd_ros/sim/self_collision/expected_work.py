@@ -45,17 +45,12 @@ def overlap(cloths, state, pins: bool) -> float:
     return max(0.0, 1.0 - covered * side**2 / area)
 
 
-def expected_work(overlapping: float, travel: float, cloths, substeps: int) -> float:
-    """
-    Return the work in one of so many substeps of a frame.
-
-    Parameters
-    ----------
-    overlapping : share o of the surface
-    travel : distance that the scene moves cloths in a frame [m]
-    cloths, substeps : all cloths, and the substeps of a frame
-
-    """
+def moved(cloths, travel: float) -> float:
+    """Return the distance ``travel`` that cloths are moved in a frame [m] in their spacing."""
     spacing = spacing_of(cloths)
-    moved = travel / spacing if spacing else 0.0
-    return 1.0 + OVERLAP * overlapping + SEARCH * moved / substeps
+    return travel / spacing if spacing else 0.0
+
+
+def expected_work(o: float, d: float, substeps: int) -> float:
+    """Return the work in one of so many substeps of a frame."""
+    return 1.0 + OVERLAP * o + SEARCH * d / substeps
