@@ -156,13 +156,13 @@ def test_a_budget_has_room_for_searches():
     assert moved.solver.substeps < at_rest.solver.substeps
 
 
-def curtain(*, weft=50.0, limit=0.1, pins=True, **effects):
-    """Return how many times its particles a limit on a sheet that hangs from an edge is worth."""
+def curtain(*, weft=50.0, limit=0.1, pins=True, rigid=False):
+    """Return the work of a limit on a sheet that hangs from an edge, over its particles."""
     simulation = compile_scene(scene_from_mapping({
         'gravity': [0.0, 0.0, -10.0], 'cloths': {'c': {
             'grid': {'size': [1, 2], 'resolution': [11, 21]}, 'density': 0.3,
-            'effects': {'stretch': {'warp': 100.0, 'weft': weft}, 'strain_limit': {'max': limit},
-                        **effects}}},
+            'effects': {'stretch': {'compliance': 0.0} if rigid else {'warp': 100.0, 'weft': weft},
+                        'strain_limit': {'max': limit}}}},
         'pins': {'rod': {'cloth': 'c', 'at': 'edge_1x'}} if pins else {}}, where='x', name='x'))
     return simulation.effects['strain_limit'].particles_worth(
         simulation.effects, simulation.state, 9) / (11 * 21), simulation
@@ -173,7 +173,8 @@ def test_a_limit_takes_time_as_far_as_the_weight_loads_the_edges_at_its_pins():
     for weft, limit in (50.0, 0.1), (50.0, 0.2), (400.0, 0.1):
         assert curtain(weft=weft, limit=limit)[0] == pytest.approx(
             1.0 + PER_LOAD * (0.3 * 2 * 10.0) / (weft * limit))
-    assert curtain(pins=False)[0] == 1.0
+    for keys in {'pins': False}, {'rigid': True}, {'rigid': True, 'limit': 0.0}:
+        assert curtain(**keys)[0] == 1.0
     assert curtain(limit=0.0)[0] == curtain(weft=1e-3)[0] == 1.0 + PER_LOAD * MOST
 
 

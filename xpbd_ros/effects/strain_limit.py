@@ -387,8 +387,9 @@ class BuiltStrainLimit(Built):
             edges = effects['stretch'].constraints
             one, other = edges.particles.T
             at = limited[one] & (self.pinned[one] != self.pinned[other])
-            with np.errstate(divide='ignore'):
-                bears = (limit[one] * edges.rest_length / edges.compliance)[at].sum()
+            with np.errstate(all='ignore'):    # rigid edges bear all
+                bears = np.where(edges.compliance > 0.0, limit[one] * edges.rest_length
+                                 / edges.compliance, np.inf)[at].sum()
         return min(weight / bears, MOST) if bears else MOST
 
     def least_substeps(self, frame_dt):
