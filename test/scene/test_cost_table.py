@@ -6,11 +6,10 @@ import yaml
 from xpbd_ros.effects.contact import PER_SUBSTEP
 from xpbd_ros.effects.strain_limit import MOST, PER_LOAD
 from xpbd_ros.errors import InputError
-from xpbd_ros.scene.compile import compile_scene, FRAME_SPEED
+from xpbd_ros.scene.compile import compile_scene, FRAME_SPEED, Retune
 from xpbd_ros.scene.cost_table import CostTable, read_table, SHIPPED, table_text
 from xpbd_ros.scene.load import load_scene, scene_from_mapping
 from xpbd_ros.scene.save import explicit
-from xpbd_ros.sim.commands import Release, SetKey
 from xpbd_ros.sim.self_collision.expected_work import OVERLAP, SEARCH
 from xpbd_ros.sim.self_collision.neighbour_list import spacing_of
 from xpbd_ros.sim.stepping.methods import direction, METHODS
@@ -89,15 +88,20 @@ def test_soft_constraints_are_swept_once_but_in_the_last_of_an_odd_number(subste
 
 
 def towel(*, poses=({},), **keys):
-    """Return the effect of sheets that may touch, and the simulation."""
-    simulation = compile_scene(scene_from_mapping({
+    """Return a scene of sheets that may touch."""
+    return scene_from_mapping({
         'frame_rate': 50, 'duration': 2.0, 'cloths': {'cd'[k]: {
             'grid': {'size': [1, 1], 'resolution': [21, 21]}, 'density': 0.2, 'pose': pose,
             'effects': {'stretch': {'warp': 100.0, 'weft': 100.0}}}
             for k, pose in enumerate(poses)},
         'effects': {'self_collision': {'thickness': 0.01}, 'contact': {'thickness': 0.01}},
-        **keys}, where='x', name='x'))
-    return simulation.effects['self_collision'], simulation
+        **keys}, where='x', name='x')
+
+
+def work_of(effect, simulation, substeps=1):
+    """Return the work of an effect in a substep, over that of one for each particle."""
+    return simulation.effects[effect].particles_worth(
+        simulation.effects, simulation.state, substeps) / len(simulation.slot)
 
 
 def hand(**keys):
@@ -114,12 +118,12 @@ def hand(**keys):
     ({'colliders': {'ball': {'sphere': {'radius': 0.1}, 'frame': 'gripper'}}}, FRAME_SPEED)])
 def test_searches_take_time_as_far_as_a_scene_moves_the_cloth_in_a_frame(keys, speed):
     """By the mean speed of its fastest pin or collider, in spacings of the particles."""
-    effect, simulation = towel(**keys)
+    simulation = compile_scene(towel(**keys))
     for substeps in 1, 7:
-        extra = effect.particles_worth(simulation.effects, simulation.state, substeps) / 441 - 1.0
+        extra = work_of('self_collision', simulation, substeps) - 1.0
         assert substeps * extra == pytest.approx(
             SEARCH * speed / 50 / spacing_of(simulation.cloths))
-    assert effect.fewest_substeps == (6 if speed else 4)
+    assert simulation.effects['self_collision'].fewest_substeps == (6 if speed else 4)
 
 
 UPRIGHT = {'orientation': [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]}
@@ -134,21 +138,17 @@ UPRIGHT = {'orientation': [0.7071067811865476, 0.0, 0.0, 0.7071067811865476]}
     ({'poses': [UPRIGHT], 'gravity': [0.0, 9.0, 0.0]}, 0.0),
     ({'gravity': [0.0, 9.0, 0.0]}, 0.95)])
 def test_cloth_that_covers_other_cloth_takes_more_time(keys, share):
-    """As seen along gravity, at the start: live keys do not change what ``auto`` expects."""
-    effect, simulation = towel(**keys)
+    """As seen along gravity."""
+    simulation = compile_scene(towel(**keys))
+    effect = simulation.effects['self_collision']
     assert effect.overlap == pytest.approx(share, abs=0.1)
-    simulation.step([SetKey('effects.self_collision.thickness', 0.02)])
-    again = simulation.effects['self_collision']
-    assert again is not effect
-    for each in effect, again:
-        assert each.particles_worth(simulation.effects, simulation.state, 3) == (
-            simulation.frame().x.shape[0] * (1.0 + OVERLAP * effect.overlap))
+    assert work_of('self_collision', simulation) == pytest.approx(1.0 + OVERLAP * effect.overlap)
 
 
 def test_a_budget_has_room_for_searches():
     """With them, one more substep would exceed it; without motion, there are more."""
-    at_rest, moved = (towel(solver={'budget_ms': 3.0, 'compliance_scale': 1e-6},
-                                  pins=hand(**keys))[1] for keys in (
+    at_rest, moved = (compile_scene(towel(solver={'budget_ms': 3.0, 'compliance_scale': 1e-6},
+                                          pins=hand(**keys))) for keys in (
         {}, {'motion': [[0, 0, 0, 0], [1, 1, 0, 0]]}))
     cost = [n * SHIPPED.substep_ns('line', 1, moved.effects, moved.state, 0.02 / n, n)
             for n in (moved.solver.substeps, moved.solver.substeps + 1)]
@@ -156,36 +156,41 @@ def test_a_budget_has_room_for_searches():
     assert moved.solver.substeps < at_rest.solver.substeps
 
 
-def curtain(*, weft=50.0, limit=0.1, pins=True, rigid=False):
-    """Return the work of a limit on a sheet that hangs from an edge, over its particles."""
-    simulation = compile_scene(scene_from_mapping({
+def curtain(*, weft=50.0, limit=0.1, rigid=False, pins=True, **rod):
+    """Return a scene of a sheet with a limit that hangs from an edge."""
+    return scene_from_mapping({
         'gravity': [0.0, 0.0, -10.0], 'cloths': {'c': {
             'grid': {'size': [1, 2], 'resolution': [11, 21]}, 'density': 0.3,
             'effects': {'stretch': {'compliance': 0.0} if rigid else {'warp': 100.0, 'weft': weft},
                         'strain_limit': {'max': limit}}}},
-        'pins': {'rod': {'cloth': 'c', 'at': 'edge_1x'}} if pins else {}}, where='x', name='x'))
-    return simulation.effects['strain_limit'].particles_worth(
-        simulation.effects, simulation.state, 9) / (11 * 21), simulation
+        'pins': {'rod': {'cloth': 'c', **(rod or {'at': 'edge_1x'})}} if pins else {}},
+        where='x', name='x')
 
 
 def test_a_limit_takes_time_as_far_as_the_weight_loads_the_edges_at_its_pins():
     """They bear weft · limit for each metre of the edge."""
     for weft, limit in (50.0, 0.1), (50.0, 0.2), (400.0, 0.1):
-        assert curtain(weft=weft, limit=limit)[0] == pytest.approx(
-            1.0 + PER_LOAD * (0.3 * 2 * 10.0) / (weft * limit))
+        assert work_of('strain_limit', compile_scene(curtain(weft=weft, limit=limit))) == (
+            pytest.approx(1.0 + PER_LOAD * (0.3 * 2 * 10.0) / (weft * limit)))
     for keys in {'pins': False}, {'rigid': True}, {'rigid': True, 'limit': 0.0}:
-        assert curtain(**keys)[0] == 1.0
-    assert curtain(limit=0.0)[0] == curtain(weft=1e-3)[0] == 1.0 + PER_LOAD * MOST
+        assert work_of('strain_limit', compile_scene(curtain(**keys))) == 1.0
+    for keys in {'limit': 0.0}, {'weft': 1e-3}:
+        assert work_of('strain_limit', compile_scene(curtain(**keys))) == 1.0 + PER_LOAD * MOST
 
 
-def test_a_live_key_leaves_the_pins_that_a_limit_counts_with():
-    """Later grasps and releases do not change the number of substeps."""
-    factor, simulation = curtain()
-    simulation.step([Release('rod')])
-    simulation.step([SetKey('gravity', (0.0, 0.0, -5.0))])
-    effects = simulation.effects
-    assert effects['strain_limit'].particles_worth(effects, simulation.state, 9) / 231 - 1.0 == (
-        pytest.approx(0.5 * (factor - 1.0)))
+@pytest.mark.parametrize('scene, effect, key, value, factor', [
+    (towel(poses=[UPRIGHT]), 'self_collision', 'effects.self_collision.thickness', 0.02, 1.0),
+    (curtain(near=(0.0, 0.0, 0.0), radius=0.15), 'strain_limit',
+     'cloths.c.effects.strain_limit.max', 0.2, 0.5)])
+def test_live_keys_leave_the_places_that_auto_counts_with(scene, effect, key, value, factor):
+    """Those at the start: where the cloth is later does not change the number of substeps."""
+    simulation = compile_scene(scene)
+    before = work_of(effect, simulation) - 1.0
+    simulation.state.x[1:] += 5.0
+    simulation.state.x[2] = 0.0
+    simulation.effects = Retune(scene, simulation.cloths, simulation.state, simulation.effects)(
+        key, value).effects
+    assert 0.0 < factor * before == pytest.approx(work_of(effect, simulation) - 1.0)
 
 
 def broken(change):
