@@ -186,8 +186,7 @@ def test_live_keys_leave_the_places_that_auto_counts_with(scene, effect, key, va
     """Those at the start: where the cloth is later does not change the number of substeps."""
     simulation = compile_scene(scene)
     before = work_of(effect, simulation) - 1.0
-    simulation.state.x[1:] += 5.0
-    simulation.state.x[2] = 0.0
+    simulation.state.x[:] = simulation.state.x[[0, 2, 1]] + 5.0
     simulation.effects = Retune(scene, simulation.cloths, simulation.state, simulation.effects)(
         key, value).effects
     assert 0.0 < factor * before == pytest.approx(work_of(effect, simulation) - 1.0)
