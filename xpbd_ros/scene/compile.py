@@ -41,8 +41,8 @@ APART = {'jacobi': Jacobi, 'explicit': Explicit}
 CHOSEN = ('solver.substeps', 'solver.rough_substeps', 'solver.integrator',
           'solver.rough_integrator')
 """live keys that ``auto`` chooses unless they are given"""
-FRAME_SPEED = 0.3
-"""mean speed that ``auto`` expects of what follows a TF frame: that of a robot's hand [m/s]"""
+HAND_SPEED = 0.3
+"""mean speed that ``auto`` expects of what TF or commands move: that of a robot's hand [m/s]"""
 FARTHEST = 1e9
 """largest coordinate of a particle at the start [m]"""
 COARSE = 1e-3
@@ -202,16 +202,17 @@ def _build(scene: Scene, cloths: tuple[Cloth, ...], state: State,
 
 
 def _speed(scene: Scene) -> float:
-    """Return the mean speed of the pin or collider that the scene moves fastest [m/s]."""
-    speeds = [0.0]
-    for section in 'pins', 'colliders':
-        for entry in scene.sections.get(section, {}).values():
-            if entry.motion is not None:
-                speeds.append(path_length(entry.motion) / max(scene.top.duration,
-                                                              entry.motion[-1][0]))
-            elif entry.frame is not None:
-                speeds.append(FRAME_SPEED)
-    return max(speeds)
+    """
+    Return the mean speed of the fastest pin or collider, as ``auto`` expects it [m/s].
+
+    A scene that has the effect ``pin`` and moves no pin itself leaves that to commands.
+    """
+    def moved(section: str) -> list[float]:
+        return [HAND_SPEED if entry.motion is None else path_length(entry.motion) / max(
+            scene.top.duration, entry.motion[-1][0])
+            for entry in scene.sections.get(section, {}).values() if entry.motion or entry.frame]
+    pins = moved('pins') or [HAND_SPEED] * ('pin' in scene.effects)
+    return max([0.0, *pins, *moved('colliders')])
 
 
 class Retune:

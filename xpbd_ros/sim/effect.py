@@ -114,7 +114,7 @@ class BuildContext:
     threads: int = 1
     """of the solver"""
     travel: float = 0.0
-    """mean distance in a frame of the pin or collider that the scene moves most [m]"""
+    """mean distance that the fastest pin or collider is expected to move in a frame [m]"""
     on_device: bool = False
     """True if a GPU computes the frames"""
 

@@ -4,9 +4,9 @@ Work that self-collision is expected to take, for ``auto``, relative to cloth th
     substep   1 + OVERLAP o
     frame     SEARCH d besides, for searches
 
-with the share o of the surface that overlaps at the start, and the distance d that the scene moves
-it in a frame, in spacings of the particles. The factors are fitted to frame times of sheets that
-lie on one another, fall on their edges and are folded, and of the shipped scenes
+with the share o of the surface that overlaps at the start, and the distance d that the fastest pin
+or collider moves in a frame, in spacings of the particles. The factors are fitted to frame times
+of sheets that lie on one another, fall on their edges and are folded, and of the shipped scenes
 (``benchmark/prediction.py``).
 """
 
@@ -46,7 +46,7 @@ def overlap(cloths, state, pins: bool) -> float:
 
 
 def moved(cloths, travel: float) -> float:
-    """Return the distance ``travel`` that cloths are moved in a frame [m] in their spacing."""
+    """Return d from the distance ``travel`` that the fastest pin or collider moves [m]."""
     spacing = spacing_of(cloths)
     return travel / spacing if spacing else 0.0
 
