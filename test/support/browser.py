@@ -22,8 +22,6 @@ CHROMIUM = shutil.which('chromium') or shutil.which('chromium-browser')
 MISSING = 'Chromium is not installed (Debian, Ubuntu: apt install chromium)'
 PATIENCE = 60.0
 """[s]; only a failure takes that long"""
-EARLY_UPDATE = 'Tried to update non-existent component'
-"""what viser's page says where an update of the panel arrives before the panel is drawn"""
 WIDTH, HEIGHT = 1200, 800
 OPTIONS = ('[...document.querySelectorAll("[role=option]")].filter('
            'each => each.checkVisibility())')
@@ -111,10 +109,8 @@ class Browser:
             details = about['exceptionDetails']
             self.errors.append(details.get('exception', details).get('description', str(details)))
         elif message.get('method') == 'Runtime.consoleAPICalled' and about['type'] == 'error':
-            text = ' '.join(str(each.get('value', each.get('description')))
-                            for each in about['args'])
-            if not text.startswith(EARLY_UPDATE):
-                self.errors.append(text)
+            self.errors.append(' '.join(str(each.get('value', each.get('description')))
+                                        for each in about['args']))
         elif message.get('method') == 'Log.entryAdded' and about['entry']['level'] == 'error':
             self.errors.append(about['entry']['text'])
 

@@ -168,10 +168,10 @@ class LiveView:
         self._close()
         self._server.scene.reset()
         self._server.gui.reset()
-        self._server.gui.add_markdown(f'**{scene.name}**: compiling for this scene; the first '
-                                      'time takes some seconds')
+        wait = self._server.gui.add_markdown(f'**{scene.name}**: compiling for this scene; the '
+                                             'first time takes some seconds')
         simulation.compile()
-        self._server.gui.reset()
+        wait.visible = False    # a page that gets text and removal together reports an error
         self.name, self.scene = name, scene
         self.simulation = simulation
         self.frame = simulation.frame()
