@@ -7,7 +7,7 @@ the node runs; share/xpbd_ros/cloth_node.yaml has their defaults.
 
 import argparse
 
-from xpbd_ros.ros.signals import exit_at_once_on_signals, interrupt_on_signals
+from xpbd_ros.ros.signals import handle_signals
 
 EXAMPLE = 'xpbd_ros node --ros-args -p scene:=drape -p mode:=realtime'
 
@@ -22,10 +22,9 @@ def main(argv: list[str]) -> int:
     if others:
         parser.error(f'unrecognized arguments: {" ".join(others)}; parameters follow --ros-args: '
                      f'{EXAMPLE}')
-    interrupt_on_signals()
-    with exit_at_once_on_signals():
-        from xpbd_ros.cli.ros import need_ros
-        need_ros('node')
+    handle_signals()
+    from xpbd_ros.cli.ros import need_ros
+    need_ros('node')
     from xpbd_ros.ros.entry import main as node_main
     return node_main(argv)
 

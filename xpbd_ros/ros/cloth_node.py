@@ -12,7 +12,6 @@ from pathlib import Path
 import sys
 import time
 
-import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -32,7 +31,7 @@ from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
 from xpbd_ros.ros.particle_fields import words_of
-from xpbd_ros.ros.process import answer_every_transition, log_or_print, run
+from xpbd_ros.ros.process import answer_every_transition, run, wake
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.services import Services, WAITING
 from xpbd_ros.ros.signals import exit_at_once_on_signals
@@ -87,8 +86,7 @@ class ClothNode(LifecycleNode):
         except (InputError, ParameterException) as error:
             self.get_logger().error(str(error))
         except Exception as error:
-            if rclpy.ok():    # otherwise a signal shut the context down during a call
-                self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
+            self.get_logger().error(f'cannot configure: {type(error).__name__}: {error}')
         else:
             return TransitionCallbackReturn.SUCCESS
         self._release()
@@ -145,7 +143,8 @@ class ClothNode(LifecycleNode):
         """Return the description of a robot on a topic."""
         from xpbd_ros.ros.robots import description_on
         self.get_logger().info(f'waiting for {self.resolve_topic_name(topic)}')
-        return description_on(self, topic)
+        with exit_at_once_on_signals():
+            return description_on(self, topic)
 
     def _take(self, topic: str, raw: bytes, kind: type, read) -> None:
         """Queue the commands of a message; refuse it while the node is not active."""
@@ -373,12 +372,11 @@ class ClothNode(LifecycleNode):
             self.topics.publish(topic, data)
 
     def _failed(self, error: Exception) -> None:
-        """Shut the node down after an error of the stepper."""
-        if rclpy.ok():
-            self.failed = True
-            self.get_logger().fatal(f'stopped stepping: {type(error).__name__}: {error}')
-            self.stop_recording()
-            rclpy.try_shutdown()
+        """End the spin after an error of the stepper."""
+        self.get_logger().fatal(f'stopped stepping: {type(error).__name__}: {error}')
+        self.stop_recording()
+        self.failed = True
+        wake(self.executor)
 
     # recording
 
@@ -418,7 +416,7 @@ class ClothNode(LifecycleNode):
 
     def _publish_recording(self) -> None:
         """Publish the path of the log, empty without one."""
-        if rclpy.ok() and self.topics is not None:
+        if self.topics is not None:
             self._publish(self.outputs.recording(
                 '' if self.recorder is None else str(self.recorder.folder.absolute())))
 
@@ -434,9 +432,9 @@ class ClothNode(LifecycleNode):
         except InputError as error:
             failure = f'not finished: {error}'
         if failure:
-            log_or_print(self, 'error', failure)
+            self.get_logger().error(failure)
         elif not stopped:
-            log_or_print(self, 'info', f'recorded {recorder.folder.absolute()}')
+            self.get_logger().info(f'recorded {recorder.folder.absolute()}')
         return failure
 
 

@@ -1,26 +1,36 @@
 """The process of a lifecycle node: start it, spin until a signal, and shut it down."""
 
 import sys
+from threading import Event
 
 import rclpy
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
 
-from xpbd_ros.ros.signals import ignore_signals, interrupt_on_signals
+from xpbd_ros.ros.signals import handle_signals, ignore_signals, shut_down_on_signals
 
 
-def spin(node) -> None:
-    """Spin until shutdown; report and skip a /clock before time 0, at which rclpy raises."""
-    while True:
+def spin(node, executor, ending: Event) -> None:
+    """
+    Spin until ``ending`` is set or stepping has failed.
+
+    A /clock before time 0, at which rclpy raises, is reported and skipped.
+    """
+    while not (ending.is_set() or node.failed):
         try:
-            rclpy.spin(node)
-            return
+            executor.spin_once()
         except ValueError as error:
             if 'must not be negative' not in str(error):
                 raise
             node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
+
+
+def wake(executor) -> None:
+    """Let ``executor.spin_once`` return, from any thread; ``Executor.wake`` lets it wait on."""
+    executor.create_task(lambda: None)
 
 
 def answer_every_transition(node) -> None:
@@ -36,54 +46,51 @@ def answer_every_transition(node) -> None:
     node._service_change_state.callback = answer
 
 
-def log_or_print(node, level: str, text: str) -> None:
-    """Log a message; print it if the ROS context is shut down, where loggers do not work."""
-    if not rclpy.ok():
-        print(f'[{level.upper()}] [{node.get_name()}]: {text}', file=sys.stderr)
-    elif level == 'error':    # on a line of its own: rclpy allows one severity per line
-        node.get_logger().error(text)
-    else:
-        node.get_logger().info(text)
-
-
 def run(create, args: list[str] | None = None) -> int:
     """
     Run a node until a signal; return 0, 1 if stepping failed, 2 if it cannot start.
 
     Parameters
     ----------
-    create : creates the node
+    create : creates the node; it has ``value(parameter)``, ``failed`` and ``close()``
     args : ROS arguments; None for those of the process
 
     """
-    interrupt_on_signals()
-    node = None
+    handle_signals()
+    node, executor, ending = None, None, Event()
+
+    def end() -> None:
+        ending.set()
+        wake(executor)
+
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        executor = SingleThreadedExecutor()
+        shut_down_on_signals(end)
         node = create()
+        executor.add_node(node)
         if node.value('autostart'):
             good = TransitionCallbackReturn.SUCCESS
             if node.trigger_configure() != good or node.trigger_activate() != good:
-                return 2 if rclpy.ok() else 0
-        spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
+                return 2
+        spin(node, executor, ending)
     except ParameterException as error:
         print(f'cloth_node: {error}', file=sys.stderr)
         return 2
     except RuntimeError as error:
-        if node is None:
-            told = str(error).splitlines()[0]
-            if isinstance(error, rclpy_implementation.UnknownROSArgsError):
-                told = f'unknown ROS arguments: {told}'
-            print(f'cloth_node: {told}', file=sys.stderr)
-            return 2
-        if rclpy.ok():    # otherwise the context was shut down during a call
+        if node is not None:
             raise
+        told = str(error).splitlines()[0]
+        if isinstance(error, rclpy_implementation.UnknownROSArgsError):
+            told = f'unknown ROS arguments: {told}'
+        print(f'cloth_node: {told}', file=sys.stderr)
+        return 2
     finally:
+        ignore_signals()
         if node is not None:
             node.close()
             node.destroy_node()
+        if executor is not None:
+            executor.shutdown()
         rclpy.try_shutdown()
-        ignore_signals()
     return 1 if node is not None and node.failed else 0
