@@ -159,7 +159,7 @@ def test_what_is_refused_within_a_second_is_said_a_second_later(cloth):
         return [int(line.split(' … and ')[1].split()[0]) if ' … and ' in line else 1
                 for line in cloth.node.said(f'{topic}: refused')[begin:]]
     cloth.peer.until(lambda: sum(told()) == refused, f'{refused} refusals', told)
-    assert refused > 30    # a node without a core keeps the latest of a stream
+    assert len(told()) < refused    # not all that was sent: a busy node keeps the latest
     assert len(told()) <= 2 + (time.monotonic() - start)
 
 
