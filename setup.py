@@ -5,6 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 PACKAGE = 'xpbd_ros'
+PYARROW = 'pyarrow>=14,<26'    # later ones need NumPy 2, which Ubuntu 24.04 lacks
 VIEW = ['pyvista>=0.44', 'viser>=1.0', 'vtk>=9.4']
 
 
@@ -49,9 +50,9 @@ setup(
         # cloths from STL, PLY, VTK, MSH …; OBJ files need nothing
         'mesh': ['meshio>=5.3'],
         # several workers of sweep, --scheduler, and the table of sweep
-        'cluster': ['dask>=2024.1', 'distributed>=2024.1', 'pyarrow>=14'],
+        'cluster': ['dask>=2024.1', 'distributed>=2024.1', PYARROW],
         # logs as tables, mesh sequences and USD
-        'export': ['meshio>=5.3', 'pyarrow>=14', 'usd-core>=24.5'],
+        'export': ['meshio>=5.3', PYARROW, 'usd-core>=24.5'],
         # the page of view; pictures of runs: run --picture, and the demo's. VTK has rendered by
         # EGL since 9.4
         'view': VIEW,
@@ -62,7 +63,7 @@ setup(
         # a rigid body and a cloth that move one another: doc/coupling.md
         'mujoco': ['mujoco>=3'],
         'test': [*VIEW, 'dask>=2024.1', 'distributed>=2024.1', 'hypothesis', 'mcap-ros2-support',
-                 'meshio>=5.3', 'mujoco>=3', 'mypy>=2', 'pyarrow>=14', 'pytest', 'pytest-xdist',
+                 'meshio>=5.3', 'mujoco>=3', 'mypy>=2', PYARROW, 'pytest', 'pytest-xdist',
                  'rosbags', 'ruff', 'usd-core>=24.5; python_version < "3.14"', 'yourdfpy>=0.0.56'],
     },
     entry_points={

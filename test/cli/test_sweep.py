@@ -194,6 +194,16 @@ def test_without_dask_several_workers_are_refused_with_the_remedy(
         capsys, scene, *VARY, '--runs', '2', '--workers', '2', '-o', tmp_path / 'out')
 
 
+def test_a_library_that_does_not_load_is_told_with_its_reason(scene, tmp_path, monkeypatch,
+                                                              capsys):
+    """As a pyarrow for another NumPy, which is installed nevertheless."""
+    (tmp_path / 'pyarrow.py').write_text("raise ImportError('it requires NumPy 2.0')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, 'pyarrow')
+    said = refused(capsys, scene, *VARY, '--runs', '2', '-o', tmp_path / 'out')
+    assert "needs pyarrow (it requires NumPy 2.0); pip install 'xpbd_ros[cluster]'" in said
+
+
 @pytest.mark.parametrize('address', ['tcp://127.0.0.1:9', 'foo'])
 def test_a_scheduler_that_is_not_there_is_told_in_one_line(address, scene, tmp_path, monkeypatch,
                                                            capsys):

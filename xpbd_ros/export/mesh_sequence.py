@@ -12,8 +12,8 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]], *
     """Write the files, and return their paths."""
     try:
         import meshio
-    except ImportError:
-        raise InputError(f'--format {suffix} needs meshio, which is not installed; pip install '
+    except ImportError as error:
+        raise InputError(f'--format {suffix} needs meshio ({error}); pip install '
                          "'xpbd_ros[export]' (or apt install python3-meshio)") from None
     digits, found = max(4, len(str(states.frames[-1]))), []
     for state in frames():

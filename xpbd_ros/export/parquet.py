@@ -25,8 +25,8 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -
     """Write the tables, and return their paths."""
     try:
         import pyarrow
-    except ImportError:
-        raise InputError('--format parquet needs pyarrow, which is not installed; pip install '
+    except ImportError as error:
+        raise InputError(f'--format parquet needs pyarrow ({error}); pip install '
                          "'xpbd_ros[export]' (or apt install python3-pyarrow)") from None
     stamp = [('frame', pyarrow.int64()), ('time_s', pyarrow.float64())]
     names = pyarrow.dictionary(pyarrow.int32(), pyarrow.string())

@@ -17,8 +17,8 @@ def write(folder: Path, states: States, frames: Callable[[], Iterable[State]]) -
     """Write the file, and return its path; a time code is a frame."""
     try:
         from pxr import Tf
-    except ImportError:
-        raise InputError('--format usd needs usd-core, which is not installed; pip install '
+    except ImportError as error:
+        raise InputError(f'--format usd needs usd-core ({error}); pip install '
                          "'xpbd_ros[export]'") from None
     path = folder / 'states.usdc'
     try:

@@ -95,8 +95,8 @@ def _require_header(path: Path) -> None:
 def _read_with_meshio(path: Path):
     try:
         import meshio
-    except ImportError:
-        raise InputError(f'{path}: only .obj files can be read without meshio; install it: pip '
+    except ImportError as error:
+        raise InputError(f'{path}: only .obj files can be read without meshio ({error}); pip '
                          'install meshio (or apt install python3-meshio)') from None
     _require_header(path)
     said = io.StringIO()

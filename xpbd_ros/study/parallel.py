@@ -104,9 +104,9 @@ def _dask(count: int, scheduler: str | None) -> Iterator[tuple]:
     try:
         import distributed
         from distributed.scheduler import KilledWorker
-    except ImportError:
+    except ImportError as error:
         raise InputError(('--scheduler needs' if scheduler else 'several workers need')
-                         + " Dask, which is not installed; pip install 'xpbd_ros[cluster]'"
+                         + f" Dask ({error}); pip install 'xpbd_ros[cluster]'"
                          + ('' if scheduler else ', or take --workers 1')) from None
     with _quiet(), _client(distributed, count, scheduler) as client:
         def submit(function, *task):

@@ -17,12 +17,12 @@ LOST = 'the worker was killed'
 
 
 def need_pyarrow():
-    """Return the Parquet library; raise InputError with a remedy if it is not installed."""
+    """Return the Parquet library; raise InputError with a remedy if it cannot be imported."""
     try:
         import pyarrow
         from pyarrow import parquet
-    except ImportError:
-        raise InputError("'sweep' needs pyarrow, which is not installed; pip install "
+    except ImportError as error:
+        raise InputError(f"'sweep' needs pyarrow ({error}); pip install "
                          "'xpbd_ros[cluster]' (or apt install python3-pyarrow)") from None
     return pyarrow, parquet
 
