@@ -43,8 +43,8 @@ def points_of(message: PointCloud2) -> np.ndarray:
     kind = np.dtype({'names': list('xyz'), 'itemsize': step,
                      'formats': [order + KINDS[fields[name].datatype] for name in 'xyz'],
                      'offsets': [fields[name].offset for name in 'xyz']})
-    table = np.ndarray((height, width), kind, bytes(message.data),
-                       strides=(message.row_step, step))
+    table: np.ndarray = np.ndarray((height, width), kind, bytes(message.data),
+                                   strides=(message.row_step, step))
     return np.stack([table[name].astype(float) for name in 'xyz'], axis=-1)
 
 
