@@ -1,15 +1,29 @@
 """However it ends, the log can be read; asked to end, it ends well."""
 
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
-from support.node import Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
+from support.node import child_environment, Cloth, NodeProcess, PATIENCE, stamp_ns, TOWEL
 from support.strict_reader import read_strictly
 from xpbd_ros.log.reader import LogReader
 from xpbd_ros.log.recover import recover
 
+FAILING = """
+import sys
+from xpbd_ros.ros.cloth_node import main
+from xpbd_ros.sim.simulation import Simulation
+step = Simulation.step
+def fail(self, *arguments, **options):
+    if self.index == 20:
+        raise MemoryError('no room')
+    return step(self, *arguments, **options)
+Simulation.step = fail
+sys.exit(main())
+"""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 CAST = [(number, moment) for number in SIGNALS for moment in ('compiling', 'running')]
 
@@ -82,6 +96,21 @@ def test_signals_that_go_on_do_not_cut_its_end_short(tmp_path, towel, own_domain
         assert node.process.poll() == 0, node.lines
     finally:
         node.kill()
+
+
+def test_a_step_that_fails_ends_it_with_1_and_a_whole_log(tmp_path, towel, own_domain):
+    done = subprocess.run(
+        [sys.executable, '-c', FAILING, '--ros-args', '-p', f'scene:={towel}',
+         '-p', f'record.path:={tmp_path}/run'],
+        env={**child_environment(), 'ROS_LOG_DIR': str(tmp_path)}, capture_output=True, text=True,
+        check=False, timeout=PATIENCE)
+    assert done.returncode == 1
+    assert 'Traceback' not in done.stderr
+    (line,) = (line for line in done.stderr.splitlines() if '[FATAL]' in line)
+    assert line.endswith('stopped stepping: MemoryError: no room')
+    reader = LogReader(tmp_path / 'run')
+    assert reader.whole
+    assert reader.frames == 21
 
 
 def test_a_kill_costs_a_second_at_most(tmp_path, peer):

@@ -73,7 +73,7 @@ sys.exit(run(Node))
 def run(name, early='pass', late='pass', begun=True):
     return subprocess.run(
         [sys.executable, '-c', PROGRAM.format(name=name, early=early, late=late, begun=begun)],
-        env=child_environment(), capture_output=True, text=True, check=False)
+        env=child_environment(), capture_output=True, text=True, check=False, timeout=PATIENCE)
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])

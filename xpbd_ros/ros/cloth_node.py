@@ -31,7 +31,7 @@ from xpbd_ros.ros.live_parameters import LiveParameters, publish_interval
 from xpbd_ros.ros.outputs import Outputs
 from xpbd_ros.ros.parameters import scene_parameters
 from xpbd_ros.ros.particle_fields import words_of
-from xpbd_ros.ros.process import answer_every_transition, run, wake
+from xpbd_ros.ros.process import answer_every_transition, run
 from xpbd_ros.ros.recorder import Recorder
 from xpbd_ros.ros.services import Services, WAITING
 from xpbd_ros.ros.signals import exit_at_once_on_signals
@@ -376,7 +376,8 @@ class ClothNode(LifecycleNode):
         self.get_logger().fatal(f'stopped stepping: {type(error).__name__}: {error}')
         self.stop_recording()
         self.failed = True
-        wake(self.executor)
+        assert self.executor is not None
+        self.executor.create_task(lambda: None)    # wakes it; Executor.wake lets it wait on
 
     # recording
 

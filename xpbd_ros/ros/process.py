@@ -1,5 +1,6 @@
 """The process of a lifecycle node: start it, spin until a signal, and shut it down."""
 
+from functools import partial
 import sys
 from threading import Event
 
@@ -15,7 +16,7 @@ from xpbd_ros.ros.signals import handle_signals, ignore_signals, shut_down_on_si
 
 def spin(node, executor, ending: Event) -> None:
     """
-    Spin until ``ending`` is set or stepping has failed.
+    Spin until ``ending`` is set or stepping has failed; a task of the executor ends the wait.
 
     A /clock before time 0, at which rclpy raises, is reported and skipped.
     """
@@ -26,11 +27,6 @@ def spin(node, executor, ending: Event) -> None:
             if 'must not be negative' not in str(error):
                 raise
             node.get_logger().error(f'/clock: refused: {error}', throttle_duration_sec=1.0)
-
-
-def wake(executor) -> None:
-    """Let ``executor.spin_once`` return, from any thread; ``Executor.wake`` lets it wait on."""
-    executor.create_task(lambda: None)
 
 
 def answer_every_transition(node) -> None:
@@ -58,15 +54,10 @@ def run(create, args: list[str] | None = None) -> int:
     """
     handle_signals()
     node, executor, ending = None, None, Event()
-
-    def end() -> None:
-        ending.set()
-        wake(executor)
-
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         executor = SingleThreadedExecutor()
-        shut_down_on_signals(end)
+        shut_down_on_signals(partial(executor.create_task, ending.set))
         node = create()
         executor.add_node(node)
         if node.value('autostart'):

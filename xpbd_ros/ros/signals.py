@@ -9,7 +9,7 @@ from threading import Thread
 
 SIGNALS = signal.SIGINT, signal.SIGTERM
 _at_once = True
-_shut_down: Callable[[], None] | None = None
+_shut_down: Callable[[], object] | None = None
 
 
 def handle_signals() -> None:
@@ -28,7 +28,7 @@ def handle_signals() -> None:
     Thread(target=_handle, args=(reading,), name='signals', daemon=True).start()
 
 
-def shut_down_on_signals(shut_down: Callable[[], None]) -> None:
+def shut_down_on_signals(shut_down: Callable[[], object]) -> None:
     """
     From here on call ``shut_down()``, in the thread of ``handle_signals``, on the first signal.
 
