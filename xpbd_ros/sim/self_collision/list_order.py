@@ -12,6 +12,7 @@ import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import count_bits, lowest_bit
+from xpbd_ros.sim.backend.simd_integers import compress
 from xpbd_ros.sim.backend.simd_records import PACK
 from xpbd_ros.sim.backend.threads import (
     alone,
@@ -124,11 +125,21 @@ def drop_renewed_serially(near, kind):
 @jit
 def keep_others(near, first, last, end):
     """Move the pairs first … last without renewed particles to ``end``; return their end."""
-    for k in range(first, last):
+    k = first
+    while k + PACK <= last:
+        kept = 0
+        for lane in range(PACK):
+            kept |= (not has_marked(near.renewed, near.corners, k + lane)) << lane
+        for p in range(4):
+            compress(near.corners[p], k, kept, near.corners[p], end)
+        compress(near.keep, k, kept, near.keep, end)
+        end += count_bits(kept)
+        k += PACK
+    while k < last:
         if not has_marked(near.renewed, near.corners, k):
-            if end < k:
-                copy(near, k, near, end)
+            copy(near, k, near, end)
             end += 1
+        k += 1
     return end
 
 

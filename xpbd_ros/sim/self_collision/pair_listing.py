@@ -296,15 +296,30 @@ def add_candidate(near, corners, kind, tree, others, c, d, count, which):
 def keep_close(near, corners, kind, end, room, count):
     """Append those of the candidates behind a list that are closer than their margins."""
     first = room_in(corners)
-    for q in range(first, first + count, lanes(near.start)):
-        a, b, c, d = load_corners(near.start, corners, q)
-        v, reach = closest(kind, a, b, c, d)[0], travel_of(kind, a, b, c, d)
-        found = bits(dot(v, v) < reach * reach) & ((1 << min(PACK, first + count - q)) - 1)
-        while found:
-            k = q + lowest_bit(found)
-            found &= found - 1
-            if end < room:
-                for p in range(4):
-                    corners[p, end] = corners[p, k]
-            end += 1
+    for group in range(first, first + count, PACK):
+        found = 0
+        for q in range(group, group + PACK, lanes(near.start)):
+            a, b, c, d = load_corners(near.start, corners, q)
+            v, reach = closest(kind, a, b, c, d)[0], travel_of(kind, a, b, c, d)
+            found |= bits(dot(v, v) < reach * reach) << (q - group)
+        found &= (1 << min(PACK, first + count - group)) - 1
+        if end + PACK <= room:    # it may write to PACK places
+            for p in range(4):
+                compress(corners[p], group, found, corners[p], end)
+            end += count_bits(found)
+        else:
+            end = append(corners, group, found, end, room)
+    return end
+
+
+@jit
+def append(corners, group, found, end, room):
+    """Append those of PACK candidates that have a bit, as far as there is room; return the end."""
+    while found:
+        k = group + lowest_bit(found)
+        found &= found - 1
+        if end < room:
+            for p in range(4):
+                corners[p, end] = corners[p, k]
+        end += 1
     return end
