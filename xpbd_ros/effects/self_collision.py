@@ -25,14 +25,20 @@ lengths.
 """
 
 from dataclasses import dataclass
-from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 
 from xpbd_ros.errors import InputError
 from xpbd_ros.sim.backend.jit import jit
-from xpbd_ros.sim.backend.threads import alone, alone_on_device, in_first_block, turns, wait_uneven
+from xpbd_ros.sim.backend.threads import (
+    alone,
+    alone_on_device,
+    assigned,
+    in_first_block,
+    turns,
+    wait_uneven,
+)
 from xpbd_ros.sim.contact.contacts import Contacts, push_all
 from xpbd_ros.sim.contact.corners import leave_corners
 from xpbd_ros.sim.effect import Built, Effect
@@ -67,17 +73,18 @@ from xpbd_ros.sim.self_collision.neighbour_list import (
     load_starts,
     NeighbourList,
     new_neighbour_list,
-    spacing_of,
     store_moves,
     told,
     track_motion,
     TRAVEL,
 )
 from xpbd_ros.sim.self_collision.pair_contacts import (
+    MOST_ROOM,
     new_pair_contacts,
     new_pair_friction,
     PairContacts,
     project_pairs,
+    usual_room,
 )
 from xpbd_ros.sim.self_collision.pair_impulses import press, remove_depenetration_velocity
 from xpbd_ros.sim.self_collision.pair_search import seek
@@ -105,8 +112,6 @@ ROUNDS = 24
 """most rounds of pushes, which keep momentum, before particles are held back"""
 TURNS = 3
 """most repetitions of holding back"""
-ROOM, MOST_ROOM = 24, 1000
-"""usual number of pairs that may touch, per particle, and the largest"""
 FEWEST, FEWEST_MOVED = 4, 6
 """substeps of a frame below which more searches take the time saved; where cloth is moved"""
 LISTED, NEAR = 4, 2
@@ -324,15 +329,18 @@ def mark_all(planes, near, contacts, state, again):
     mark(planes, near, state)
 
 
-@stage(finish, SelfCollision, on_device=True)
+@stage(finish, SelfCollision, shared=True)
 @jit
 def settle(effect, state, substep):
-    """Remove velocities from old overlaps, update the creep, and advance the common motion."""
-    near = effect.near
-    remove_depenetration_velocity(effect.pairs, near, state, substep)
-    note_creep(effect.pairs.friction, effect.pairs, near, state)
-    if alone_on_device(state.team):
-        advance(near, state)
+    """Remove velocities from old overlaps; update the creep, and advance the common motion."""
+    near, team = effect.near, state.team
+    if assigned(team, 0):
+        remove_depenetration_velocity(effect.pairs, near, state, substep)
+    if assigned(team, -1):
+        note_creep(effect.pairs.friction, effect.pairs, near, state)
+        if alone_on_device(team):
+            advance(near, state)
+    wait_uneven(team)
 
 
 @stage(add_explicit_forces, SelfCollision)
@@ -354,13 +362,6 @@ def rest_on_cloth(effect, state, substep):
 def press_on_pins(effect, state, substep):
     """Forces on pinned particles."""
     press(effect.pairs, effect.near, state, substep)
-
-
-def usual_room(thickness: float, cloths) -> int:
-    """Return the pairs that may touch, per particle: as many as a disc of the thickness has."""
-    spacing = spacing_of(cloths)
-    return ROOM if thickness <= spacing or spacing == 0.0 else min(
-        MOST_ROOM, ceil(ROOM * (thickness / spacing)**2))
 
 
 class BuiltSelfCollision(Built):

@@ -13,6 +13,7 @@ Pairs stand in groups of PACK, and those of a round of a group share no particle
 What follows of them at the substep's end is in ``self_collision.pair_impulses``.
 """
 
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -40,10 +41,12 @@ from xpbd_ros.sim.backend.threads import (
     wait_in_block,
 )
 from xpbd_ros.sim.geometry.closest_points_simd import dot, minus
-from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS
+from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, spacing_of
 
 NEVER = -1e30
 """-C of pairs that are no contacts in a substep [m]"""
+ROOM, MOST_ROOM = 24, 1000
+"""usual number of pairs that may touch, per particle, and the largest"""
 
 
 class PairFriction(NamedTuple):
@@ -109,6 +112,13 @@ class PairContacts(NamedTuple):
     """scratch: impulse of a vector of pairs, of one pair for each thread of a GPU; (3, PACK)"""
     friction: PairFriction | None
     """None in a scene without friction"""
+
+
+def usual_room(thickness: float, cloths) -> int:
+    """Return the pairs that may touch, per particle: as many as a disc of the thickness has."""
+    spacing = spacing_of(cloths)
+    return ROOM if thickness <= spacing or spacing == 0.0 else min(
+        MOST_ROOM, ceil(ROOM * (thickness / spacing)**2))
 
 
 def new_pair_contacts(room: int, particles: int, threads: int) -> PairContacts:

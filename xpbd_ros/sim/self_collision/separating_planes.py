@@ -9,12 +9,20 @@ pushed apart along the best direction found, which conserves momentum.
 
 from typing import NamedTuple
 
+from numba import types
 import numpy as np
 
 from xpbd_ros.sim.backend.jit import inline, jit
 from xpbd_ros.sim.backend.simd import lowest_bit
 from xpbd_ros.sim.backend.simd_records import PACK
-from xpbd_ros.sim.backend.threads import alone, is_on_device, turns
+from xpbd_ros.sim.backend.threads import (
+    alone,
+    is_on_device,
+    turns,
+    wait_uneven,
+    worker,
+    workers,
+)
 from xpbd_ros.sim.particles.history import invalidate_history
 from xpbd_ros.sim.self_collision.inverse_mass import inverse_mass
 from xpbd_ros.sim.self_collision.neighbour_list import any_thread, next_marked, told
@@ -25,6 +33,8 @@ CLEAR = 0.1
 AIM = 1.5
 """target of pushes, relative to the required distance: more than 1, so that alternating pushes of
 pairs and colliders terminate"""
+NONE = 2**62
+"""number of no pair"""
 LEAST = 0.02
 """least distance of a pair after a substep, relative to the distance to be kept"""
 
@@ -141,26 +151,32 @@ def part_all(team, planes, near, state):
     """
     Do what ``part_sides`` does on the main thread, and return the same on all.
 
-    Those of a GPU look before whether a pair may cross.
+    The threads look for the first pair that may cross before.
     """
 
 
 @inline(part_all)
 def _part_all(team, planes, near, state):
+    if isinstance(team, types.NoneType):
+        return lambda team, planes, near, state: part_sides(planes, near, state, 0)
     if not is_on_device(team):
-        return lambda team, planes, near, state: told(
-            team, near, part_sides(planes, near, state) if alone(team) else 0)
+        def part_from_first(team, planes, near, state):
+            first = first_of_all(team, near, first_crossing(team, planes, near, state.x))
+            if first == NONE:
+                return 0
+            return told(team, near, part_sides(planes, near, state, first) if alone(team) else 0)
+        return part_from_first
 
     def part_where_needed(team, planes, near, state):
-        if not any_thread(team, near, may_cross(team, planes, near, state.x)):
+        if not any_thread(team, near, first_crossing(team, planes, near, state.x) != NONE):
             return 0
-        return told(team, near, part_sides(planes, near, state) if alone(team) else 0)
+        return told(team, near, part_sides(planes, near, state, 0) if alone(team) else 0)
     return part_where_needed
 
 
 @jit
-def may_cross(team, planes, near, x):
-    """Return True if the direction of one of this thread's pairs does not separate its sides."""
+def first_crossing(team, planes, near, x):
+    """Return the first of this thread's pairs whose direction does not separate its sides."""
     if planes is not None:
         begin, end, turn = turns(team, (planes.end[0] + PACK - 1) // PACK)
         for pack in range(begin, end, turn):
@@ -169,16 +185,30 @@ def may_cross(team, planes, near, x):
                 m = PACK * pack + lowest_bit(found)
                 found &= found - 1
                 if not apart_now(planes, m, near, x) >= planes.need[m]:
-                    return True
-    return False
+                    return m
+    return NONE
 
 
 @jit
-def part_sides(planes, near, state):
-    """Push apart the sides of each pair that crosses once; return the number of such pairs."""
+def first_of_all(team, near, first):
+    """Return the smallest of the threads' numbers on all of them."""
+    near.parts[worker(team)] = first
+    wait_uneven(team)
+    for k in range(workers(team)):
+        first = min(first, near.parts[k])
+    return first
+
+
+@jit
+def part_sides(planes, near, state, first):
+    """
+    Push apart the sides of each pair that crosses once, from the pair ``first`` on.
+
+    Return the number of such pairs.
+    """
     count = 0
     if planes is not None:
-        m = next_plane(planes, 0)
+        m = next_plane(planes, first)
         while m < planes.end[0]:
             if not parts(planes, m, near, state.x):
                 count += 1
