@@ -14,9 +14,10 @@ b = r - φ(x*), κ = m / α, and the sum over the colliders that touch,
     (I + Σ κ n nᵀ) u = Σ κ b n,   x = x* + u,   d = m f = κ (b - n·u)        (d > 0 if it touches)
 
 which meets C + α f = 0 exactly for flat surfaces, whatever the order of the colliders; curved ones
-are linearised up to ROUNDS times. A rigid collider beside a pad takes part with κ = RIGID, and is
-projected again afterwards. So where a squeeze is at rest, f depends on indentation and area alone,
-not on substeps, method or masses. Friction takes d for the load, as that of rigid contact.
+are linearised up to ROUNDS times. A particle that has not moved since is not solved again. A rigid
+collider beside a pad takes part with κ = RIGID, and is projected again afterwards. So where a
+squeeze is at rest, f depends on indentation and area alone, not on substeps, method or masses.
+Friction takes d for the load, as that of rigid contact.
 
 A particle between several colliders that would be pressed deeper into one than ``Colliders.depth``
 (half of the way to its middle) passes through it, one way or the other; where neighbours part,
@@ -86,8 +87,11 @@ class Pads(NamedTuple):
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
     """1 if the friction of two candidates has been solved at once, likewise"""
-    solved: np.ndarray
-    """1 at a particle's last candidate if ``self_collision.squeeze`` has just solved it"""
+    left: np.ndarray
+    """
+    where a solve left the particle, at its last candidate [m]; infinite: it must be solved again;
+    shape (candidates, 3)
+    """
     again: np.ndarray
     """True while the inequalities are projected again in this iteration, shape (1,)"""
 
@@ -96,7 +100,7 @@ def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room, np.int32), np.zeros(room), np.zeros(room), np.zeros(room),
                 np.zeros(room), np.zeros(room, np.int32), np.zeros(room), np.zeros((room, 3)),
-                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros(room, np.int32),
+                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros((room, 3)),
                 np.zeros(1, np.bool_))
 
 
@@ -136,6 +140,7 @@ def begin_pad(pads, contacts, k, start, limit):
         pads.given[k] = pads.force[k] = 0.0
         for a in range(3):
             pads.shift[k, a] = 0.0
+        must_solve(pads, k)
         pads.soft[k] = contacts.colliders.stiffness[contacts.collider[k]] > 0.0
         if pads.soft[k]:
             contacts.gap[k] = contacts.thickness[0]
@@ -144,14 +149,34 @@ def begin_pad(pads, contacts, k, start, limit):
 
 @jit
 def press_pads(pads, contacts, state):
-    """Solve all particles that have a candidate with a pad, and are not solved yet."""
+    """Solve all particles that have a candidate with a pad, and moved since they were solved."""
     if pads is not None:
         for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             i = contacts.particle[k]
-            if pads.solved[k]:
-                pads.solved[k] = 0
-            elif contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k):
+            if (contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k)
+                    and not stays(pads, k, i, state)):
                 press(pads, contacts, k, i, state)
+
+
+@jit(inline=True)
+def stays(pads, last, i, state):
+    """Return True if particle i is where its solve left it."""
+    left, x = pads.left[last], state.x
+    return left[0] == x[0, i] and left[1] == x[1, i] and left[2] == x[2, i]
+
+
+@jit(inline=True)
+def note_solved(pads, last, i, state):
+    """Note where a solve leaves particle i: unless it moves, it need not be solved again."""
+    for a in range(3):
+        pads.left[last, a] = state.x[a, i]
+
+
+@jit(inline=True)
+def must_solve(pads, last):
+    """Let the next turn solve a particle wherever it is."""
+    for a in range(3):
+        pads.left[last, a] = np.inf
 
 
 @jit(inline=True)
@@ -194,10 +219,14 @@ def press(pads, contacts, last, i, state):
     x, m = state.x, state.mobility[i]
     if not m > 0.0:
         return
+    must_solve(pads, last)
     free = without_pushes(pads, contacts, last, (x[0, i], x[1, i], x[2, i]))
     at, u = free, (0.0, 0.0, 0.0)
     for _ in range(ROUNDS):
         linearise(pads, contacts, last, i, state, free, at, m)
+        if is_free(pads, contacts, last):
+            note_solved(pads, last, i, state)
+            return
         u = solve(pads, contacts, last)
         at = (free[0] + u[0], free[1] + u[1], free[2] + u[2])
         if is_flat(contacts, last, at):
@@ -219,6 +248,19 @@ def press(pads, contacts, last, i, state):
         x[a, i] = free[a] + share * u[a]
     if moved:
         invalidate_history(state.history, i)
+    if not pads.again[0]:
+        note_solved(pads, last, i, state)
+
+
+@jit(inline=True)
+def is_free(pads, contacts, last):
+    """Return True if no collider touches a particle, or has pushed it so far."""
+    k = last
+    while k >= 0:
+        if pads.touches[k] or contacts.push[k] > 0.0 or pads.given[k] > 0.0:
+            return False
+        k = contacts.earlier[k]
+    return True
 
 
 @jit(inline=True)

@@ -8,7 +8,7 @@ collider are solved together with these (``squeeze``).
 
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.backend.threads import alone, wait_uneven
-from xpbd_ros.sim.self_collision.squeeze import solve_squeeze
+from xpbd_ros.sim.self_collision.islands import solve_islands
 from xpbd_ros.sim.self_collision.stacks import list_stack
 
 
@@ -51,11 +51,10 @@ def is_further_turn(squeeze):
 
 @jit
 def squeeze_layers(squeeze, near, pairs, state, thickness, h):
-    """List the layers that pads squeeze, and solve them; one thread does so."""
+    """List the layers that pads squeeze, and solve them."""
     if squeeze is not None:
-        if alone(state.team):
-            stack, contacts = squeeze.stack, squeeze.contacts
-            list_stack(stack, contacts, near, pairs, state, thickness, h)
-            if stack.count[0] > 0:
-                solve_squeeze(squeeze, near, pairs, state, h)
-        wait_uneven(state.team)
+        team, stack = state.team, squeeze.stack
+        list_stack(team, stack, squeeze.contacts, near, pairs, state, thickness, h)
+        if stack.count[0] > 0:
+            solve_islands(team, squeeze, near, pairs, state, h)
+        wait_uneven(team)

@@ -25,7 +25,7 @@ class Springs(NamedTuple):
     """Springs, particles in an order of their own, and the vectors of the solver."""
 
     count: np.ndarray
-    """number of springs, and of active ones; shape (2,)"""
+    """number of springs, and of active ones; shape (2,), by island (islands, 2)"""
     ends: np.ndarray
     """particles of each spring, uint32, shape (springs, 4)"""
     weight: np.ndarray
@@ -39,9 +39,12 @@ class Springs(NamedTuple):
     axis: np.ndarray
     """axis of each particle, shape (particles, 3)"""
     x: np.ndarray
-    """displacements [m], shape (3, particles); one component is the first"""
+    """
+    displacements [m], one component after the other: that of particle i at a count + i, if there
+    are ``count`` particles; shape (3 particles,)
+    """
     residual: np.ndarray
-    """r, shape (3, particles)"""
+    """r, likewise"""
     diagonal: np.ndarray
     """that of M + Σ k w wᵀ, shape (particles,)"""
     step: np.ndarray
@@ -57,8 +60,8 @@ class Springs(NamedTuple):
 def new_springs(springs: int, particles: int) -> Springs:
     """Return storage for so many springs and particles."""
     def vectors():
-        return np.zeros((3, particles))
-    return Springs(np.zeros(2, np.int64), np.zeros((springs, 4), np.uint32),
+        return np.zeros(3 * particles)
+    return Springs(np.zeros((particles, 2), np.int64), np.zeros((springs, 4), np.uint32),
                    np.zeros((springs, 4)), np.zeros(springs), np.zeros(springs, np.uint32),
                    np.zeros(particles), np.zeros((particles, 3)), vectors(), vectors(),
                    np.zeros(particles), vectors(), vectors(), vectors(), vectors())
@@ -79,32 +82,29 @@ def conjugate_gradients(springs, count, components, small):
     """
     r, p, z, product, step = (springs.residual, springs.direction, springs.preconditioned,
                               springs.product, springs.step)
+    size = components * count
     precondition(springs, count, components)
-    for a in range(components):
-        for i in range(count):
-            step[a, i], p[a, i] = 0.0, z[a, i]
-    before = dot(r, z, count, components)
+    for i in range(size):
+        step[i], p[i] = 0.0, z[i]
+    before = dot(r, z, size)
     for _ in range(ITERATIONS):
         multiply(springs, count, components)
-        curvature = dot(p, product, count, components)
+        curvature = dot(p, product, size)
         if not curvature > 0.0:
             break
         length = before / curvature
-        for a in range(components):
-            for i in range(count):
-                step[a, i] += length * p[a, i]
-                r[a, i] -= length * product[a, i]
-        if dot(r, r, count, components) <= small:
+        for i in range(size):
+            step[i] += length * p[i]
+            r[i] -= length * product[i]
+        if dot(r, r, size) <= small:
             break
         precondition(springs, count, components)
-        now = dot(r, z, count, components)
+        now = dot(r, z, size)
         share, before = now / before, now
-        for a in range(components):
-            for i in range(count):
-                p[a, i] = z[a, i] + share * p[a, i]
-    for a in range(components):
-        for i in range(count):
-            springs.x[a, i] += step[a, i]
+        for i in range(size):
+            p[i] = z[i] + share * p[i]
+    for i in range(size):
+        springs.x[i] += step[i]
 
 
 @jit
@@ -113,37 +113,40 @@ def precondition(springs, count, components):
     r, z = springs.residual, springs.preconditioned
     for a in range(components):
         for i in range(count):
-            z[a, i] = r[a, i] / springs.diagonal[i] if springs.mass[i] > 0.0 else 0.0
+            k = a * count + i
+            z[k] = r[k] / springs.diagonal[i] if springs.mass[i] > 0.0 else 0.0
 
 
 @jit
 def multiply(springs, count, components):
     """Write the product of the matrix and the search direction."""
+    p, product = springs.direction, springs.product
     for a in range(components):
-        p, product = springs.direction[a], springs.product[a]
         for i in range(count):
-            product[i] = springs.mass[i] * p[i]
+            product[a * count + i] = springs.mass[i] * p[a * count + i]
         for m in range(springs.count[1]):
             t = springs.active[m]
-            add_force(springs, t, springs.stiffness[t] * elongation(springs, t, p), product)
-    constrain(springs, springs.product, count, components)
+            add_force(springs, t, springs.stiffness[t] * elongation(springs, t, p, a * count),
+                      product, a * count)
+    constrain(springs, product, count, components)
 
 
 @jit(inline=True)
-def elongation(springs, t, x):
-    """Return Σ w x of spring t, of one component."""
+def elongation(springs, t, x, first):
+    """Return Σ w x of spring t, of the component that begins at ``first``."""
     i, w = springs.ends[t], springs.weight[t]
-    return w[0] * x[i[0]] + w[1] * x[i[1]] + w[2] * x[i[2]] + w[3] * x[i[3]]
+    return (w[0] * x[first + i[0]] + w[1] * x[first + i[1]] + w[2] * x[first + i[2]]
+            + w[3] * x[first + i[3]])
 
 
 @jit(inline=True)
-def add_force(springs, t, force, forces):
-    """Add a spring's force, w times ``force``, to those on particles, of one component."""
+def add_force(springs, t, force, forces, first):
+    """Add a spring's force, w times ``force``, to the component that begins at ``first``."""
     i, w = springs.ends[t], springs.weight[t]
-    forces[i[0]] += w[0] * force
-    forces[i[1]] += w[1] * force
-    forces[i[2]] += w[2] * force
-    forces[i[3]] += w[3] * force
+    forces[first + i[0]] += w[0] * force
+    forces[first + i[1]] += w[1] * force
+    forces[first + i[2]] += w[2] * force
+    forces[first + i[3]] += w[3] * force
 
 
 @jit
@@ -152,18 +155,19 @@ def constrain(springs, forces, count, components):
     for i in range(count):
         along, n = 0.0, springs.axis[i]
         if components == 3:
-            along = n[0] * forces[0, i] + n[1] * forces[1, i] + n[2] * forces[2, i]
+            along = (n[0] * forces[i] + n[1] * forces[count + i]
+                     + n[2] * forces[2 * count + i])
         for a in range(components):
-            forces[a, i] = forces[a, i] - along * n[a] if springs.mass[i] > 0.0 else 0.0
+            k = a * count + i
+            forces[k] = forces[k] - along * n[a] if springs.mass[i] > 0.0 else 0.0
 
 
 @jit
-def dot(u, v, count, components):
-    """Return the sum of the products of two vectors."""
+def dot(u, v, size):
+    """Return the sum of the products of the first ``size`` numbers of two vectors."""
     total = 0.0
-    for a in range(components):
-        for i in range(count):
-            total += u[a, i] * v[a, i]
+    for i in range(size):
+        total += u[i] * v[i]
     return total
 
 
@@ -173,9 +177,8 @@ def begin_residual(springs, count, components):
     springs.count[1] = 0
     for i in range(count):
         springs.diagonal[i] = springs.mass[i]
-    for a in range(components):
-        for i in range(count):
-            springs.residual[a, i] = 0.0
+    for i in range(components * count):
+        springs.residual[i] = 0.0
 
 
 @jit(inline=True)
@@ -192,5 +195,5 @@ def activate(springs, t):
 def halve_step(springs, count):
     """Take back half of the last step of one component."""
     for i in range(count):
-        springs.step[0, i] *= 0.5
-        springs.x[0, i] -= springs.step[0, i]
+        springs.step[i] *= 0.5
+        springs.x[i] -= springs.step[i]

@@ -21,8 +21,8 @@ Friction (``squeeze_friction``) follows with these pushes.
 
 The residual of Newton's method, and the components of pushes across the axis, as at the edges of
 fingers, move no particle: the colliders take them as an impulse. Pads do not press these particles
-again in this turn: without the pushes of pairs, that would move them. Rigid colliders off the axis
-are projected after this.
+again unless something moves them: without the pushes of pairs, that would. Rigid colliders off the
+axis are projected after this.
 
 Limit: normals that differ by more than 25° are not of one stack.
 """
@@ -36,7 +36,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.contact.corners import add_later
-from xpbd_ros.sim.contact.pads import without_pushes
+from xpbd_ros.sim.contact.pads import note_solved, without_pushes
 from xpbd_ros.sim.particles.history import weights_before
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, load_move, store_move
 from xpbd_ros.sim.self_collision.springs import (
@@ -63,6 +63,7 @@ from xpbd_ros.sim.self_collision.stacks import (
     last_candidate,
     mobility_of_pair,
     new_stack,
+    pair_of,
     PARALLEL,
     Stack,
 )
@@ -136,37 +137,38 @@ def new_squeeze(contacts: Contacts, particles: int, pairs: int) -> Squeeze | Non
 
 
 @jit
-def solve_squeeze(squeeze, near, pairs, state, h):
-    """Solve the stack and its contacts; by one thread."""
+def solve_squeeze(squeeze, near, pairs, state):
+    """Solve one island of the stack and its contacts; by one thread."""
     stack, springs = squeeze.stack, squeeze.springs
     springs.count[0] = 0
     for q in range(stack.count[1]):
         load_move(near, state, stack.particles[q])
         set_axis(squeeze, near, state, q)
         add_colliders(squeeze, near, state, q)
-    for m in range(stack.count[0]):
-        replace_pair(squeeze, near, pairs, stack.pairs[m])
+    for n in range(stack.count[0]):
+        replace_pair(squeeze, near, pairs, stack.pairs[n])
     begin_steps(squeeze, stack.count[1])
-    for m in range(stack.count[0]):
-        add_pair_spring(squeeze, near, pairs, stack.pairs[m])
+    for n in range(stack.count[0]):
+        add_pair_spring(squeeze, near, pairs, pair_of(stack, n))
     minimise(squeeze, stack.count[1])
     store_pushes(squeeze, near, pairs)
     add_friction(squeeze, near, pairs, state)
-    store_moves(squeeze, near, state, h)
+    store_moves(squeeze, near, state)
 
 
 @jit(inline=True)
-def replace_pair(squeeze, near, pairs, k):
-    """Remove the push and the friction of pair k from y; place it at the substep's start."""
-    stack = squeeze.stack
+def replace_pair(squeeze, near, pairs, m):
+    """Remove the push and the friction of close pair m from y; place it at the substep's start."""
+    close = squeeze.stack.close
+    k = close.number[m]
     if pairs.push[k] > 0.0:
-        add_pair_pushes(squeeze.y, near, pairs, stack.place, k, -1.0)
+        add_pair_pushes(squeeze.y, near, pairs, squeeze.stack.place, k, -1.0)
     for a in range(3):
-        pairs.normal[a, k] = stack.normal[a, k]
+        pairs.normal[a, k] = close.normal[a, m]
     for p in range(4):
-        pairs.weight[p, k] = stack.weight[p, k]
-    pairs.deficit[k] = stack.deficit[k]
-    pairs.overlap[k] = max(0.0, stack.deficit[k])
+        pairs.weight[p, k] = close.weight[p, m]
+    pairs.deficit[k] = close.deficit[m]
+    pairs.overlap[k] = max(0.0, close.deficit[m])
 
 
 @jit(inline=True)
@@ -251,10 +253,10 @@ def begin_steps(squeeze, count):
     springs = squeeze.springs
     for q in range(count):
         y, start = squeeze.y[q], squeeze.start[q]
-        springs.x[0, q] = along_axis(
+        springs.x[q] = along_axis(
             springs, q, (start[0] - y[0], start[1] - y[1], start[2] - y[2]))
     for t in range(springs.count[0]):
-        squeeze.deficit[t] += springs.weight[t, 0] * springs.x[0, springs.ends[t, 0]]
+        squeeze.deficit[t] += springs.weight[t, 0] * springs.x[springs.ends[t, 0]]
 
 
 @jit(inline=True)
@@ -278,7 +280,7 @@ def add_pair_spring(squeeze, near, pairs, k):
             q = stack.place[i]
             start, axis = squeeze.start[q], springs.axis[q]
             along = b * (n[0, k] * axis[0] + n[1, k] * axis[1] + n[2, k] * axis[2])
-            deficit += along * springs.x[0, q] - b * (
+            deficit += along * springs.x[q] - b * (
                 n[0, k] * start[0] + n[1, k] * start[1] + n[2, k] * start[2])
             springs.ends[t, p] = q
             springs.weight[t, p] = along
@@ -304,12 +306,12 @@ def minimise(squeeze, count):
     springs = squeeze.springs
     energy, size = update_residual(squeeze, count, TOUCH * squeeze.contacts.thickness[0])
     for n in range(STEPS):
-        now = dot(springs.residual, springs.residual, count, 1)
+        now = dot(springs.residual, springs.residual, count)
         if now <= SMALL * size:
             break
         conjugate_gradients(springs, count, 1, max(INEXACT * now, 0.1 * SMALL * size))
         before, (energy, size) = energy, update_residual(squeeze, count, 0.0)
-        while n >= FULL and energy > before and dot(springs.step, springs.step, count, 1) > 0.0:
+        while n >= FULL and energy > before and dot(springs.step, springs.step, count) > 0.0:
             halve_step(springs, count)
             energy, size = update_residual(squeeze, count, 0.0)
 
@@ -324,14 +326,14 @@ def update_residual(squeeze, count, touch):
     springs, energy, size = squeeze.springs, 0.0, 0.0
     begin_residual(springs, count, 1)
     for q in range(count):
-        springs.residual[0, q] = -springs.mass[q] * springs.x[0, q]
-        energy += 0.5 * springs.mass[q] * springs.x[0, q]**2
+        springs.residual[q] = -springs.mass[q] * springs.x[q]
+        energy += 0.5 * springs.mass[q] * springs.x[q]**2
     for t in range(springs.count[0]):
         k = springs.stiffness[t]
-        deficit = squeeze.deficit[t] - elongation(springs, t, springs.x[0])
+        deficit = squeeze.deficit[t] - elongation(springs, t, springs.x, 0)
         if deficit > -touch and k > 0.0:
             activate(springs, t)
-            add_force(springs, t, k * deficit, springs.residual[0])
+            add_force(springs, t, k * deficit, springs.residual, 0)
             energy += 0.5 * k * deficit * deficit
             if t < springs.count[0] - squeeze.stack.count[0]:
                 size += (k * deficit)**2
@@ -358,10 +360,10 @@ def store_pushes(squeeze, near, pairs):
             pads.shift[last, 0], pads.shift[last, 1], pads.shift[last, 2] = x, y, z
         given[q, 0], given[q, 1], given[q, 2] = x, y, z
         for a in range(3):
-            squeeze.moved[q, a] = squeeze.y[q, a] + springs.x[0, q] * springs.axis[q, a]
-        squeeze.u[q] = springs.x[0, q]
+            squeeze.moved[q, a] = squeeze.y[q, a] + springs.x[q] * springs.axis[q, a]
+        squeeze.u[q] = springs.x[q]
     for m in range(stack.count[0]):
-        k = stack.pairs[m]
+        k = pair_of(stack, m)
         pairs.push[k] = push_of(squeeze, t + m) * mobility_of_pair(near, pairs, k)
         set_slip(pairs.friction, k, (0.0, 0.0, 0.0))
         add_pair_pushes(given, near, pairs, stack.place, k, 1.0)
@@ -371,37 +373,49 @@ def store_pushes(squeeze, near, pairs):
 def push_of(squeeze, t):
     """Return the force of spring t."""
     return squeeze.springs.stiffness[t] * max(
-        0.0, squeeze.deficit[t] - elongation(squeeze.springs, t, squeeze.springs.x[0]))
+        0.0, squeeze.deficit[t] - elongation(squeeze.springs, t, squeeze.springs.x, 0))
 
 
 @jit
-def store_moves(squeeze, near, state, h):
-    """Write displacements; colliders take a u less what pushes displaced as an impulse."""
-    stack, contacts, axis = squeeze.stack, squeeze.contacts, squeeze.springs.axis
+def store_moves(squeeze, near, state):
+    """Write displacements, and what the colliders keep."""
+    stack = squeeze.stack
     for q in range(stack.count[1]):
-        i, moved, given = stack.particles[q], squeeze.moved[q], squeeze.given[q]
+        i, moved = stack.particles[q], squeeze.moved[q]
         if squeeze.springs.mass[q] > 0.0:
-            j, a, u = near.slot[i], axis[q], squeeze.u[q]
+            j = near.slot[i]
             for e in range(3):
                 near.precise_move[i, e] = near.move[i, e] = moved[e]
+            store_move(near, state, i)
+            keep_pushes(squeeze, i, j, state)
+
+
+@jit
+def press_colliders(squeeze, near, state, h):
+    """Let the colliders take a u less what pushes displaced as an impulse; by one thread."""
+    stack, contacts, springs = squeeze.stack, squeeze.contacts, squeeze.springs
+    for q in range(stack.count[1]):
+        if springs.mass[q] > 0.0:
+            i, given, a, u = stack.particles[q], squeeze.given[q], springs.axis[q], squeeze.u[q]
+            j = near.slot[i]
             per = h * weights_before(state.history, j)[0]**2 / state.mobility[j]
             add_reactions(stack, contacts, i, per * (u * a[0] - given[0]),
                           per * (u * a[1] - given[1]), per * (u * a[2] - given[2]))
-            store_move(near, state, i)
-            keep_pushes(squeeze, i, last_candidate(contacts, j), state.mobility[j])
     contacts.count[5] = 1
 
 
 @jit(inline=True)
-def keep_pushes(squeeze, i, last, m):
-    """Store the forces on particle i of mobility m, which is solved in this turn."""
-    contacts, pads, k = squeeze.contacts, squeeze.contacts.pads, last
+def keep_pushes(squeeze, i, j, state):
+    """Store the forces on particle i, in slot j, which pads do not solve again unless it moves."""
+    contacts, pads = squeeze.contacts, squeeze.contacts.pads
+    last = k = last_candidate(contacts, j)
     while k >= 0:
         ratio = ratio_of(squeeze, k, i)
-        pads.force[k], pads.lost[k] = contacts.push[k] / m, ratio / (1.0 + ratio)
+        pads.force[k] = contacts.push[k] / state.mobility[j]
+        pads.lost[k] = ratio / (1.0 + ratio)
         k = contacts.earlier[k]
     if last >= 0:
-        pads.solved[last] = 1
+        note_solved(pads, last, j, state)
 
 
 @jit(inline=True)

@@ -32,7 +32,7 @@ from xpbd_ros.sim.self_collision.springs import (
     conjugate_gradients,
     constrain,
 )
-from xpbd_ros.sim.self_collision.stacks import last_candidate, mobility_of_pair
+from xpbd_ros.sim.self_collision.stacks import last_candidate, mobility_of_pair, pair_of
 
 STICK = 1e5
 """displacement by friction of a contact that sticks, relative to its tangential motion"""
@@ -78,7 +78,7 @@ def add_friction(squeeze, near, pairs, state):
     conjugate_gradients(springs, count, 3, SMALL * size + TINY * most)
     for a in range(3):
         for q in range(count):
-            squeeze.start[q, a] = springs.x[a, q]
+            squeeze.start[q, a] = springs.x[a * count + q]
     for t in range(springs.count[0]):
         x, y, z = tangential_motion(springs, frictional, squeeze.start, t)
         frictional.slip[t, 0], frictional.slip[t, 1], frictional.slip[t, 2] = shortened(
@@ -141,7 +141,7 @@ def load_sticks(squeeze, near, pairs, state):
                              way[2] - near.step[2]))
             k = contacts.earlier[k]
     for m in range(stack.count[0]):
-        k, t, first = stack.pairs[m], springs.count[0], 0
+        k, t, first = pair_of(stack, m), springs.count[0], 0
         if pairs.push[k] > 0.0:
             for p in range(4):
                 i = pairs.particles[p, k]
@@ -199,18 +199,18 @@ def begin_sticking(squeeze, count):
     begin_residual(springs, count, 3)
     for q in range(count):
         for a in range(3):
-            springs.x[a, q] = squeeze.start[q, a]
-            force = springs.mass[q] * (squeeze.moved[q, a] - springs.x[a, q])
-            springs.residual[a, q] = force
+            springs.x[a * count + q] = squeeze.start[q, a]
+            force = springs.mass[q] * (squeeze.moved[q, a] - springs.x[a * count + q])
+            springs.residual[a * count + q] = force
             size += force * force
     for t in range(springs.count[0]):
         if frictional.holds[t] > 0.0:
             activate(springs, t)
             k = springs.stiffness[t]
             x, y, z = tangential_motion(springs, frictional, squeeze.start, t)
-            add_force(springs, t, -k * x, springs.residual[0])
-            add_force(springs, t, -k * y, springs.residual[1])
-            add_force(springs, t, -k * z, springs.residual[2])
+            add_force(springs, t, -k * x, springs.residual, 0)
+            add_force(springs, t, -k * y, springs.residual, count)
+            add_force(springs, t, -k * z, springs.residual, 2 * count)
             most += frictional.holds[t]**2
     constrain(springs, springs.residual, count, 3)
     return size, most
@@ -241,8 +241,8 @@ def store_slips(squeeze, near, pairs):
                 t += 1
             k = contacts.earlier[k]
     for m in range(stack.count[0]):
-        if pairs.push[stack.pairs[m]] > 0.0:
-            set_slip(pairs.friction, stack.pairs[m], (slip[t, 0], slip[t, 1], slip[t, 2]))
+        if pairs.push[pair_of(stack, m)] > 0.0:
+            set_slip(pairs.friction, pair_of(stack, m), (slip[t, 0], slip[t, 1], slip[t, 2]))
             t += 1
 
 
