@@ -429,7 +429,7 @@ class BuiltContact(Built):
     def reported(self, frame_dt):
         colliders, count = self.colliders, len(self.placed)
         return {'colliders': ColliderStates(
-            self.placed, colliders.start[:count], colliders.goal[:count].copy(),
+            self.placed, colliders.start[:count].copy(), colliders.goal[:count].copy(),
             self.contacts.wrenches.impulse[:count], frame_dt)}
 
     def stats(self):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -45,14 +46,18 @@ class ColliderStates(Mapping[str, ColliderState]):
         self.names = tuple(placed)
         self.poses = goal
         """at the frame's end, shape (colliders, 7)"""
-        way = goal[:, :3] - start[:, :3]
-        self.twists = np.hstack([way, turns(start[:, 3:], goal[:, 3:])]) / dt
-        """[m/s, rad/s], shape (colliders, 6)"""
+        self._start, self._dt = start, dt
         self.wrenches = impulses / dt
         """force and torque of the cloth on each collider [N, N m], shape (colliders, 6)"""
         self._index = {name: k for k, name in enumerate(self.names)}
         self._entries = [each.entry for each in placed.values()]
         self._pose = [each.motion.pose for each in placed.values()]
+
+    @cached_property
+    def twists(self) -> np.ndarray:
+        """Mean velocities in the frame [m/s, rad/s], shape (colliders, 6)."""
+        way = self.poses[:, :3] - self._start[:, :3]
+        return np.hstack([way, turns(self._start[:, 3:], self.poses[:, 3:])]) / self._dt
 
     def __getitem__(self, name: str) -> ColliderState:
         """Return the state of one collider."""
