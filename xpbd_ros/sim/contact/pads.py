@@ -87,6 +87,8 @@ class Pads(NamedTuple):
     """f [N], shape (candidates,)"""
     clamped: np.ndarray
     """1 if the friction of two candidates has been solved at once, likewise"""
+    solved: np.ndarray
+    """1 at a particle's last candidate if ``self_collision.squeeze`` has just solved it"""
     left: np.ndarray
     """
     where a solve left the particle, at its last candidate [m]; infinite: it must be solved again;
@@ -100,8 +102,8 @@ def new_pads(room: int, area: np.ndarray) -> Pads:
     """Return storage for ``room`` candidates; ``area`` is that of the particles, by slot."""
     return Pads(area, np.zeros(room, np.int32), np.zeros(room), np.zeros(room), np.zeros(room),
                 np.zeros(room), np.zeros(room, np.int32), np.zeros(room), np.zeros((room, 3)),
-                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros((room, 3)),
-                np.zeros(1, np.bool_))
+                np.zeros(room), np.zeros(room), np.zeros(room, np.int32), np.zeros(room, np.int32),
+                np.zeros((room, 3)), np.zeros(1, np.bool_))
 
 
 def surface_area(mesh: Mesh) -> np.ndarray:
@@ -153,8 +155,10 @@ def press_pads(pads, contacts, state):
     if pads is not None:
         for k in range(worker(state.team), contacts.count[0], workers(state.team)):
             i = contacts.particle[k]
-            if (contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k)
-                    and not stays(pads, k, i, state)):
+            if pads.solved[k]:
+                pads.solved[k] = 0
+            elif (contacts.latest[i] == k and pads.area[i] > 0.0 and meets_pad(pads, contacts, k)
+                  and not stays(pads, k, i, state)):
                 press(pads, contacts, k, i, state)
 
 

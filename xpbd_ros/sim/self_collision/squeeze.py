@@ -21,8 +21,8 @@ Friction (``squeeze_friction``) follows with these pushes.
 
 The residual of Newton's method, and the components of pushes across the axis, as at the edges of
 fingers, move no particle: the colliders take them as an impulse. Pads do not press these particles
-again unless something moves them: without the pushes of pairs, that would. Rigid colliders off the
-axis are projected after this.
+again in this turn: without the pushes of pairs, that would move them. Rigid colliders off the axis
+are projected after this.
 
 Limit: normals that differ by more than 25° are not of one stack.
 """
@@ -36,7 +36,7 @@ import numpy as np
 from xpbd_ros.sim.backend.jit import jit
 from xpbd_ros.sim.contact.contacts import Contacts
 from xpbd_ros.sim.contact.corners import add_later
-from xpbd_ros.sim.contact.pads import note_solved, without_pushes
+from xpbd_ros.sim.contact.pads import must_solve, without_pushes
 from xpbd_ros.sim.particles.history import weights_before
 from xpbd_ros.sim.self_collision.neighbour_list import INV_MASS, load_move, store_move
 from xpbd_ros.sim.self_collision.springs import (
@@ -406,7 +406,7 @@ def press_colliders(squeeze, near, state, h):
 
 @jit(inline=True)
 def keep_pushes(squeeze, i, j, state):
-    """Store the forces on particle i, in slot j, which pads do not solve again unless it moves."""
+    """Store the forces on particle i, in slot j, which is solved in this turn."""
     contacts, pads = squeeze.contacts, squeeze.contacts.pads
     last = k = last_candidate(contacts, j)
     while k >= 0:
@@ -415,7 +415,8 @@ def keep_pushes(squeeze, i, j, state):
         pads.lost[k] = ratio / (1.0 + ratio)
         k = contacts.earlier[k]
     if last >= 0:
-        note_solved(pads, last, j, state)
+        pads.solved[last] = 1
+        must_solve(pads, last)
 
 
 @jit(inline=True)
