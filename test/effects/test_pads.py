@@ -17,7 +17,7 @@ from xpbd_ros.scene.load import scene_from_mapping
 from xpbd_ros.sim.commands import MoveCollider, PlaceCollider, Pose, RemoveAllColliders, SetKey
 from xpbd_ros.sim.contact.clamp_friction import _pushes, shared_friction
 from xpbd_ros.sim.contact.contacts import DEPENETRATION
-from xpbd_ros.sim.contact.pads import solve, surface_area
+from xpbd_ros.sim.contact.pads import press_pads, solve, surface_area
 from xpbd_ros.sim.geometry.mesh import grid_mesh
 from xpbd_ros.sim.geometry.mesh_repair import solid_mesh
 
@@ -543,6 +543,30 @@ def test_what_sinks_into_a_moving_pad_goes_on_with_it(speed):
     frame = run(simulation, 60)
     assert speed + R - frame.x[0, 2] == pytest.approx(2.0 * GRAVITY / 1e5, rel=1e-6)
     assert frame.v[0, 2] == pytest.approx(speed, abs=1e-6)
+
+
+def test_a_particle_that_moves_is_solved_again():
+    """It keeps 1 / (1 + κ) of its way; also one that was out of reach of the pad before."""
+    simulation = one_particle(0.0, stiffness=1e5, substeps=4)
+    simulation.state.gravity[2] = -GRAVITY
+    run(simulation, 60)
+    state, contacts = simulation.state, simulation.effects['contact'].contacts
+    pads, [k] = contacts.pads, range(contacts.count[0])
+    i, x = contacts.particle[k], state.x
+    at_rest = x[2, i]
+    press_pads(pads, contacts, state)
+    assert x[2, i] == at_rest
+    x[2, i] -= 1e-5
+    press_pads(pads, contacts, state)
+    assert at_rest - x[2, i] == pytest.approx(1e-5 / (1.0 + pads.ratio[k]), rel=1e-6)
+    x[2, i] += 1.0
+    for _ in range(2):
+        press_pads(pads, contacts, state)
+    free = x[2, i]
+    assert contacts.push[k] == 0.0
+    x[2, i] += R - 1e-5 - free
+    press_pads(pads, contacts, state)
+    assert R - x[2, i] == pytest.approx(1e-5 / (1.0 + pads.ratio[k]), rel=1e-6)
 
 
 @pytest.mark.parametrize('depth', [0.009, 0.02])

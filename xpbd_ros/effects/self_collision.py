@@ -332,7 +332,7 @@ def mark_all(planes, near, contacts, state, again):
 @stage(finish, SelfCollision, shared=True)
 @jit
 def settle(effect, state, substep):
-    """Remove velocities from old overlaps; update the creep, and advance the common motion."""
+    """Remove velocities from old overlaps, update the creep, and advance the common motion."""
     near, team = effect.near, state.team
     if assigned(team, 0):
         remove_depenetration_velocity(effect.pairs, near, state, substep)
